@@ -61,6 +61,7 @@ _PLACES = {
     "Gradient": "adjoint.totals",
     "State": "integrate.state",
     "Counts": "integrate.state",
+    "Integrator": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha",
     "EnergyMomentum": "integrate.energy.energy_momentum",
     "IDA": "integrate.ida.integrator",

@@ -60,13 +60,22 @@ views: dict[str, Any] = {  # of a run, above it: what its attributes of these na
 studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
 
 
-def name_of(kind):
-    """What a file calls a class: its name where it is polyida's; where it is a user's, the one it has here, or its own with its module."""
-    for book in (parts, integrators):
-        for name, known in book.items():
-            if known is kind:
-                return name
-    return kind.__name__ if kind.__module__.startswith("polyida.") else f"{kind.__module__}.{kind.__qualname__}"
+_BUILT_IN = frozenset([*parts.values(), *integrators.values()])
+
+
+def _place_of(kind):
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def is_built_in(kind: type) -> bool:
+    """True if a class of parts or integrators is one of polyida's own."""
+    return _place_of(kind) in _BUILT_IN
+
+
+def name_of(kind: type) -> str:
+    """The name of a class in files: its key in `parts` or `integrators`, or `module.name` if it has none there."""
+    known = {key: name for book in (parts, integrators) for name, key in book.items()}
+    return known.get(kind) or known.get(_place_of(kind)) or f"{kind.__module__}.{kind.__qualname__}"
 
 
 def find(book, name):

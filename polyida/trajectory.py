@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida import registry
 from polyida.assembly.motion import hint_of_left_out, hint_of_rigid
 from polyida.errors import InputError
-from polyida.integrate.state import Counts, Restart, State, asked
+from polyida.integrate.state import Counts, Restart, State, declared
 from polyida.io.layout import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
@@ -243,18 +243,18 @@ class Trajectory:
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
-        told = asked(self.integrator, "told")(self.state.memory) if len(self) else ""
-        rtol, model = None if asked(self.integrator, "adaptive") is False else asked(self.integrator, "rtol"), self.model
-        of_model = []
+        notes, model = [], self.model
+        method = None if isinstance(self.integrator, str) else declared(self.integrator)
+        if method and len(self):
+            notes.append(method.summary_of_steps(self.state.memory))
         if model is not None:
-            of_model = [model.remark, hint_of_rigid(model, self.q, rtol)]
-            of_model += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
-        unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
-        told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
-        name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
-        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
-            f"; {self.message}" if self.message else ""
-        )
+            notes += [model.remark, hint_of_rigid(model, self.q, method and method.relative_tolerance())]
+            notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
+        elif self.missing != Trajectory.missing:
+            notes.append(self.missing)
+        name = method.class_name() if method else self.integrator
+        told = "".join(f", {note}" for note in notes if note) + (f"; {self.message}" if self.message else "")
+        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}"
 
     def __repr__(self):
         return f"<Trajectory: {self._told()}>"

@@ -376,8 +376,11 @@ MORE = [  # (what is wrong, what the message says)
         lambda: parameters_of(type("Own", (Own,), {"parameters": ("red",), "red": "x"})()),
         "its parameter 'red' must be an attribute that is a number",
     ),
-    (lambda: pi.objective.Own(lambda run: 1.0 / 0.0, dict)(run()), "Own: value.run., the function <lambda>, raised ZeroDivisionError: "),
-    (lambda: pi.objective.Own(lambda run: "much", dict)(run()), "value.run. must return a finite number"),
+    (
+        lambda: pi.objective.UserObjective(lambda run: 1.0 / 0.0, dict)(run()),
+        "UserObjective: value.run., the function <lambda>, raised ZeroDivisionError: ",
+    ),
+    (lambda: pi.objective.UserObjective(lambda run: "much", dict)(run()), "value.run. must return a finite number"),
     (lambda: (1.0 * pi.objective.Frequency(10**4))(run()), "number = 10000 is too large"),
     (lambda: pi.objective.PeakReaction("wall")(welded()), "the reaction of 'wall' is in N and N m; give one of these as unit"),
     (doubled, "'double' is not unique"),

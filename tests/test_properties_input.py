@@ -432,7 +432,10 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
     "objective.PeakReaction": (made(pi.objective.PeakReaction, joint="hinge"), {"p": POSITIVE + [0.5], "unit": CHOICE[1:]}),
     "objective.PeakStress": (pi.objective.PeakStress, {"p": POSITIVE + [0.5]}),
     "objective.Frequency": (pi.objective.Frequency, {"number": NOTHING + LISTS + SCALARS + [-1, 0.5]}),
-    "objective.Own": (made(pi.objective.Own, value=float, slopes=dict), {name: NO_FUNCTION for name in ("value", "slopes")}),
+    "objective.UserObjective": (
+        made(pi.objective.UserObjective, value=float, slopes=dict),
+        {name: NO_FUNCTION for name in ("value", "slopes")},
+    ),
     "objective of a run": (
         lambda **given: [kind(**given)(STANDING) for kind in (pi.objective.StrainEnergy, pi.objective.PeakStress)],
         {"plate": [part for part in PART if part is not None and part is not BOARD]},

@@ -170,7 +170,7 @@ def test_a_part_of_an_unknown_kind_is_named_and_the_frames_are_there(path, kind)
         lambda: run.save(path.with_suffix(".again")),
         lambda: run.plot.reactions(),
         lambda: pi.gradient(run, pi.objective.StrainEnergy()),
-        lambda: pi.objective.Own(lambda run: run.model.n, lambda run: {})(run),
+        lambda: pi.objective.UserObjective(lambda run: run.model.n, lambda run: {})(run),
         lambda: pi.pod_modes(run, "bar"),
     ]
     for use in uses:

@@ -84,7 +84,9 @@ def gradient(
         found.value, found["arm.stiffness"]
     """
     if not isinstance(objective, Objective):
-        raise InputError(f"gradient: {objective!r:.80} is no objective; use one of polyida.objective, or objective.Own(value, slopes)")
+        raise InputError(
+            f"gradient: {objective!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
+        )
     names = _names(parameters)
     require_progress("gradient", progress)
     require_bytes("gradient", memory_limit)

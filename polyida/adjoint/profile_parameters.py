@@ -20,9 +20,9 @@ from polyida.assembly.placement import GRAVITY
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, profiles_of
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.integrate.kinks import beside
-from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
+from polyida.model.differences import FIRST_ORDER_STEP, along, around, beside, within
 from polyida.profile import MAKERS, REACH, Profile, polynomial, scaled
+from polyida.registry import is_built_in
 from polyida.validation import complex_of_pairs, floats, is_number
 
 ORDERS = ("value", "d1", "d2")
@@ -190,7 +190,7 @@ def in_time(model, work):
     elements = [(name, part) for name, part in model.parts.items() if isinstance(part, ForceElement)]
     for name, part in elements:
         functions = (value for value in vars(part).values() if callable(value) and not isinstance(value, Profile))
-        if type(part).__module__.startswith("polyida.") and not any(functions):  # time is in its forces by profiles alone
+        if is_built_in(type(part)) and not any(functions):  # time is in its forces by profiles alone
             continue
         own = OwnForce(name, part, model)
 

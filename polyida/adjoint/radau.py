@@ -12,7 +12,7 @@ from polyida.adjoint.radau_equations import SceneStageEquations, StageEquations
 from polyida.adjoint.run import RunAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import StepFailure
-from polyida.integrate.kinks import Grid, at_kink, beside, inner_side
+from polyida.integrate.kinks import Grid, at_kink, inner_side
 from polyida.integrate.radau.loop import EXACT
 from polyida.integrate.radau.matrices import NOTHING, lift
 from polyida.integrate.radau.radau_iia import restarted
@@ -23,7 +23,7 @@ from polyida.integrate.state import Counts, State
 from polyida.integrate.switches import steps_of
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import dense
-from polyida.model.differences import jacobian
+from polyida.model.differences import beside, jacobian
 
 TOGETHER = 64  # steps whose multipliers are summed up at once, at most
 CHUNK = 4_000_000  # bytes of stages that are held at once
@@ -58,7 +58,7 @@ class SolvedStages:
         self.tableau, self.tied, self.engine.guess = self.engine.tableau, self.engine.tied, self._between
         bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.moves_v = bent and settings.form == "index3" and settings.project
-        self.lifts = self.engine.table.lifts and self.tied and not model.alike
+        self.lifts = self.engine.table.lifts and self.tied and not model.uniform_units
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
 
     def of(self, state, end):

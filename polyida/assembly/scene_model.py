@@ -43,7 +43,7 @@ class SceneModel(SceneBodies):
     belongs to each joint or body. Matrices are scipy.sparse.
     """
 
-    is_scene = carries = True
+    is_scene = has_constraint_increments = True
     looks_apart = 1024  # its joints hold on to points of their own, only motors turn rows
 
     def __init__(self, parts, gravity, redundant="refuse"):
@@ -78,7 +78,7 @@ class SceneModel(SceneBodies):
         ]
         massless = [placed.name for placed in self.few if placed.massless]
         self.solid = not massless and self.uneven_mass is None
-        self.compiled, self.alike, self.looks_apart = self.solid and not python, not self.few, 1 if self.few else self.looks_apart
+        self.compiled, self.uniform_units, self.looks_apart = self.solid and not python, not self.few, 1 if self.few else self.looks_apart
         why = (("the Python of", python), ("the massless coordinates of", massless))
         self.remark = " and ".join(f"plain paths for {what} {', '.join(map(repr, names))}" for what, names in why if names)
         if redundant == "least-norm":
@@ -249,7 +249,7 @@ class SceneModel(SceneBodies):
         self.evaluate(0.0, q, np.zeros(self.n), np.zeros(self.m), rotation)
         return rotation
 
-    def objection(self, t, q):
+    def rejection_reason(self, t, q):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:

@@ -1,12 +1,12 @@
 """The times of steps: pieces of a run between the kinks of its loads and motors, which no step crosses, and equal steps within a piece."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import StepFailure
 from polyida.integrate import moves
+from polyida.model.differences import beside
 
 PULSE = 4  # steps in which a piece is taken at least where its loads are no straight lines
 INSIDE = (0.29, 0.5, 0.62)  # where they are looked at, and not only in the middle, where a whole sine is zero too
@@ -81,11 +81,6 @@ def at_kink(model, t):
     """Whether a load or motor has a kink at t."""
     near = 1e-12 * max(abs(t), 1e-300)
     return bool(model.kinks(t - near, t + near))
-
-
-def beside(t, side):
-    """A time next to t, later where side is positive and earlier where it is negative."""
-    return t + math.copysign(32 * math.ulp(max(abs(t), 1.0)), side)
 
 
 def inner_side(model, t, h):

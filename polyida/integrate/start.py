@@ -43,7 +43,7 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
         require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)), remedy)
         q = _project_position(model, t0, q)
-    if objection := model.objection(t0, q):
+    if objection := model.rejection_reason(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
     if v0 is None:
         v = given(model, "initial_velocity", model.initial_velocity(t0, q))

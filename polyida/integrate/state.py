@@ -3,13 +3,15 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.model import Model
+from polyida.model.differences import cubic
 from polyida.reprs import brief
-from polyida.validation import is_number
+from polyida.validation import is_number, takes
 
 
 @dataclass(frozen=True)
@@ -153,19 +155,6 @@ class Counts:
         return asdict(self)
 
 
-def constant_step(integrator):
-    """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
-    h = asked(integrator, "h")
-    return float(h) if is_number(h) and not asked(integrator, "adaptive") else 0.0
-
-
-def cubic(x0, v0, x1, v1, h, s):
-    """(x, x') at the part s of an interval of length h, from values x0, x1 and slopes v0, v1 at its ends: Hermite's polynomial."""
-    move = x1 - x0
-    x = x0 + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
-    return x, 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
-
-
 def between(before, after, t):
     """The State at t between two accepted ones.
 
@@ -192,39 +181,118 @@ class Restart(NamedTuple):
     counts: dict
 
 
-class Integrator(Protocol):
-    """What `solve` takes: settings with one method, a user's as well as ours. What else it may have is in `Declared`."""
+class HasSteps(Protocol):
+    """Any object with `steps`: what `pi.solve` takes as an integrator."""
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, /) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        """Accepted states after `state` up to t_end, one a step."""
         ...
 
 
-class Declared:
-    """What else is asked of an integrator, with the values for a class that does not have it.
+class Integrator:
+    """A time integration method with its settings.
 
-    h: the step, s, constant unless `adaptive` is True; rtol: the relative tolerance, None without one; adaptive: whether errors choose the
-    steps, None where that is not said; max_halvings: of a step that fails. nonholonomic: rows of phi_rate need not be derivatives of phi.
-    second_order: the error of a step in v is O(h^3). writes_rows: `steps` takes `rows`, the places of frames, to write into.
+    Only `steps` must be written. All other methods and attributes have the defaults below. A user's class that has `steps` and does not
+    inherit from this one gets the same defaults, and its number `h`, if it has one and no `adaptive`, as its fixed step.
+
+    Attributes
+    ----------
+    nonholonomic : bool
+        True if rows of `phi_rate` need not be derivatives of phi. `solve` then does not compare them.
+    second_order : bool
+        True if the error of a step in v is O(h^3). Steps that end at a switch of `gaps` may then be longer.
+    trusted : bool
+        True if every State has finite arrays of its own that are never written again. `solve` then uses them without copies and checks.
+        `steps` may also return States, whose stretches are taken as they are.
+    writes_rows : bool
+        True if `steps` takes the keyword `rows`, a function that returns the arrays of the next frames to write into. Needs `trusted`.
+    iteration_matrix : function (model, state, h) -> (N, N) matrix, or None
+        The matrix of Newton's method, for `pi.study.conditioning`.
     """
 
-    h = rtol = adaptive = max_halvings = None
-    nonholonomic = second_order = writes_rows = False
+    nonholonomic = second_order = trusted = writes_rows = False
+    iteration_matrix: Any = None
 
-    def require(self, model):
-        """Raise InputError unless the integrator can take the model."""
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
+        """Integrate; called once by `solve`, after `require` and `require_reach`.
 
-    def require_reach(self, model, state, t_end):
-        """Raise InputError unless it can go from the state to t_end."""
+        Parameters
+        ----------
+        model : Model
+        state : State
+            Consistent initial state, with the memory of an earlier run that is continued.
+        t_end : float, s
+        counts : Counts
+            To be increased; `counts.steps` is the number of each state as it is yielded.
 
-    def told(self, memory):
-        """What a summary says of the steps, from the memory of the last state."""
+        Yields
+        ------
+        State
+            The accepted state at the end of each step; the last one at t_end.
+
+        Raises
+        ------
+        StepFailure
+            If the integration cannot continue. The run keeps the states so far.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no steps(model, state, t_end, counts)")
+
+    def require(self, model: Model) -> None:
+        """Raise InputError unless the integrator supports the model; called by `solve` before anything is computed."""
+
+    def require_reach(self, model: Model, state: State, t_end: float) -> None:
+        """Raise InputError unless the integrator can go from the initial state to t_end; called by `solve` before the first step."""
+
+    def fixed_step(self) -> float:
+        """The constant step, s; 0 if steps vary."""
+        return 0.0
+
+    def relative_tolerance(self) -> float | None:
+        """The relative tolerance that chooses the steps; None without one."""
+        return None
+
+    def without_halving(self) -> "Integrator":
+        """The integrator that raises StepFailure instead of halving a step that fails; called for models with `gaps`."""
+        return self
+
+    def summary_of_steps(self, memory: dict) -> str:
+        """Words for the run's summary about the steps, from the memory of its last state; empty for none."""
         return ""
 
+    def class_name(self) -> str:
+        """The name of the class in messages."""
+        return type(self).__name__
 
-_DECLARED = Declared()
+
+class _Adapter(Integrator):
+    """A user's object that has `steps` and does not inherit from Integrator: what it has replaces the defaults."""
+
+    def __init__(self, user):
+        self.user = user
+        for name in ("steps", *(name for name in vars(Integrator) if name[0] != "_" and hasattr(user, name))):
+            setattr(self, name, getattr(user, name))
+
+    def fixed_step(self):
+        h = getattr(self.user, "h", None)
+        return float(h) if is_number(h) and not getattr(self.user, "adaptive", False) else 0.0
+
+    def relative_tolerance(self):
+        return getattr(self.user, "rtol", None)
+
+    def class_name(self):
+        return type(self.user).__name__
 
 
-def asked(integrator, name):
-    """What an integrator has under a name of `Declared`, or what that has."""
-    return getattr(integrator, name, getattr(_DECLARED, name))
+def declared(given: object, part: str = "solve") -> Integrator:
+    """What is given as an integrator, with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
+    if isinstance(given, Integrator):
+        return given
+    if isinstance(given, type) or not hasattr(given, "steps"):
+        raise InputError(f"{part}: {given!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    name = type(given).__name__
+    if not callable(given.steps):
+        wanted = "must be a function, steps(model, state, t_end, counts), that yields a State a step"
+        raise InputError(f"{part}: steps = {given.steps!r:.100} of {name} {wanted}")
+    if not takes(given.steps, 4):
+        raise InputError(f"{part}: steps of {name} must take (model, state, t_end, counts)")
+    return _Adapter(given)

@@ -14,7 +14,6 @@ where a stretch began, are single.
 """
 
 import math
-from dataclasses import is_dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,7 +22,7 @@ from polyida.errors import StepFailure
 from polyida.integrate.gaps import Crossing, Gaps
 from polyida.integrate.sizes import sizes_of_run
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import State, asked, between, constant_step
+from polyida.integrate.state import State, between
 
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
@@ -53,7 +52,7 @@ def unresolved(model, integrator, state):
     """In words, the gaps whose rate changes too much in steps that can be no shorter, up to a state; empty where there are none."""
     kept = state.memory.get("switches", ()) if model.switching else ()
     turns, times = np.reshape(kept[2:], (len(ROWS), -1))[-2:] if len(kept) else np.zeros((2, 0))
-    least = f"h/{FINEST}" if constant_step(integrator) else f"{STANDING:g} of the run's time"
+    least = f"h/{FINEST}" if integrator.fixed_step() else f"{STANDING:g} of the run's time"
     return "; ".join(
         f"at t = {times[k]:.6g} s the shortest step, {least}, is too long for {model.gap_names()[k]}: the rate of its gap changes there by "
         f"{100 * turns[k]:.3g} % of the largest since it closed; take a smaller h or rtol"
@@ -74,11 +73,10 @@ class Switches:
 
     def __init__(self, taken, integrator, model, state, t_end, counts):
         self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
-        self.h = constant_step(integrator)
-        self.coarse = bool(self.h) or asked(integrator, "second_order")
+        self.h = integrator.fixed_step()
+        self.coarse = bool(self.h) or integrator.second_order
         self.finest = self.h / FINEST if self.h else STANDING * self.span
-        parts = is_dataclass(integrator) and self.h and asked(integrator, "max_halvings") is not None
-        self.taken, self.integrator = taken, replace(integrator, max_halvings=0) if parts else integrator
+        self.taken, self.integrator = taken, integrator.without_halving()
         self.gaps, self.switched, self.jumped = Gaps(model, state, self.span), {}, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
         self.whole, self.since = self.state, 0

@@ -54,8 +54,10 @@ class Model:
     by_numba = False  # True of a model whose functions numba compiles (jit/compiled.py)
     is_scene = False  # True of a scene, whose functions are tested and called as they are
     parameters: tuple[str, ...] = ()  # names of attributes, numbers or arrays, in which gradients of runs are taken
-    alike = False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere
-    carries = False  # True where `increments` tells what phi gains in a step
+    uniform_units = (
+        False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere
+    )
+    has_constraint_increments = False  # True where `increments` tells what phi gains in a step
     compiled = False  # True of a scene without Python in it: integrators have compiled loops over its `arrays`
     own_forces: Any = ()  # the force elements of a scene
     remark = ""  # what a run's summary says of the model
@@ -170,7 +172,7 @@ class Model:
         """Velocities (n,) at the start of runs that are given none; they need not be consistent."""
         return np.zeros(self.n)
 
-    def objection(self, t: float, q: NDArray) -> str | None:
+    def rejection_reason(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""
         return None
 
@@ -286,7 +288,7 @@ class Model:
     def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:
         """A function (dd, dv, phi, rate) -> (phi, rate) behind a step of h from (q, v) at t0 in which q moves by h v + dd and v by dv.
 
-        To the round-off of what is gained, not of q; where `carries` is True. ends: t0 and t1, beside them within where there is a kink.
+        To the round-off of what is gained, not of q; where `has_constraint_increments` is True. ends: t0 and t1, beside them within where there is a kink.
         """
         raise NotImplementedError
 
@@ -304,7 +306,7 @@ class Model:
 def require_model(part, model):
     """Raise InputError unless it is a Model."""
     if not isinstance(model, Model):
-        hint = "; call its build()" if hasattr(model, "build") else ""
+        hint = "; of a Scene, call its build()"
         if model is None:
             hint = "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before loading"
         raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")

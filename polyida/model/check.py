@@ -10,6 +10,7 @@ from polyida.errors import InputError
 from polyida.linear.lu import dense
 from polyida.model import Model, differences
 from polyida.model.guarded import SAME, guard, require_constraints, require_functions, writes
+from polyida.registry import is_built_in
 from polyida.validation import floats, is_number, is_whole, named_keywords
 
 REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
@@ -47,7 +48,7 @@ def require_energies(model, t, q, strain_only=False):
     """
     random = np.random.default_rng(0)
     for part, energy, forces, x, sizes in energies(model, t, q):
-        if model.is_scene and (strain_only and not part.strain or type(part.element).__module__.startswith("polyida.")):
+        if model.is_scene and (strain_only and not part.strain or is_built_in(type(part.element))):
             continue
         if not (wrong := _wrong_slope(energy, forces, x, sizes, random)):
             continue

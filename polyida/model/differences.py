@@ -1,4 +1,6 @@
-"""Differences: the default derivatives of a model, and the yardstick its exact ones are checked against."""
+"""Numerical derivatives, the defaults of a model's functions and the check of exact ones; interpolation and times beside kinks."""
+
+import math
 
 import numpy as np
 
@@ -84,3 +86,15 @@ def jacobian(function, x, rows):
 
         result[:, k] = along(moved, max(1.0, abs(x[k])))
     return result
+
+
+def beside(t, side):
+    """A time next to t, later if side is positive and earlier if it is negative."""
+    return t + math.copysign(32 * math.ulp(max(abs(t), 1.0)), side)
+
+
+def cubic(x0, v0, x1, v1, h, s):
+    """(x, x') at the part s of an interval of length h, from values x0, x1 and slopes v0, v1 at its ends: Hermite's polynomial."""
+    move = x1 - x0
+    x = x0 + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
+    return x, 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1

@@ -105,7 +105,7 @@ def blame(model, t, state):
 
 def shape_of(name, model):
     """The shape of what a function returns."""
-    return tuple(getattr(model, letter) for letter in SHAPES[name])
+    return tuple({"n": model.n, "m": model.m}[letter] for letter in SHAPES[name])
 
 
 def _view(given):
@@ -132,19 +132,23 @@ class Guarded(Model):
         if not isinstance(model.needs, Needs):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
-        self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
+        self.flexible, self.uniform_units, self.has_constraint_increments = (
+            model.flexible,
+            model.uniform_units,
+            model.has_constraint_increments,
+        )
         self.dissipating, self.parameters = model.dissipating, model.parameters
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         compiled = Compiled(self).calls() if model.by_numba and self.n + self.m > MOST else {}  # smaller ones get a table of C functions
         for name in CHECKED:
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, compiled.get(name) or getattr(model, name), shape_of(name, self)))
+                setattr(self, name, self._checked(name, compiled.get(name) or getattr(self.user, name), shape_of(name, self)))
         if "mass" in vars(self):
             self.written_mass, self.mass = self.mass, self._mass
         if writes(model, "kinks"):
             self.kinks = self._kinks
-        if writes(model, "objection"):
-            self.objection = lambda t, q: model.objection(t, read_only(q))
+        if writes(model, "rejection_reason"):
+            self.rejection_reason = lambda t, q: model.rejection_reason(t, read_only(q))
         for name, (right, wanted) in ANSWERS.items():
             if writes(model, name):
                 setattr(self, name, self._answer(name, right, wanted))

@@ -1,9 +1,9 @@
 """Objectives: what a design is judged by, functions of a run with their slopes. `2.0 * one + other` is one too."""
 
 from polyida.objective.frequency import Frequency
-from polyida.objective.objective import Objective, Own, Slopes
+from polyida.objective.objective import Objective, Slopes, UserObjective
 from polyida.objective.peak_reaction import PeakReaction
 from polyida.objective.peak_stress import PeakStress, StrainEnergy
 from polyida.objective.time_mean import Compliance, Deviation
 
-__all__ = ["Compliance", "Deviation", "Frequency", "Objective", "Own", "PeakReaction", "PeakStress", "Slopes", "StrainEnergy"]
+__all__ = ["Compliance", "Deviation", "Frequency", "Objective", "UserObjective", "PeakReaction", "PeakStress", "Slopes", "StrainEnergy"]

@@ -178,7 +178,9 @@ def asked(told: str, function: Callable, *given: Any, advice: str = "") -> Any:
 def require_objective(part: str, given: Any) -> Objective:
     """The objective. Raises InputError, in the name of `part`, for anything else."""
     if not isinstance(given, Objective):
-        raise InputError(f"{part}: objective = {given!r:.100} must be one of pi.objective, such as pi.objective.Own(value, slopes)")
+        raise InputError(
+            f"{part}: objective = {given!r:.100} must be one of pi.objective, such as pi.objective.UserObjective(value, slopes)"
+        )
     return given
 
 
@@ -223,7 +225,7 @@ def _still(model, state, modes=None):
 
 
 @named_keywords
-class Own(Objective):
+class UserObjective(Objective):
     """A function of a run with its slopes, both written by the user.
 
     value(run) -> J. slopes(run) -> {"q": dJ/dq (frames, n), "v", "a": alike, "lam": (frames, m), "t": (frames,)} in all frames; what is not
@@ -236,21 +238,21 @@ class Own(Objective):
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
         for name, given in (("value", value), ("slopes", slopes)):
             if not callable(given):
-                raise InputError(f"Own: {name} = {given!r:.100} must be a function of a run")
+                raise InputError(f"UserObjective: {name} = {given!r:.100} must be a function of a run")
         self._value, self._slopes = value, slopes
 
     def __call__(self, run: Any) -> float:
-        found = _asked_own("value", self._value, run_of("Own", run))
+        found = _call("value", self._value, run_of("UserObjective", run))
         if not is_number(found):
-            raise InputError(f"Own: value(run) must return a finite number, not {found!r:.100}")
+            raise InputError(f"UserObjective: value(run) must return a finite number, not {found!r:.100}")
         return float(found)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """What the user's function gives, looked at."""
-        run = run_of("Own", run)
-        given = _asked_own("slopes", self._slopes, run)
+        run = run_of("UserObjective", run)
+        given = _call("slopes", self._slopes, run)
         if not isinstance(given, Mapping):
-            raise InputError(f"Own: slopes(run) must return a dictionary, not {given!r:.100}")
+            raise InputError(f"UserObjective: slopes(run) must return a dictionary, not {given!r:.100}")
         frames = {name: _checked(name, value, np.shape(getattr(run, name))) for name, value in given.items() if name in FRAMES}
         direct = {name: _checked(name, value) for name, value in given.items() if name not in FRAMES}
 
@@ -264,22 +266,24 @@ class Own(Objective):
                 return self(replace(run, model=model) if is_dataclass(run) else run._replace(model=model))
             except InputError as error:
                 raise InputError(
-                    f"Own: value(run) fails for the same frames of a model with another number: {error}; use names of parts"
+                    f"UserObjective: value(run) fails for the same frames of a model with another number: {error}; use names of parts"
                 ) from None
 
         return of
 
 
-def _asked_own(name, function, run):
-    return asked(f"Own: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
+def _call(name, function, run):
+    return asked(f"UserObjective: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
 
 
 def _checked(name, value, shape=None):
     """The slope in what is called so, as floats, of a shape, or of any where the name is a parameter's."""
     if not isinstance(name, str) or (shape is None and "." not in name):
-        raise InputError(f"Own: slopes(run) has {name!r:.100}; known: {', '.join(map(repr, FRAMES))}, and parameters, as 'arm.mass'")
+        raise InputError(
+            f"UserObjective: slopes(run) has {name!r:.100}; known: {', '.join(map(repr, FRAMES))}, and parameters, as 'arm.mass'"
+        )
     found = floats(value)
     if found is None or (shape is not None and found.shape != shape):
         wanted = "finite numbers" if shape is None else f"finite numbers of shape {shape}"
-        raise InputError(f"Own: slopes(run)[{name!r}], {value!r:.100}, must be {wanted}")
+        raise InputError(f"UserObjective: slopes(run)[{name!r}], {value!r:.100}, must be {wanted}")
     return found

@@ -32,7 +32,7 @@ FRAMES_WIDE = 10.0  # times between frames in which something varies in time, ab
 def chosen(part, model, given, known):
     """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
     if not model.is_scene:
-        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.Own")
+        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.UserObjective")
     if given is None and known:
         return list(known.values())
     name = named(model, given)

@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from polyida.assembly.placement import dead_loads
 from polyida.body.body import writes
 from polyida.force.force_element import ForceElement
-from polyida.integrate.kinks import beside
-from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import cubic
 from polyida.io.layout import each
+from polyida.model.differences import beside, cubic
 from polyida.reprs import brief
 from polyida.results.motion import Motion
 
@@ -96,7 +94,8 @@ def _behind(motion, powers, k):
     jump, impulse = model.mass_system(after, q).solve(np.zeros(model.n), model.phi_rate(after, q, v)) if model.m else (0.0, none)
     v = v + jump
     blow = sum(0.5 * (powers(time, q, v, impulse) - powers(time, q, v, none)) for time in (beside(t, -1.0), after))
-    return v, consistent_acceleration(model, after, q, v)[1], blow
+    bias = model.phi_bias(after, q, v) if model.m else none
+    return v, model.mass_system(after, q).solve(model.force(after, q, v), bias)[1], blow
 
 
 GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more is no error that a run may have; frames that are looked at

@@ -1,4 +1,4 @@
-"""`resume`: go on with a run that is in a file."""
+"""`resume`: continue a run that is in a file."""
 
 import time
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
-from polyida.integrate.state import Counts, asked
+from polyida.integrate.state import Counts
 from polyida.io.layout import FRAMES, MEMORY_LIMIT, require_bytes
 from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
@@ -41,37 +41,41 @@ def resume(
     sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
 ) -> "Trajectory":
-    """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
+    """Continue the run in a file of `solve(..., out=path)` or `save`.
 
-    It starts at the last state in the file from which the integrator can go on: for small models this may be 1024 steps before the last
+    It starts at the last state in the file from which the integrator can continue: for small models this may be 1024 steps before the last
     frame. Frames after it are computed again. Radau IIA and fixed-step generalized-alpha to the same t_end give the frames of a run that
-    was never interrupted, bit by bit on the same machine. Adaptive generalized-alpha, EnergyMomentum and IDA, which starts anew at
-    order 1, agree to their tolerance. The file is replaced by a copy that goes on, whole or not at all.
-    model: needed for a model of a user's own, and where a motor or load follows a user's own function; the scene in the file otherwise.
-    until: as in `solve`, needed where the run had one (False: go on without); sensors too, with the same names (False: what they gave so
-    far is kept). Raises InputError for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
+    was never interrupted, bit by bit on the same machine. Adaptive generalized-alpha, EnergyMomentum and IDA, which starts again at
+    order 1, agree to their tolerance. A copy that is continued replaces the file, whole or not at all.
+
+    Parameters
+    ----------
+    path : path of the file
+    t_end : float, s, optional
+        Another end than that of the run.
+    model : Model, optional
+        Needed for a user's own model, and if a motor or load has a user's own function; by default the scene in the file.
+    integrator : Integrator, optional
+        By default that of the run.
+    until : function f(t, q, v) -> float, or False, optional
+        As in `solve`; needed if the run had one. False: continue without it.
+    progress : function f(t), or True, optional
+        As in `solve`.
+    sensors : dict, or False, optional
+        As in `solve`; needed if the run had sensors, with the same names. False: continue without them; their values so far stay.
+    memory_limit : float, bytes
+        As in `solve`.
+
+    Returns
+    -------
+    Trajectory
+        The whole run.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is being written, has no state to continue from, or has reached t_end; and for wrong arguments.
     """
-    _require(t_end, until, progress, memory_limit)
-    if sensors is not False:
-        require_sensors("resume", sensors)
-    stored = read(path)
-    with naming(path, everything=False):
-        try:
-            model, integrator, plan = _asked(stored, t_end, model, integrator, until)
-            recorder = _recorder(stored, model, sensors)
-            store = _continued(stored, model, integrator, plan, recorder, memory_limit)
-        finally:
-            stored.file.close()
-    restart, (cpu, wall) = stored.restart, stored.seconds
-    clocks = time.perf_counter() - wall, time.process_time() - cpu
-    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress)
-    run.restart = run.flushed = restart
-    run.sensed = recorder.count
-    with one_blas_thread():
-        return run.go(restart.state)
-
-
-def _require(t_end, until, progress, memory_limit):
     for name, value, good, wanted in (
         ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
         ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
@@ -80,28 +84,44 @@ def _require(t_end, until, progress, memory_limit):
             raise InputError(f"resume: {name} = {value!r} must be {wanted}")
     require_progress("resume", progress)
     require_bytes("resume", memory_limit)
+    if sensors is not False:
+        require_sensors("resume", sensors)
+    stored = read(path)
+    with naming(path, everything=False):
+        try:
+            if stored.live:
+                raise InputError("another process is still writing it")
+            with naming(path):
+                if damage := stored.check():
+                    raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
+                model, integrator = _model_and_integrator(stored, model, integrator)
+                plan, restart = _plan(stored, t_end, until), stored.restart
+            require_run(model, plan["t_end"], restart.state.t, integrator).require_reach(guard(model), restart.state, plan["t_end"])
+            recorder = _recorder(stored, model, sensors)
+            machine = dict(stored.about["machine"])
+            file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
+            with file.publishing(True):
+                store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
+                store.copy([stored.columns[name] for name in FRAMES], restart.frames)
+                rows = behind_blocks(file, recorder.rows)
+                commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows)
+        finally:
+            stored.file.close()
+    cpu, wall = stored.seconds
+    clocks = time.perf_counter() - wall, time.process_time() - cpu
+    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress)
+    run.restart = run.flushed = restart
+    run.recorded = recorder.count
+    with one_blas_thread():
+        return run.go(restart.state)
 
 
-def _asked(stored, t_end, model, integrator, until):
-    """(model, integrator, plan): given, or from the file."""
-    if stored.live:
-        raise InputError("another process is still writing it")
-    with naming(stored.path):
-        if damage := stored.check():
-            raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
-        model, integrator = _parts(stored, model, integrator)
-        plan = _plan(stored, t_end, until)
-    require_run(model, plan["t_end"], stored.restart.state.t, integrator)
-    asked(integrator, "require_reach")(guard(model), stored.restart.state, plan["t_end"])
-    return model, integrator, plan
-
-
-def _parts(stored, model, integrator):
-    """(model, integrator), from the file where they are not given."""
+def _model_and_integrator(stored, model, integrator):
+    """(model, integrator), from the file if they are None."""
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
-        known = ", ".join(map(repr, about["drives"].values())) or about["model"]
-        raise InputError(f"{known} has functions of the user's own, which no file holds; give model=")
+        own = ", ".join(map(repr, about["drives"].values())) or about["model"]
+        raise InputError(f"{own} has functions of the user's own, which no file holds; give model=")
     try:
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:
@@ -113,7 +133,7 @@ def _parts(stored, model, integrator):
 
 
 def _plan(stored, t_end, until):
-    """What was asked for, with the new end."""
+    """The plan of the run with the new end."""
     plan, restart = dict(stored.about["plan"]), stored.restart
     if restart is None or "t_end" not in plan:
         raise InputError("it holds no state to go on from")
@@ -126,7 +146,7 @@ def _plan(stored, t_end, until):
 
 
 def _recorder(stored, model, sensors):
-    """A Recorder with what sensors gave up to where the run goes on."""
+    """A Recorder with the values of the sensors up to the state from which the run is continued."""
     known, given = ", ".join(map(repr, stored.sensors)), sensors or {}
     if sensors is None and known:
         raise InputError(
@@ -138,15 +158,3 @@ def _recorder(stored, model, sensors):
         )
     found = sensors_of(stored)
     return Recorder(guard(model), given, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
-
-
-def _continued(stored, model, integrator, plan, recorder, memory_limit):
-    """A FrameStore with a file in the place of the stored one, which has its frames up to where the run goes on."""
-    restart = stored.restart
-    path, machine = free(stored.path, True), dict(stored.about["machine"])
-    file = create(path, model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
-    with file.publishing(True):
-        store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
-        store.copy([stored.columns[name] for name in FRAMES], restart.frames)
-        commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, behind_blocks(file, recorder.rows))
-    return store

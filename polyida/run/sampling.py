@@ -47,11 +47,6 @@ class Sampler:
             self.store.extend(stretch.part(first, len(stretch), self.every))
             self.kept = None if (done + len(stretch)) % self.every else stretch.last
 
-    def end(self, state):
-        """Keep the last state, where no times were given."""
-        if self.output is None and state is not None:
-            self.keep(state)
-
     def keep(self, state):
         """Make a state the next frame, unless it is the last one already."""
         if state is not self.kept:

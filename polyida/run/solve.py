@@ -1,4 +1,4 @@
-"""`solve`: run an integrator over a model and collect a trajectory, whatever happens."""
+"""`solve`: run an integrator over a model and collect a trajectory."""
 
 import math
 import time
@@ -14,7 +14,7 @@ from polyida.assembly.motion import hint_of_left_out
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
 from polyida.integrate.start import consistent_state, given, require_state, restarted
-from polyida.integrate.state import Counts, Integrator, State, asked, constant_step
+from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
@@ -26,22 +26,22 @@ from polyida.run.run import Run
 from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
 from polyida.system.python import small_own
-from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords, takes
+from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
 MOST_STEPS = 1e12
-SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
+SHORTEST = 1e-15  # s: numbers divided by the square of such a step are still finite in single precision
 PRECISIONS = ("double", "single")
-APART = 16  # times between t and t + h, at least
+APART = 16  # floating-point numbers between t and t + h, at least
 
 
 @named_keywords
 def solve(
     model: Model,
     t_end: float,
-    integrator: Integrator,
+    integrator: HasSteps,
     *,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
@@ -59,113 +59,76 @@ def solve(
     memory_limit: float = MEMORY_LIMIT,
     precision: str = "double",
 ) -> "Trajectory":
-    """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
+    """Run an integrator on a model from t0, or from the state of an earlier run, to t_end.
 
-    q0, v0: initial coordinates and velocities; those left out are zero, v0 those of the bodies' velocity and spin, moved onto the
-    constraints where they must be (see consistent_state). every: keep each `every`-th accepted step (the first and last always). output:
-    increasing times; the frames are then exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a
-    and lam linear). until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
-    last frame is there. progress: called with t at every accepted step; True shows a bar of tqdm (extra `notebook`). sensors: {name: f(t,
-    q, v), or one of `pi.sensor`}, each giving a number or an array of one shape; called at the start and at every accepted step, whatever
-    becomes a frame: `run.sensors[name]` (steps, ...) at `run.sensors.t`, kept in memory and in files.
+    Parameters
+    ----------
+    model : Model
+        The model of a scene, or a user's own.
+    t_end : float, s
+        The end of the run.
+    integrator : Integrator
+        One of polyida's, or any object with `steps`; see Integrator.
+    q0, v0 : (n,) float, optional
+        Initial coordinates and velocities. By default q0 is zero and v0 that of the bodies' velocity and spin. They are projected onto the
+        constraints; see `consistent_state`.
+    t0 : float, s
+        The start of the run.
+    state : State, optional
+        Start from this state, for example `run.state`, instead of q0, v0 and t0.
+    every : int
+        Every how many accepted steps a frame is stored; the first and the last state always are.
+    output : (k,) float, s, optional
+        Increasing times. The frames are then exactly those, interpolated within the accepted steps: q cubic from q and v, v its derivative,
+        a and lam linear.
+    until : function f(t, q, v) -> float, optional
+        The run stops, with status "stopped", where f changes sign. That time is located on the same interpolation and is the last frame.
+    progress : function f(t), or True, optional
+        Called at every accepted step; True shows a bar of tqdm (extra `notebook`).
+    sensors : dict, {name: f(t, q, v) or one of `pi.sensor`}, optional
+        Each returns a number or an array of one shape. They are called at the start and at every accepted step; `run.sensors[name]` has the
+        values at the times `run.sensors.t`. They are in files too.
+    out : path, optional
+        An HDF5 file to which the frames are written during the run. `polyida.load` reads it at any time up to the last flush, also after
+        the process was killed or the disk was full; `polyida.resume` continues it.
+    overwrite : bool
+        Replace an existing file, unless a process is writing it.
+    flush_every : int
+        Flush after so many steps or 2 s, or up to half as much later if a block of frames is complete by then. Generalized-alpha on a scene
+        computes stretches of up to 1024 steps, and `resume` continues from the end of one.
+    fsync : bool
+        Wait at every flush until the data are on the disk, so that they survive a power failure; slow.
+    memory_limit : float, bytes
+        Without `out`, more frames than this go to a temporary file (TMPDIR). More frames than this stay in the file; see Trajectory.
+    precision : "double" or "single"
+        Of the stored q, v, a and lam. The run itself and its final state have double precision, unless the run ended between two steps.
 
-    out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
-    to half as much later where a block of frames is whole by then; resume goes on from the last step by then whose memory
-    is known (generalized-alpha on a scene works in stretches of up to 1024 steps). overwrite: replace an existing file, unless a process is
-    writing it. fsync: have every flush on the disk before the run goes on, so that it survives a power cut too; slow. What comes back is
-    what was written, also where the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
-    `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
-    that leaves them in the file, see Trajectory. precision: "single" keeps q, v, a and lam of the frames with 7 digits, in half the
-    room, in memory and in files; the run itself, and the state to go on from, are as ever, but one that no step ended in, found by
-    `until` or extrapolated, is the last frame.
+    Returns
+    -------
+    Trajectory
+        The frames, and how the run ended. After a numerical failure, Ctrl-C ("interrupted") or a full disk it has the frames so far. If the
+        file was moved, removed or replaced during the run, the frames are complete and the message says so.
 
-    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with the frames up to it.
-    An exception in a user's function goes on to the caller; its attribute `trajectory` is the run so far. Ctrl-C after the last step raises
-    KeyboardInterrupt, which has the whole run as `trajectory`. Raises InputError for a wrong input, before the run starts.
+    Raises
+    ------
+    InputError
+        For a wrong input, before the run starts.
+    KeyboardInterrupt
+        For Ctrl-C after the last step; its attribute `trajectory` is the complete run.
+    Exception
+        What a user's function raises; its attribute `trajectory` is the run so far.
     """
     known = guard(model)
-    _require_start(known, t0, state, q0, v0)
+    if state is None and not is_number(t0):
+        raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
+    if state is not None:
+        if q0 is not None or v0 is not None:
+            raise InputError("solve: give either a state or q0 and v0; the state holds both")
+        state = require_state("solve", known, state)
     require_progress("solve", progress)
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
-    require_run(model, t_end, begin, integrator)
-    plan = _plan(begin, t_end, every, output, until, flush_every, fsync, precision) | {"began": _began(state)}
-    require_bytes("solve", memory_limit)
-    path = None if out is None else free(out, overwrite)
-    clocks = time.perf_counter(), time.process_time()
-    with one_blas_thread():
-        state = _first(known, t0, state, q0, v0, t_end, asked(integrator, "nonholonomic"))
-        asked(integrator, "require_reach")(known, state, t_end)
-        recorder, file = Recorder(known, sensors or {}), None
-        recorder.step(state)
-        if path is not None:
-            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single", recorder.shapes)
-        store = FrameStore(model.n, model.m, memory_limit, file, precision == "single", _expected(plan, begin, integrator))
-        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
-        run.begin(state, overwrite)
-        found = run.go(state)
-    if model.few and (left := hint_of_left_out(model, found.t, found.q, found.a)):
-        warnings.warn(f"solve: {left}", ReductionWarning, stacklevel=3)
-    return found
-
-
-def _first(known, t0, state, q0, v0, t_end, nonholonomic):
-    """The state to begin with; one that is not known to be accepted is put on the constraints. What the model says of itself is looked at."""
-    if state is not None:
-        state = require_state("solve", known, state)
-        t0, q, v = state.t, state.q, state.v
-    else:
-        q, v = given(known, "q0", q0), given(known, "v0", v0)
-    if small_own(known) and unguarded(known).by_numba:
-        Compiled(known)
-    require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
-    if state is None:
-        return consistent_state(known, t0, q0, v0)
-    return state if state.restart else restarted(known, state)
-
-
-def require_run(model, t_end, begin, integrator):
-    """Raise InputError unless these can make a run from `begin`."""
-    if not hasattr(integrator, "steps") or isinstance(integrator, type):
-        raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
-    if not callable(integrator.steps):
-        told = f"steps = {integrator.steps!r:.100} of {type(integrator).__name__}"
-        raise InputError(f"solve: {told} must be a function, steps(model, state, t_end, counts), that yields a State a step")
-    if not takes(integrator.steps, 4):
-        raise InputError(f"solve: steps of {type(integrator).__name__} must take (model, state, t_end, counts)")
-    asked(integrator, "require")(model)
-    if not (is_number(t_end) and t_end > begin):
-        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
-    _require_steps(begin, t_end, asked(integrator, "h"))
-
-
-def _require_steps(begin, t_end, h):
-    """Raise InputError for a run whose steps would be without number, or times and step sizes that floats do not resolve."""
-    apart = math.ulp(max(abs(begin), abs(t_end)))
-    shortest = max(SHORTEST, APART * apart)
-    if t_end - begin < shortest:
-        raise InputError(f"solve: t_end = {t_end!r} s is {t_end - begin:.3g} s after the start; the shortest run there is {shortest:.3g} s")
-    if not is_number(h):
-        return
-    if t_end - begin > MOST_STEPS * h:
-        raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
-    if h < APART * apart and t_end - begin > h:
-        raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
-
-
-def _require_start(known, t0, state, q0, v0):
-    if state is None:
-        if not is_number(t0):
-            raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
-        return
-    if q0 is not None or v0 is not None:
-        raise InputError("solve: give either a state or q0 and v0; the state holds both")
-    require_state("solve", known, state)
-
-
-def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):
-    """What was asked for, as plain data that a file can hold."""
+    method = require_run(model, t_end, begin, integrator)
     for name, value in (("every", every), ("flush_every", flush_every)):
         if not is_whole(value):
             raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
@@ -175,40 +138,66 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):
         raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
     if not is_one_of(precision, PRECISIONS):
         raise InputError(f"solve: precision = {precision!r} must be one of {', '.join(PRECISIONS)}")
-    times = None if output is None else _times(output, begin, t_end)
-    return {
+    times = None if output is None else floats(output)
+    if output is not None and (times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all()):
+        raise InputError("solve: output must be increasing finite times in s, at least one")
+    if times is not None and (times[0] < begin or times[-1] > t_end):
+        raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
+    require_bytes("solve", memory_limit)
+    path = None if out is None else free(out, overwrite)
+    # a state of a run has the memory of its integrator, or is between two steps; one of `static` has only its residual, `rest`
+    began = "start" if state is None else "run" if state.memory.keys() - {"rest"} or not state.restart else "state"
+    plan = {  # plain data, for files
         "t_end": float(t_end),
         "every": int(every),
-        "output": times,
+        "output": None if times is None else times.tolist(),
         "until": until is not None,
         "flush_every": int(flush_every),
         "fsync": fsync,
         "precision": precision,
+        "began": began,
     }
+    h, single = method.fixed_step(), precision == "single"
+    frames = len(times) if times is not None else int((t_end - begin) / (h * every)) + 1 if h else 0  # 0 if unknown
+    clocks = time.perf_counter(), time.process_time()
+    with one_blas_thread():
+        q, v = (given(known, "q0", q0), given(known, "v0", v0)) if state is None else (state.q, state.v)
+        if small_own(known) and unguarded(known).by_numba:
+            Compiled(known)  # raises InputError for a function that numba cannot compile
+        require_declared(known, float(begin), q, v, float(t_end), method.nonholonomic)
+        if state is None:
+            state = consistent_state(known, t0, q0, v0)
+        elif not state.restart:
+            state = restarted(known, state)
+        method.require_reach(known, state, t_end)
+        recorder, file = Recorder(known, sensors or {}), None
+        recorder.step(state)
+        if path is not None:
+            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), single, recorder.shapes)
+        store = FrameStore(model.n, model.m, memory_limit, file, single, frames)
+        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
+        run.begin(state, overwrite)
+        found = run.go(state)
+    if model.few and (hint := hint_of_left_out(model, found.t, found.q, found.a)):
+        warnings.warn(f"solve: {hint}", ReductionWarning, stacklevel=3)
+    return found
 
 
-def _began(state):
-    """How a run begins: at a "start" from q0 and v0, in a "state" that is taken as it is, or in one of another "run".
+def require_run(model, t_end, begin, integrator):
+    """The Integrator of a run from `begin` to t_end. Raises InputError unless model, integrator and times make one.
 
-    A state of a run has the memory of its integrator, or is between two steps; one of `static` has no memory but its residual, `rest`.
+    The number of steps must be finite, and floats must resolve times and steps.
     """
-    if state is None:
-        return "start"
-    return "run" if state.memory.keys() - {"rest"} or not state.restart else "state"
-
-
-def _expected(plan, begin, integrator):
-    """How many frames there will be, 0 where nobody knows."""
-    if plan["output"]:
-        return len(plan["output"])
-    h = constant_step(integrator)
-    return int((plan["t_end"] - begin) / (h * plan["every"])) + 1 if h else 0
-
-
-def _times(output, begin, t_end):
-    times = floats(output)
-    if times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all():
-        raise InputError("solve: output must be increasing finite times in s, at least one")
-    if times[0] < begin or times[-1] > t_end:
-        raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
-    return times.tolist()
+    method = declared(integrator)
+    method.require(model)
+    if not (is_number(t_end) and t_end > begin):
+        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
+    h, apart = method.fixed_step(), math.ulp(max(abs(begin), abs(t_end)))
+    shortest = max(SHORTEST, APART * apart)
+    if t_end - begin < shortest:
+        raise InputError(f"solve: t_end = {t_end!r} s is {t_end - begin:.3g} s after the start; the shortest run there is {shortest:.3g} s")
+    if h and t_end - begin > MOST_STEPS * h:
+        raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
+    if h and h < APART * apart and t_end - begin > h:
+        raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
+    return method

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.start import require_state
-from polyida.integrate.state import State
+from polyida.integrate.state import State, declared
 from polyida.linear.lu import condition
 from polyida.model.guarded import guard
 from polyida.progress import teller
@@ -120,5 +120,5 @@ def _condition(model, given, state, h):
         integrator = given(h=h) if "h" in signature(given).parameters else given()
     else:
         integrator = given if hasattr(given, "steps") else given(h)
-    own = getattr(integrator, "iteration_matrix", None)
+    own = declared(integrator, "conditioning").iteration_matrix
     return float(condition(own(model, state, h)) if own else condition_number(model, integrator, state, h=h))

@@ -14,7 +14,7 @@ from copy import deepcopy
 from typing import Any
 
 from polyida.errors import InputError
-from polyida.run.run import heard
+from polyida.run.run import interruptions
 
 START = 60.0  # s that a process may take to start and import what its task needs
 GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it
@@ -129,12 +129,12 @@ def attempt(function, arguments):
 
     Raises KeyboardInterrupt where Ctrl-C ended a run within.
     """
-    before = heard()
+    before = interruptions()
     try:
         row = {"error": ""} | function(**arguments)
     except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
         row = {"error": told(error), "traceback": traceback.format_exc(limit=-4)}
-    if heard() > before:
+    if interruptions() > before:
         raise KeyboardInterrupt
     return row
 

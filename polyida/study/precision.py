@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.integrate.state import asked
+from polyida.integrate.state import declared
 from polyida.progress import teller
 from polyida.show.style import INK, on_axes, plain
 from polyida.study.drawing import look, slope_line
@@ -146,8 +146,7 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
             words = setting(integrator, settings)
             tell(len(rows), total + 1, f"{label}, {words}")
             row, run = measured(given_subject, integrator, repeats)
-            h = asked(integrator, "h")
-            h = float(h) if isinstance(h, (int, float)) and asked(integrator, "rtol") is None else None
+            h = declared(integrator).fixed_step() or None
             rows.append({"integrator": label, "setting": words, "h": h} | row)
             runs.append(run)
     reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))

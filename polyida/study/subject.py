@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import asked
+from polyida.integrate.state import declared
 from polyida.model import Model
 from polyida.run.solve import require_run, solve
 from polyida.validation import floats, is_number
@@ -43,8 +43,8 @@ class Subject:
 
     def warm_up(self, integrator):
         """Two steps, so that compiling or loading kernels counts as nobody's time."""
-        h = asked(integrator, "h")
-        short = 2 * h if is_number(h) else SHORT * self.t_end
+        h = declared(integrator).fixed_step()
+        short = 2 * h or SHORT * self.t_end
         self.run(integrator, min(short, self.t_end))
 
 
@@ -52,8 +52,7 @@ def kind_of(integrator):
     """What an integrator is, in words, beside its numbers: those choose no kernels."""
     if not is_dataclass(integrator):
         return repr(type(integrator))
-    values = {item.name: getattr(integrator, item.name) for item in fields(integrator)}
-    named = {name: value is None if value is None or is_number(value) else value for name, value in values.items()}
+    named = {name: value is None if value is None or is_number(value) else value for name, value in _settings(integrator).items()}
     return f"{type(integrator)} {named}"
 
 
@@ -136,19 +135,20 @@ def setting(integrator, beside):
     """In what an integrator differs from those beside it, in words: "h=0.001"; where that does not tell, from its defaults: "IDA()"."""
     if not is_dataclass(integrator):
         return repr(integrator)[:LONGEST]
-    names, kind = [item for item in fields(integrator) if item.repr and item.init], type(integrator)
+    shown, kind, values = [item for item in fields(integrator) if item.repr and item.init], type(integrator), _settings(integrator)
+    listed = lambda names: ", ".join(f"{name}={_short(values[name])}" for name in names)  # noqa: E731
     if all(type(other) is kind for other in beside):
-        varied = [
-            item.name for item in names if any(not _same(getattr(integrator, item.name), getattr(other, item.name)) for other in beside)
-        ]
+        others = [_settings(other) for other in beside]
+        varied = [item.name for item in shown if any(not _same(values[item.name], other[item.name]) for other in others)]
         if varied:
-            return _listed(integrator, varied)[:LONGEST]
-    given = [item.name for item in names if item.default is MISSING or not _same(getattr(integrator, item.name), item.default)]
-    return f"{kind.__name__}({_listed(integrator, given)})"[:LONGEST]
+            return listed(varied)[:LONGEST]
+    given = [item.name for item in shown if item.default is MISSING or not _same(values[item.name], item.default)]
+    return f"{kind.__name__}({listed(given)})"[:LONGEST]
 
 
-def _listed(integrator, names):
-    return ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in names)
+def _settings(part):
+    """{field: value} of a dataclass."""
+    return {item.name: getattr(part, item.name) for item in fields(part)}
 
 
 def _same(one, other):

@@ -19,7 +19,7 @@ from polyida.system import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL,
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
 FUNCTIONS = (
-    "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
+    "mass", "force", "phi", "phi_q", "phi_t", "residual", "rejection_reason", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
     "potential",
 )  # fmt: skip
 MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD, ENDED = range(8)  # of Dense.flags

@@ -160,7 +160,7 @@ class PythonTable:
 
     def _accept(self, instant, q, *_):
         end = self._at(instant)[1]
-        if objection := self.model.objection(end, self._array(q, self.model.n).copy()):
+        if objection := self.model.rejection_reason(end, self._array(q, self.model.n).copy()):
             raise StepFailure("objection", objection, end)
 
 
@@ -193,10 +193,10 @@ class DenseTable(PythonTable):
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
         whole = writes(unguarded(model), "residual")
-        asks = writes(unguarded(model), "objection")
+        asks = writes(unguarded(model), "rejection_reason")
 
         def accepted():
-            if objection := model.objection(end(), q.copy()):
+            if objection := model.rejection_reason(end(), q.copy()):
                 raise StepFailure("objection", objection, end())
 
         return {
@@ -207,7 +207,7 @@ class DenseTable(PythonTable):
             "phi_t": fill(w.phi_t, model.phi_t, inner, q),
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
-            "objection": accepted if asks else None,
+            "rejection_reason": accepted if asks else None,
             "tangent": fill(w.S, lambda *given: model.tangent(*given, *w.c.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }

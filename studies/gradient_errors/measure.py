@@ -39,7 +39,7 @@ OBJECTIVES = {
     "strain energy": lambda model: pi.objective.StrainEnergy(model.bodies[0].name),
     "peak reaction": lambda model: pi.objective.PeakReaction("shoulder", p=8),
     "peak stress": lambda model: pi.objective.PeakStress(model.bodies[0].name, p=8),
-    "acceleration": lambda model: pi.objective.Own(lambda run: float((run.a[1:] ** 2).mean()), _slopes_of_acceleration),
+    "acceleration": lambda model: pi.objective.UserObjective(lambda run: float((run.a[1:] ** 2).mean()), _slopes_of_acceleration),
 }
 
 

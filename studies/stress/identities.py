@@ -132,7 +132,7 @@ def half_turn(jump, name):
     bends the plate beyond what its material bears, the run stops."""
     model = scenes.driven(profile.quintic(0.0, jump, duration=1e-3, begin=0.01))
     run = solve(model, 0.012, integrator(name))
-    objections = [model.objection(t, q) for t, q in zip(run.t, run.q)]
+    objections = [model.rejection_reason(t, q) for t, q in zip(run.t, run.q)]
     return run, [Check("frames on the wrong half-turn or inside out", sum(map(bool, objections)), 0.5), held(run, SETTLED)]
 
 

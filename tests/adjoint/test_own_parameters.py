@@ -47,7 +47,7 @@ def test_gradients_of_runs_of_the_test_set(problem, t_end, h, form):
     given = problem.problem()
     run = pi.solve(given.model, t_end, pi.GeneralizedAlpha(h=h, tolerance=1e-12, form=form), q0=given.q0, v0=given.v0)
     later = (np.arange(len(run)) > 0)[:, None]
-    squares = pi.objective.Own(
+    squares = pi.objective.UserObjective(
         lambda run: float((run.q[1:] ** 2).sum() + 1e-3 * (run.lam[1:] ** 2).sum()),
         lambda run: {"q": 2.0 * later * run.q, "lam": 2e-3 * later * run.lam},
     )
@@ -131,7 +131,7 @@ class Pushed(pi.Model):
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(5e-3, tolerance=1e-10), pi.RadauIIA(h=0.05)])
 def test_differences_stay_on_one_side_of_a_kink_that_moves(integrator):
     run = pi.solve(Pushed(), 1.0, integrator)
-    end = pi.objective.Own(lambda run: float(run.q[-1, 0]), lambda run: {"q": np.eye(len(run))[-1][:, None]})
+    end = pi.objective.UserObjective(lambda run: float(run.q[-1, 0]), lambda run: {"q": np.eye(len(run))[-1][:, None]})
     found = pi.gradient(run, end)
     assert found["when"] == pytest.approx(-1.5 * (1.0 - 0.37) ** 2, rel=1e-4)
     assert pi.check_gradient(run, end)["when"] < 1e-6
@@ -155,5 +155,5 @@ class Jump(Pendulum):
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=5e-3, tolerance=1e-11), pi.RadauIIA(h=2e-2)])
 def test_a_force_may_jump_where_a_parameter_says(integrator):
     run = pi.solve(Jump(), 0.2, integrator, q0=[0.0, -1.0])
-    path = pi.objective.Own(lambda run: float((run.q**3).sum()), lambda run: {"q": 3 * run.q**2})
+    path = pi.objective.UserObjective(lambda run: float((run.q**3).sum()), lambda run: {"q": 3 * run.q**2})
     assert max(pi.check_gradient(run, path).values()) < 1e-7

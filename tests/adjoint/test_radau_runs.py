@@ -32,7 +32,7 @@ ALL = (
     pi.objective.Deviation("tip", (1.0, 0.3))
     + 1e-6 * pi.objective.PeakReaction("motor", p=4)
     + 1e-3 * pi.objective.StrainEnergy("arm")
-    + pi.objective.Own(lambda run: 1e-9 * float(np.sum(run.a**2)), lambda run: {"a": 2e-9 * run.a})
+    + pi.objective.UserObjective(lambda run: 1e-9 * float(np.sum(run.a**2)), lambda run: {"a": 2e-9 * run.a})
 )
 NAMES = ["arm.stiffness", "fore.mass", "tip.mass", "motor.begin", "v0"]
 WAYS = {
@@ -88,7 +88,7 @@ def test_models_of_ones_own():
     """Andrews' coordinates are unlike, so that mu moves them by their masses; all of q, v, a and lam are read."""
     problem = andrews.problem()
     sizes = {"q": 1.0, "v": 1e-2, "a": 1e-8, "lam": 1e-4}
-    read = pi.objective.Own(
+    read = pi.objective.UserObjective(
         lambda run: sum(float(np.sum(size * getattr(run, name)[1:] ** 2)) for name, size in sizes.items()),
         lambda run: {name: 2 * size * getattr(run, name) * (np.arange(len(run)) > 0)[:, None] for name, size in sizes.items()},
     )

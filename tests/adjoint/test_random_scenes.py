@@ -100,7 +100,7 @@ def changed(model, units, s):
 def test_a_gradient_is_that_of_the_run(number, integrator):
     model = scene_of(number).build()
     weighed = Weighed(model)
-    J = pi.objective.Own(weighed.value, weighed.slopes)
+    J = pi.objective.UserObjective(weighed.value, weighed.slopes)
     run = pi.solve(model, T, integrator)
     gradient = pi.gradient(run, J)
     assert gradient.value == J(run)

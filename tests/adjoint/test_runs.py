@@ -106,7 +106,7 @@ def test_a_run_that_failed_has_the_gradient_of_its_frames_and_a_word():
 def test_a_model_of_ones_own():
     model = Pendulum()
     run = pi.solve(model, 0.5, pi.GeneralizedAlpha(5e-3, tolerance=1e-10), q0=(1.0, 0.0))
-    height = pi.objective.Own(lambda run: float(run.q[-1, 1]), lambda run: {"q": np.eye(len(run))[-1][:, None] * (0.0, 1.0)})
+    height = pi.objective.UserObjective(lambda run: float(run.q[-1, 1]), lambda run: {"q": np.eye(len(run))[-1][:, None] * (0.0, 1.0)})
     errors = pi.check_gradient(run, height)
     assert errors and max(errors.values()) < CLOSE, errors
 
@@ -156,7 +156,7 @@ def test_slopes_in_what_moves_the_constraints_of_a_held_state_are_refused(integr
 )
 def test_own_slopes_in_parameters_are_looked_at(slopes, word):
     with pytest.raises(pi.InputError, match=word):
-        pi.gradient(RUN, pi.objective.Own(lambda run: 1.0, lambda run: slopes))
+        pi.gradient(RUN, pi.objective.UserObjective(lambda run: 1.0, lambda run: slopes))
 
 
 def test_a_motor_that_holds_the_state_of_a_run_is_left_out():

@@ -40,7 +40,7 @@ HEAVY = {"lower.mass": 0.7, "lower.inertia": 0.05}
 def test_an_objective_that_other_models_cannot_be_asked_for_is_refused():
     model = double_pendulum(HEAVY)
     point = model.parts["lower"].at("right")
-    far = pi.objective.Own(lambda run: float(run.position(point)[-1, 0]), lambda run: {})
+    far = pi.objective.UserObjective(lambda run: float(run.position(point)[-1, 0]), lambda run: {})
     with pytest.raises(pi.InputError, match="value.run. fails for the same frames .* use names of parts"):
         pi.gradient(pi.solve(model, 0.05, ALPHA), far, parameters=["lower.mass"])
 

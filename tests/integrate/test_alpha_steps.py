@@ -32,7 +32,7 @@ def test_steps_far_too_large_are_cut(swinging, linear, h):
     assert np.abs(run.position("tip") - tip[:: round(10 * h)]).max() < 0.3
     for k in range(1, len(run)):
         r = model.residual(run.t[k], run.q[k], run.v[k], run.a[k], run.lam[k])
-        assert np.abs(r).max() < 0.1 and model.objection(run.t[k], run.q[k]) is None
+        assert np.abs(r).max() < 0.1 and model.rejection_reason(run.t[k], run.q[k]) is None
 
 
 @BOTH

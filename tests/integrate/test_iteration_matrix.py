@@ -111,7 +111,7 @@ def test_radaus_matrix_is_the_derivative_of_its_equations(scene, integrator, mod
     n, m, tied = model.n, model.m, integrator.form == "ggl"
     values = np.linalg.eigvals(radau(integrator.stages).W)
     c = (values[values.imag > 1e-9] if mode == "complex" else values[np.abs(values.imag) < 1e-9].real)[0] / integrator.h
-    lift = np.ones(n) if model.alike else np.mean(model.mass(state.q).diagonal()) / model.mass(state.q).diagonal()
+    lift = np.ones(n) if model.uniform_units else np.mean(model.mass(state.q).diagonal()) / model.mass(state.q).diagonal()
 
     def equations(dq, dv, da, dlam, dmu, rate):
         t, q, v, B = state.t, state.q + dq, state.v + dv, model.phi_q(state.t, state.q + dq)

@@ -316,7 +316,7 @@ def test_a_number_that_is_not_finite_makes_it_try_a_shorter_step(settings):
 @pytest.mark.parametrize("settings", [{}, {"h": 0.01}], ids=str)
 def test_a_state_that_the_model_objects_to_is_not_accepted(settings):
     class Fence(Oscillator):
-        def objection(self, t, q):
+        def rejection_reason(self, t, q):
             return "it is behind the fence" if q[0] < 0.5 else None
 
     run = pi.solve(Fence(), 2.0, pi.RadauIIA(**settings), q0=[1.0])

@@ -138,8 +138,8 @@ def test_motor_holds_at_any_number_of_turns(scenes, turns):
     model = scene.build()
     q = scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns)
     assert np.abs(model.phi(1.0, q)).max() < 1e-12
-    assert model.objection(1.0, q) is None
-    assert "half-turn" in model.objection(1.0, scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns + np.pi))
+    assert model.rejection_reason(1.0, q) is None
+    assert "half-turn" in model.rejection_reason(1.0, scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns + np.pi))
 
 
 def test_hole_rims(scenes):

@@ -177,7 +177,7 @@ def test_named_points_of_own_models():
 
 
 def test_own_objectives(motion):
-    squares = of.Own(
+    squares = of.UserObjective(
         lambda run: float(np.sum(run.v**2) + np.sum(run.t)), lambda run: {"v": 2.0 * run.v, "t": np.ones(6), "upper.mass": np.arange(8.0)}
     )
     slopes = squares.slopes(motion)
@@ -197,4 +197,4 @@ def test_own_objectives(motion):
 )
 def test_own_slopes_are_looked_at(slopes, match, motion):
     with pytest.raises(pi.InputError, match=match):
-        of.Own(lambda run: 0.0, lambda run: slopes).slopes(motion)
+        of.UserObjective(lambda run: 0.0, lambda run: slopes).slopes(motion)

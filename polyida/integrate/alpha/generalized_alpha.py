@@ -1,7 +1,7 @@
 """Generalized-alpha on index 3 (Chung and Hulbert 1993; Arnold and Bruels 2007), scaled after Bottasso and Bauchau."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +11,7 @@ from polyida.integrate.alpha.march import Control, adapt, extrapolated, march, o
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import enough_steps, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
-from polyida.integrate.state import Counts, State, States, Stretch
+from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.linear.saddle import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
 from polyida.model import Model
@@ -87,7 +87,7 @@ def require_damping(name, c):
 
 @named_keywords
 @dataclass(frozen=True)
-class GeneralizedAlpha:
+class GeneralizedAlpha(Integrator):
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
@@ -130,8 +130,7 @@ class GeneralizedAlpha:
     incremental_phi: bool = True
     max_halvings: int = 6
     max_num_steps: int = 1_000_000
-    writes_rows = True  # into the places of a run's frames
-    second_order = True
+    second_order = trusted = writes_rows = True
 
     @classmethod
     def hht(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:
@@ -219,7 +218,19 @@ class GeneralizedAlpha:
         """Whether the step follows the local error."""
         return self.h is None or self.rtol is not None or self.atol is not None
 
-    def told(self, memory: dict) -> str:
+    def fixed_step(self) -> float:
+        """h; 0 with step control."""
+        return 0.0 if self.adaptive else float(self.h or 0.0)
+
+    def relative_tolerance(self) -> float | None:
+        """rtol with step control, None with fixed steps."""
+        return self.rtol if self.adaptive else None
+
+    def without_halving(self) -> Self:
+        """The same with max_halvings = 0 if its steps are fixed."""
+        return self if self.adaptive else replace(self, max_halvings=0)
+
+    def summary_of_steps(self, memory: dict) -> str:
         """What a summary says of the steps that a run without h took; memory of one of its states."""
         if self.h is not None or "sizes" not in memory:
             return ""

@@ -18,11 +18,12 @@ from functools import singledispatch
 import numpy as np
 
 from polyida.errors import StepFailure
-from polyida.integrate.kinks import at_kink, beside
+from polyida.integrate.kinks import at_kink
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import ExactSaddle
+from polyida.model.differences import beside
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
 

@@ -33,7 +33,7 @@ class Steps:
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.tied = settings.form == "stabilised" and model.m > 0
-        self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.carries)
+        self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.has_constraint_increments)
         self.caution = self.table.system(settings).caution
         self.system = self.spare = self.verdict = None
         self.longest = INSTANTS
@@ -52,7 +52,7 @@ class Steps:
         least, most, share = s.newton_tolerance(to_a * h * h)
         numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
         control = self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)
-        self.method = step.Method(*numbers, s.incremental_phi and model.carries, s.max_iterations, *control)
+        self.method = step.Method(*numbers, s.incremental_phi and model.has_constraint_increments, s.max_iterations, *control)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         y.past[step.CHANGE] = self._change_before(state)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
@@ -80,7 +80,7 @@ class Steps:
         return state.memory.get("change", 0.0) if asked else 0.0
 
     def _weigh(self, masses):
-        self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
+        self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses
 
     def _take(self, system):
         self.system = system

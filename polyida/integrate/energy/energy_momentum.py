@@ -8,12 +8,13 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.energy.dense import OF_ENERGY
 from polyida.integrate.energy.steps import HALVINGS, Steps
-from polyida.integrate.kinks import Grid, at_kink, beside, enough_steps, stretches
+from polyida.integrate.kinks import Grid, at_kink, enough_steps, stretches
 from polyida.integrate.rest import held
 from polyida.integrate.start import on_velocity
-from polyida.integrate.state import Counts, State, States, Stretch
+from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.model import Model
 from polyida.model.check import require_energies
+from polyida.model.differences import beside
 from polyida.model.guarded import Compiled, guard, require_constraints, unguarded
 from polyida.validation import is_number, is_whole, named_keywords
 
@@ -22,7 +23,7 @@ SAME = 1e-9  # of its size, by which what ought to be equal may differ
 
 @named_keywords
 @dataclass(frozen=True)
-class EnergyMomentum:
+class EnergyMomentum(Integrator):
     """Constant steps that keep energy and momenta in the discrete sense.
 
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
@@ -47,6 +48,7 @@ class EnergyMomentum:
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
+    trusted = True
 
     def __post_init__(self):
         for name, good, want in (
@@ -56,6 +58,10 @@ class EnergyMomentum:
         ):
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
+
+    def fixed_step(self) -> float:
+        """h."""
+        return float(self.h)
 
     def require(self, model: Model) -> None:
         """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic.

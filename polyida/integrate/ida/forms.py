@@ -81,9 +81,9 @@ class System:
         atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, UNTESTED
         return atol
 
-    def objection(self, t, q):
+    def rejection_reason(self, t, q):
         """Why the model cannot stand at an accepted (t, q), or None."""
-        return self.model.objection(self.clamp(t), q)
+        return self.model.rejection_reason(self.clamp(t), q)
 
     @property
     def holds_phi(self):

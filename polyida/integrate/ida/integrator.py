@@ -13,12 +13,13 @@ from polyida.integrate.ida.error_lines import error_lines_kept
 from polyida.integrate.ida.forms import FORMS, Accepted, System
 from polyida.integrate.ida.linear import Correction
 from polyida.integrate.ida.whole import SCALINGS
-from polyida.integrate.kinks import at_kink, beside, segments, stops
+from polyida.integrate.kinks import at_kink, segments, stops
 from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State, States
+from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
+from polyida.model.differences import beside
 from polyida.system import INSTANTS
 from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
@@ -48,7 +49,7 @@ STATUS = {
 
 @named_keywords
 @dataclass(frozen=True)
-class IDA:
+class IDA(Integrator):
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
 
     rtol: relative tolerance; by default 1e-5, or less where the motion goes the model's length more than three times (30 times with flexible
@@ -86,6 +87,7 @@ class IDA:
     linear: str = "auto"
     scaling: str = "characteristic"
     nonholonomic: bool = False
+    trusted = True
 
     def __post_init__(self):
         if not is_one_of(self.form, FORMS):
@@ -138,7 +140,11 @@ class IDA:
         )
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
-    def told(self, memory: dict) -> str:
+    def relative_tolerance(self) -> float | None:
+        """rtol."""
+        return self.rtol
+
+    def summary_of_steps(self, memory: dict) -> str:
         """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
         words = [chosen(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []
         if "tolerances" in memory:
@@ -278,7 +284,7 @@ class _Run:
         self.counts.rejected += max(self.attempts - 1, 0)
         self.standing = self.standing + 1 if self.last_step < 16 * math.ulp(t) else 0
         self.linear.accept(t, y)
-        if self.linear.objects and (objection := self.system.objection(t, q)):
+        if self.linear.objects and (objection := self.system.rejection_reason(t, q)):
             raise self._failure("objection", objection)
         if opened := self.system.opened(t, q, OPEN * self.sizes[0]):
             raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed")
@@ -290,7 +296,7 @@ class _Run:
     def _failure(self, status, reason):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
-            why = self.model.objection(*self.refused)
+            why = self.model.rejection_reason(*self.refused)
             status, reason = (
                 ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
             )

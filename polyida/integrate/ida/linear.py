@@ -87,7 +87,7 @@ class Correction:
         self.iterate = iterate(system, system.rows_vary and system.holds_phi and self.renews)
         self.equations, self.correction = typed(equations), typed(correction)
         model = unguarded(system.model)
-        self.objects = writes(model, "objection") and not (model.is_scene and self.table.single)
+        self.objects = writes(model, "rejection_reason") and not (model.is_scene and self.table.single)
 
     def begin(self, t, y):
         """IDA starts anew from y at t."""
@@ -106,7 +106,7 @@ class Correction:
         made = anew and not self.table.functions[RESIDUAL]  # of a scene, whose functions are compiled for its factor
         if made:
             self._make(t, y, yp)
-        if not (self.objects and system.objection(t, y[: system.model.n].copy())) and self.evaluate(t, y, yp):
+        if not (self.objects and system.rejection_reason(t, y[: system.model.n].copy())) and self.evaluate(t, y, yp):
             self.correct(t, y, yp, anew, z, made)
             return True
         self.cj = math.nan if anew else self.cj

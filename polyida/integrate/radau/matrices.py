@@ -35,7 +35,7 @@ def lift(model, shares):
     """D^-1 (n,) from the coordinates' shares in the mass; those without mass count as any, and as all where all are alike."""
     heavy = shares > NOTHING * shares.max()
     masses = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0)
-    return np.ones_like(shares) if model.alike else masses
+    return np.ones_like(shares) if model.uniform_units else masses
 
 
 class Rows:

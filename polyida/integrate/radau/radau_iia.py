@@ -1,19 +1,20 @@
 """Radau IIA of order 5 and 3 (Hairer and Wanner 1996) on the stabilised index-2 form, or on index 3."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.kinks import at_kink, beside, run_of, stretches
+from polyida.integrate.kinks import at_kink, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State, States
+from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
+from polyida.model.differences import beside
 from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords
 
 FORMS = ("ggl", "index3")
@@ -24,7 +25,7 @@ EASY = 0.3  # first step: so much of the time in which the model moves by its le
 
 @named_keywords
 @dataclass(frozen=True)
-class RadauIIA:
+class RadauIIA(Integrator):
     """Radau IIA, implicit Runge-Kutta by collocation: three stages, order 5, or two, order 3; stiffly accurate and L-stable.
 
     At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + D^-1 B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
@@ -66,6 +67,7 @@ class RadauIIA:
     first_step: float = 0.0
     max_halvings: int = 6
     max_num_steps: int = 1_000_000
+    trusted = True
 
     def __post_init__(self):
         for name, good, want in self._checks():
@@ -105,7 +107,19 @@ class RadauIIA:
         """atol, or that of a run of these sizes."""
         return self.relative(sizes) * float(sizes[0]) if self.atol is None else self.atol
 
-    def told(self, memory: dict) -> str:
+    def fixed_step(self) -> float:
+        """h; 0 with step control."""
+        return float(self.h or 0.0)
+
+    def relative_tolerance(self) -> float | None:
+        """rtol with step control, None with fixed steps."""
+        return self.rtol if self.adaptive else None
+
+    def without_halving(self) -> "RadauIIA":
+        """The same with max_halvings = 0 if its steps are fixed."""
+        return self if self.adaptive else replace(self, max_halvings=0)
+
+    def summary_of_steps(self, memory: dict) -> str:
         """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
         if not self.adaptive or "sizes" not in memory:
             return ""

@@ -145,7 +145,7 @@ class Steps:
         y.marks[AHEAD] = memory.get("ahead", UNKNOWN_MISS) if known else UNKNOWN_MISS
         if y.marks[AHEAD] != UNKNOWN_MISS:
             y.miss_e[:], y.miss_lam[:], y.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
-        if model.carries:
+        if model.has_constraint_increments:
             y.closed[:] = start_values(model, state, self.clamp(state.t))
         self.at = state
 
@@ -154,7 +154,7 @@ class Steps:
         rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
         return Method(
             tied=self.tied,
-            carries=bool(model.carries),
+            carries=bool(model.has_constraint_increments),
             moves_v=self.moves_v,
             looks=self.looks,
             guessed=self.guess is not None,
@@ -223,7 +223,16 @@ class Steps:
                 memory = self._shared(), partial(place, taken), self._motion()
                 work = partial(self._work, before, o.counts)
                 made = Ends(
-                    Common(o, begin, self.tableau.c, self.made, bool(self.model.carries), *memory, work, WeakValueDictionary()),
+                    Common(
+                        o,
+                        begin,
+                        self.tableau.c,
+                        self.made,
+                        bool(self.model.has_constraint_increments),
+                        *memory,
+                        work,
+                        WeakValueDictionary(),
+                    ),
                     range(found),
                 )
                 self.at = state = made.last

@@ -135,7 +135,7 @@ class Loading:
 
     def require_accepted(self, q):
         """Raise StepFailure for what the model objects to."""
-        if objection := self.model.objection(self.t, q):
+        if objection := self.model.rejection_reason(self.t, q):
             raise StepFailure("objection", objection, self.t)
 
     def found(self, q, lam, solve, **told):

@@ -87,7 +87,7 @@ class PythonStages(Stages, PythonTable):
 
     def _hold(self, instant, q, v, *_):
         self.increments, model = None, self.model
-        if model.carries:
+        if model.has_constraint_increments:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
             begin = inner_side(model, self.t, -self.h)
             steps = zip(self.at[1:], self.tableau.c * self.h)

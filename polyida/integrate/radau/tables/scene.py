@@ -446,7 +446,7 @@ class SceneStages:
             return status, reason
         (q, v), steps, t = engine.memory.past[[Q, V]], self.tableau.c * control.now[STEP], control.now[TIME]
         stages = ((engine.clamp(t + step), q + (step * v + e)) for step, e in zip(steps, engine.trial.e))
-        return status, next(filter(None, (self.model.objection(*at) for at in stages)), None) or reason
+        return status, next(filter(None, (self.model.rejection_reason(*at) for at in stages)), None) or reason
 
     def raise_left(self):
         """Raise what a profile raised."""
