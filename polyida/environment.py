@@ -1,4 +1,4 @@
-"""The machine: what a result was made with, with no host or user names, and how many of its threads a run takes."""
+"""Versions and machine of a result, without host and user names, and the number of threads of a run."""
 
 import os
 import platform
@@ -13,14 +13,14 @@ from polyida.errors import InputError
 from polyida.validation import is_whole, named_keywords
 
 _lock = threading.Lock()
-_threads = [1]  # that a run takes
-_inside: list = []  # the limit in force, and one entry for each run within it
+_threads = [1]  # of a run
+_inside: list = []  # the limit in force, then one entry for each run within it
 PACKAGES = ("numpy", "scipy", "numba", "scikit-sundae")
 
 
 @cache
 def versions():
-    """{package: version} of Python, of this package, installed or not, and of the installed packages that compute."""
+    """{package: version} of Python, of polyida and of the installed packages that compute."""
     found = {"python": platform.python_version(), "polyida": __version__}
     for name in PACKAGES:
         try:
@@ -31,7 +31,7 @@ def versions():
 
 
 def machine_info():
-    """`versions()` with processor, number of cores, threads asked for and platform, as plain data for a report."""
+    """`versions()` with processor, number of cores, threads and platform, as plain data for a report."""
     threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "not set")}
     return (
         versions()
@@ -43,7 +43,7 @@ def machine_info():
 
 @cache
 def processor():
-    """Name of the processor, or the architecture where the system does not tell."""
+    """Name of the processor, or the architecture if the name is unknown."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -53,22 +53,30 @@ def processor():
 
 
 def footer(data=None):
-    """One line that says on what a result was made, from `machine_info()` or the same data read from a file."""
+    """One line of `machine_info()`, or of the same data read from a file."""
     return ", ".join(f"{name} {value}" for name, value in (data or machine_info()).items())
 
 
 def cores():
-    """How many cores this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @named_keywords
 def threads(count: int | None = None) -> int:
-    """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was
-    said.
+    """Set the number of threads of all following runs.
 
-    What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (system/scene.py). The
-    results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the cores it may use.
+    Generalized-alpha uses them on scenes with many coordinates (SHARED in system/scene.py). Results are the same bit by bit for any number.
+
+    Parameters
+    ----------
+    count : int, optional
+        From 1 to the number of cores that this process may use; all of them should be free. By default nothing changes.
+
+    Returns
+    -------
+    int
+        The number of threads; 1 if it was never set.
     """
     if count is not None:
         if not is_whole(count, 1, cores()):
@@ -79,7 +87,7 @@ def threads(count: int | None = None) -> int:
 
 @lru_cache(maxsize=1)
 def _libraries(modules):
-    """The libraries of this process that have threads, looked for when modules have been imported: that takes longer than a short run."""
+    """The libraries of this process with threads. The search takes longer than a short run; it is repeated after imports of modules."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
@@ -87,8 +95,8 @@ def _libraries(modules):
 
 @contextmanager
 def one_blas_thread():
-    """Limit the BLAS libraries of this process to one thread: on small matrices more cost more than they bring. The last of several runs
-    at once gives back what was set.
+    """Limit the BLAS libraries of this process to one thread: on small matrices more threads are slower. The last of several concurrent runs
+    restores the setting.
     """
     with _lock:
         if not _inside:

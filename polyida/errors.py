@@ -1,8 +1,8 @@
-"""What is raised for a user's mistake and where an integrator cannot go on, warnings of what is right but far from converged, and how a step ends."""
+"""Exceptions and warnings, and the codes with which a compiled step ends."""
 
 # constants of compiled code: how a step, or a C function that it calls, ends
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
-REASONS = {  # how a step can end, and what a failure says of it
+REASONS = {  # (status, message) of a failed step
     REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
     INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
     NOT_FINITE: ("not finite", "the motion is not finite"),
@@ -15,9 +15,12 @@ REASONS = {  # how a step can end, and what a failure says of it
 
 
 class InputError(ValueError):
-    """A wrong input, found before the run: the message names the part, the value and what would be right.
+    """A wrong input, detected before the run: the message names the part, the value and what would be right.
 
-    It is one line: line breaks go, and the middle of what is longer than 600 characters.
+    Parameters
+    ----------
+    message : object
+        Reduced to one line of at most 600 characters.
     """
 
     def __init__(self, message: object) -> None:
@@ -26,15 +29,15 @@ class InputError(ValueError):
 
 
 class ReductionWarning(UserWarning):
-    """The modes of a reduced plate leave much of its motion out."""
+    """The modes of a reduced plate do not represent much of its motion."""
 
 
 class LockingWarning(UserWarning):
-    """Elements that are far too stiff for their material: the answer converges, but slowly."""
+    """Elements are far too stiff for their material: the result converges, but slowly."""
 
 
 class StepFailure(Exception):
-    """An integrator cannot go on: where, why, and what it last saw. `solve` turns it into a status and keeps the run so far."""
+    """An integrator cannot continue: status, reason, time and values of the failed step. `solve` turns it into the status of the run."""
 
     def __init__(self, status, reason, t=float("nan"), **seen):
         self.status, self.reason, self.t, self.seen = status, reason, t, seen

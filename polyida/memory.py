@@ -1,8 +1,8 @@
-"""Memory that states are written into: in one piece, taken from the system as it is touched, used again.
+"""Memory for the states of a run: one mapping, whose pages the system provides when they are first written, and which is reused.
 
-What frames cost beside their numbers are pages that the system clears for them, one by one: in pages of 2 MiB they cost a
-seventh, and those that an earlier run was done with cost nothing. So a piece that no array shows any more is kept for the
-next that asks for its size; the system is told that it may have the memory back any time (MADV_FREE).
+Most of the cost of storing frames is that the system clears their pages, one by one: pages of 2 MiB cost a seventh, and pages of an earlier
+run cost nothing. So a mapping without arrays is stored for the next request of its size; the system may take its memory back at any time
+(MADV_FREE).
 """
 
 import mmap
@@ -14,20 +14,20 @@ from math import prod
 import numpy as np
 
 HUGE = 1 << 21  # bytes of a large page
-LEAST = 1 << 17  # bytes that are worth a piece
+LEAST = 1 << 17  # bytes: less is an ordinary array
 WIDE = 1 << 12  # bytes of a row from which on large pages pay
 LINE = 64  # bytes, between which arrays begin
-KEPT = 2  # pieces of a size
+KEPT = 2  # unused mappings of a size
 MOST = 1 << 44  # bytes, of addresses alone
-LAZY = hasattr(mmap, "MAP_PRIVATE") and hasattr(mmap, "MADV_FREE")  # whether what is not touched costs nothing
+LAZY = hasattr(mmap, "MAP_PRIVATE") and hasattr(mmap, "MADV_FREE")  # True if untouched memory costs nothing
 
 _unused: defaultdict[int, list[mmap.mmap]] = defaultdict(list)
 
 
 def room(shapes, dtypes, limit):
-    """Arrays (rows, *shape) of each dtype, not set, as many rows as `limit` bytes hold, at least one.
+    """Uninitialised arrays (rows, *shape) of each dtype, with as many rows as `limit` bytes hold, at least one.
 
-    They lie in one piece of addresses, of half the size and so on where the system does not grant that much.
+    They are in one range of addresses; of half the size and so on if the system refuses it.
     """
     sizes = [prod(shape) * dtype.itemsize for shape, dtype in zip(shapes, dtypes)]
     width, spare = sum(sizes), LINE * len(sizes)
@@ -41,7 +41,7 @@ def room(shapes, dtypes, limit):
 
 
 def _piece(size, least):
-    """`size` bytes or more, or as many as there are but `least`."""
+    """`size` bytes or more; if the system refuses them fewer, but at least `least`."""
     if not LAZY or size < LEAST:
         return np.empty(size, np.uint8)
     grain = max(HUGE, 1 << (size.bit_length() - 4))
@@ -66,11 +66,11 @@ def _mapping(size, least):
 
 
 def _give_back(mapping):
-    """Keep a piece that no array shows any more."""
+    """Store a mapping that has no array any more."""
     try:
         mapping.madvise(mmap.MADV_FREE)
-    except OSError:  # a system that would not have it back
+    except OSError:  # the system does not support it
         return
-    kept = _unused[len(mapping)]
-    kept.append(mapping)
-    del kept[:-KEPT]
+    unused = _unused[len(mapping)]
+    unused.append(mapping)
+    del unused[:-KEPT]

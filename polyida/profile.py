@@ -1,5 +1,7 @@
 """Time profiles of motors and loads: a value with its first and second derivative in time, and the times of its kinks."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -13,23 +15,40 @@ from polyida.model.differences import around, within
 from polyida.reprs import cut
 from polyida.validation import floats, is_number, named_keywords, takes
 
+__all__ = ["Profile", "constant", "difference", "from_function", "linear", "polynomial", "quintic", "ramp", "scaled", "sine"]
+
 SHAPES = {  # coefficients of moves from 0 to 1
     "linear": (0, 1),
     "quintic": (0, 0, 0, 10, -15, 6),
     "ramp": (0, 0, 0, 0, 0, 126, -420, 540, -315, 70),
 }
-REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second derivative is made of; it resolves 1 kHz or 100 Hz
+REACH = {1: 2e-5, 2: 2e-4}  # s between the values of which differences make a first or second derivative; it resolves 1 kHz or 100 Hz
+
+
+def __dir__():
+    return __all__
 
 
 @named_keywords
 @dataclass(frozen=True)
 class Profile:
-    """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
+    """A function of time with its first and second derivative.
 
-    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file. Profiles
-    pickle where the functions do: those of this module always, a user's where they stand in a module.
-    `shortest`: the shortest time in which it moves and comes to rest or turns back, s; None where nobody says: solvers look.
-    `takes_arrays`: whether the functions take arrays of times too.
+    Profiles can be pickled if their functions can: those of this module always, a user's if they are defined in a module.
+
+    Parameters
+    ----------
+    value, d1, d2 : function of t
+        Value and derivatives.
+    kinks : tuple of float, s
+        Times at which the profile is not smooth.
+    formula : tuple
+        (kind, numbers) of a profile made by this module, which files can hold; empty for others.
+    shortest : float, s, optional
+        The shortest time in which the profile moves and comes to rest or turns back. None if unknown: solvers then look for pulses that
+        lie between their steps.
+    takes_arrays : bool
+        True if the functions take arrays of times too.
     """
 
     value: Callable
@@ -49,11 +68,11 @@ class Profile:
         return self.value(t)
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """(value, first, second derivative) at time t."""
+        """Evaluate value, first and second derivative at a time t, s."""
         return self.value(t), self.d1(t), self.d2(t)
 
     def over(self, t: NDArray, order: int = 0) -> NDArray:
-        """Value, first or second derivative, by the order, at times of any shape."""
+        """Evaluate the derivative of order 0, 1 or 2 at times t, s, of any shape."""
         function = (self.value, self.d1, self.d2)[order]
         if self.formula or self.takes_arrays:
             return np.broadcast_to(function(t), t.shape)
@@ -62,14 +81,35 @@ class Profile:
 
 @named_keywords
 def constant(value: float) -> Profile:
-    """The same value at all times. Raises InputError where it is no finite number."""
+    """Make a profile with the same value at all times.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    Profile
+        The constant.
+    """
     _require_numbers("constant", value=value)
     return polynomial([value])
 
 
 @named_keywords
 def polynomial(coefficients: ArrayLike) -> Profile:
-    """`c0 + c1 t + c2 t^2 + ...`. Raises InputError where the coefficients are no finite numbers."""
+    """Make the profile `c0 + c1 t + c2 t^2 + ...`.
+
+    Parameters
+    ----------
+    coefficients : (k,) float
+        c0, c1, c2, ...
+
+    Returns
+    -------
+    Profile
+        The polynomial.
+    """
     given = floats(coefficients)
     if given is None or given.ndim != 1 or not given.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
@@ -80,22 +120,57 @@ def polynomial(coefficients: ArrayLike) -> Profile:
 
 @named_keywords
 def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
-    """Smooth move `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration held to [0, 1].
+    """Make a smooth move, `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration limited to [0, 1].
 
-    Velocity and acceleration vanish at both ends. Raises InputError where duration is not positive.
+    Velocity and acceleration are zero at both ends.
+
+    Parameters
+    ----------
+    start, end : float
+        Values before and after the move.
+    duration : float, s
+        Above 0.
+    begin : float, s
+
+    Returns
+    -------
+    Profile
+        The move.
     """
     return _move(start, end, duration, begin, "quintic")
 
 
 @named_keywords
 def ramp(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
-    """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
+    """Make a move of class C^4, the smooth step of ninth degree.
+
+    Parameters
+    ----------
+    start, end, duration, begin
+        As of `quintic`.
+
+    Returns
+    -------
+    Profile
+        The move.
+    """
     return _move(start, end, duration, begin, "ramp")
 
 
 @named_keywords
 def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
-    """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
+    """Make a linear move from start to end, with a kink at both ends.
+
+    Parameters
+    ----------
+    start, end, duration, begin
+        As of `quintic`.
+
+    Returns
+    -------
+    Profile
+        The move.
+    """
     return _move(start, end, duration, begin, "linear")
 
 
@@ -128,7 +203,19 @@ def _moved(function, factor, start, span, duration, begin, t):
 
 @named_keywords
 def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Profile:
-    """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
+    """Make the profile `amplitude sin(2 pi frequency t + phase)`.
+
+    Parameters
+    ----------
+    amplitude : float
+    frequency : float, Hz
+    phase : float, rad
+
+    Returns
+    -------
+    Profile
+        The oscillation.
+    """
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
     amplitude, frequency, phase = map(float, (amplitude, frequency, phase))
     w = 2 * np.pi * frequency
@@ -149,12 +236,29 @@ def from_function(
     kinks: ArrayLike = (),
     shortest: float | None = None,
 ) -> Profile:
-    """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
+    """Make a profile from functions of time.
 
-    shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
-    Functions that are compiled (`polyida.compiled`, numba.njit) are called at many times at once, without Python.
-    Raises InputError where these are no functions, kinks no finite times, shortest not positive; and, when it is called,
-    where a function gives anything but a finite number.
+    Compiled functions (`polyida.compiled`, numba.njit) are called at many times at once, without Python.
+
+    Parameters
+    ----------
+    value : function f(t) -> float
+    d1, d2 : function f(t) -> float, optional
+        Derivatives; by default differences of values on one side of all kinks.
+    kinks : (k,) float, s
+        Times at which the profile is not smooth.
+    shortest : float, s, optional
+        Its shortest move; by default solvers look for pulses that lie between their steps.
+
+    Returns
+    -------
+    Profile
+        The functions as a profile.
+
+    Raises
+    ------
+    InputError
+        For wrong arguments; and, when the profile is evaluated, if a function returns anything but a finite number.
     """
     for name, function in (("value", value), ("d1", d1), ("d2", d2)):
         if not (callable(function) or (function is None and name != "value")):
@@ -180,7 +284,7 @@ def from_function(
 
 
 def _values(function, t):
-    """What a user's function of time gives at a time, or at an array of them: finite numbers."""
+    """The finite values of a user's function at a time or an array of times."""
     if not np.ndim(t):
         return _checked(function, t)
     from polyida.jit.user_functions import over
@@ -212,7 +316,17 @@ def _derivative(function, order, kinks, t):
 
 @named_keywords
 def difference(first: Profile, second: Profile) -> Profile:
-    """The profile `first - second`."""
+    """Make the profile `first - second`.
+
+    Parameters
+    ----------
+    first, second : Profile
+
+    Returns
+    -------
+    Profile
+        The difference.
+    """
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
     pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
     value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
@@ -229,7 +343,18 @@ def _less(f, g, t):
 
 @named_keywords
 def scaled(profile: Profile, factor: float) -> Profile:
-    """The profile times a number. Raises InputError where that is not finite."""
+    """Make a profile times a number.
+
+    Parameters
+    ----------
+    profile : Profile
+    factor : float
+
+    Returns
+    -------
+    Profile
+        The product.
+    """
     _require_numbers("scaled", factor=factor)
     value, d1, d2 = (partial(_times, f, float(factor)) for f in (profile.value, profile.d1, profile.d2))
     return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest, takes_arrays=_take_arrays(profile))
@@ -239,11 +364,8 @@ def _times(f, factor, t):
     return factor * f(t)
 
 
-def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
-    """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
-
-    A function is tried at t = 0: it must give a finite number there.
-    """
+def as_profile(given: Profile | Callable[[float], float] | float, part: str) -> Profile:
+    """The Profile of a Profile, a number or a function; `part` names the owner in the InputError. It is evaluated at t = 0."""
     if callable(given) and not isinstance(given, Profile) and not takes(given, 1):
         raise InputError(f"{part}: {given!r:.80} is no function of time: it must take t, s, and nothing else")
     if isinstance(given, Profile) or callable(given):
@@ -271,5 +393,5 @@ MAKERS: dict[str, Callable[..., Profile]] = {
 
 @named_keywords
 def from_formula(formula: tuple) -> Profile | None:
-    """The profile that `Profile.formula` describes, or None where the formula is empty."""
+    """The profile that `Profile.formula` describes, or None if the formula is empty."""
     return MAKERS[formula[0]](*formula[1:]) if formula else None

@@ -1,4 +1,4 @@
-"""How far something long is: a user's function, or the bar of tqdm, at a terminal or in a notebook."""
+"""Progress of long computations: a user's function, or a bar of tqdm at a terminal or in a notebook."""
 
 from contextlib import contextmanager
 
@@ -6,7 +6,7 @@ from polyida.errors import InputError
 
 
 def bar_for(part):
-    """tqdm's class of bars. Raises InputError where it is not installed."""
+    """tqdm's class of bars. Raises InputError if it is not installed."""
     try:
         from tqdm.auto import tqdm
     except ImportError:
@@ -15,7 +15,7 @@ def bar_for(part):
 
 
 def require_progress(part, progress):
-    """Raise InputError unless it is None, False, a function of t, or True where tqdm is installed."""
+    """Raise InputError unless progress is None, False, a function of t, or True and tqdm is installed."""
     if progress is True:
         bar_for(part)
     elif progress is not None and progress is not False and not callable(progress):
@@ -24,7 +24,7 @@ def require_progress(part, progress):
 
 @contextmanager
 def over_time(progress, begin, t_end):
-    """What is called with t at every step, of what a user gave: the function, None, or a bar over the run's time."""
+    """The function to call with t at every step, or None: the user's, or that of a bar over the run's time."""
     if progress is not True:
         yield progress or None
         return
@@ -40,9 +40,9 @@ def over_time(progress, begin, t_end):
 
 @contextmanager
 def teller(study, progress):
-    """A function of (done, total, what), of what a user gave: such a function, None or False: silence, or True: tqdm's bar.
+    """A function of (done, total, what): the user's, one without output (None, False), or that of tqdm's bar (True).
 
-    Raises InputError for anything else, and for True where tqdm is not installed.
+    Raises InputError for anything else, and for True if tqdm is not installed.
     """
     if progress is None or progress is False:
         yield lambda done, total, what: None

@@ -1,8 +1,8 @@
-"""What can be found by name: a dictionary for each sort of thing, to which users add what is theirs.
+"""Dictionaries of classes and functions by name, to which users add their own.
 
-A value is the thing itself, or "module:name" of one that is imported when it is asked for. parts, integrators: classes, by the name that
-a file of a run calls them; a class of joints or forces enters when it is defined. Files hold names and numbers; what makes objects of
-them is looked up here. problems: functions that give a `polyida.problems.Problem`, their arguments its options. studies: a `Study` each.
+A value is the class or function itself, or "module:name" of one that is imported on first use. parts, integrators: classes, by their names
+in the files of runs; a class of joints or forces is added when it is defined. problems: functions that return a `polyida.problems.Problem`;
+their arguments are its options. studies: a `Study` each.
 """
 
 from importlib import import_module
@@ -53,11 +53,16 @@ problems: dict[str, Any] = {
     "two-link-arm": "polyida.problems.mechanisms:two_link_arm_problem",
     "peaucellier": "polyida.problems.mechanisms:peaucellier_problem",
 }
-views: dict[str, Any] = {  # of a run, above it: what its attributes of these names give
+views: dict[str, Any] = {  # attributes of a run that draw it
     "plot": "polyida.show.plots:RunPlots",
     "drawing": "polyida.show.plots:drawing",
 }
-studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
+studies: dict[str, Any] = {}  # users' own; those of the repository are the scripts of ./studies
+__all__ = ["find", "integrators", "name_of", "parts", "problems", "studies"]
+
+
+def __dir__():
+    return __all__
 
 
 _BUILT_IN = frozenset([*parts.values(), *integrators.values()])
@@ -73,13 +78,35 @@ def is_built_in(kind: type) -> bool:
 
 
 def name_of(kind: type) -> str:
-    """The name of a class in files: its key in `parts` or `integrators`, or `module.name` if it has none there."""
+    """Return the name of a class in files.
+
+    Parameters
+    ----------
+    kind : type
+        Of a part or an integrator.
+
+    Returns
+    -------
+    str
+        Its key in `parts` or `integrators`, or `module.name` if it has none.
+    """
     known = {key: name for book in (parts, integrators) for name, key in book.items()}
     return known.get(kind) or known.get(_place_of(kind)) or f"{kind.__module__}.{kind.__qualname__}"
 
 
-def find(book, name):
-    """What a dictionary has under a name, imported where it must be, or None."""
+def find(book: dict[str, Any], name: str) -> Any:
+    """Look up a name in a dictionary of this module and import its value if necessary.
+
+    Parameters
+    ----------
+    book : dict
+    name : str
+
+    Returns
+    -------
+    object or None
+        The value; None for an unknown name.
+    """
     known = book.get(name)
     if isinstance(known, str):
         module, _, attribute = known.partition(":")

@@ -1,11 +1,11 @@
-"""How things show themselves: on a line at the prompt, as a table in a notebook."""
+"""Representations of objects: one line at the prompt, a table in a notebook."""
 
 from dataclasses import fields, is_dataclass
 from html import escape
 
 import numpy as np
 
-FEW, LONGEST, CELL = 6, 60, 240  # entries of an array that are shown; characters of a value, and of a cell of a table
+FEW, LONGEST, CELL = 6, 60, 240  # shown entries of an array; characters of a value, and of a cell of a table
 
 
 def brief(thing: object) -> str:
@@ -24,7 +24,7 @@ def short(value, longest=LONGEST):
 
 
 def settings(part):
-    """What a dataclass was given beside its name and what it has by default, on one line."""
+    """The fields of a dataclass that differ from their defaults, without its name, on one line."""
     if not is_dataclass(part):
         return short(part, CELL)
     given = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
@@ -36,13 +36,13 @@ def _is_default(entry, value):
 
 
 def counted(things, most=FEW):
-    """Names in a row, the first few of many."""
+    """Names, separated by commas; of many the first few and the number of the others."""
     names = list(things)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def table(title, headings, rows):
-    """An HTML table of a line of text, headings and rows; what they say is text, not HTML."""
+    """An HTML table of a title, headings and rows; their text is escaped."""
     cells = lambda kind, row: "".join(f"<{kind}>{escape(cut(str(cell)))}</{kind}>" for cell in row)  # noqa: E731
     head = f"<thead><tr>{cells('th', headings)}</tr></thead>" if headings else ""
     body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)

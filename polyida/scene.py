@@ -1,4 +1,6 @@
-"""What a user writes: parts that are added to a scene, which is then built into one model."""
+"""Scene: parts that are assembled and built into one model."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -27,16 +29,20 @@ KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 
 @named_keywords
 class Scene:
-    """Flexible plates, joints, motors, masses, loads, bodies and forces of one's own in the x-y plane.
+    """Flexible plates, joints, motors, masses, loads, and users' bodies and forces in the x-y plane.
 
-    gravity: acceleration (gx, gy), m/s2; each a number, or a profile or function of time where it is switched or turned. `add` parts in
-    any order, then `build` a model; a scene can be added to and built again.
+    `add` parts in any order, then `build` a model; a scene can be extended and built again.
+
+    Parameters
+    ----------
+    gravity : (2,) float, profile or function of t, m/s2
+        Acceleration (gx, gy).
     """
 
-    def __init__(self, gravity: "ArrayLike | Sequence[float | Profile | Callable[[float], float]]" = (0.0, 0.0)) -> None:
+    def __init__(self, gravity: ArrayLike | Sequence[float | Profile | Callable[[float], float]] = (0.0, 0.0)) -> None:
         self.gravity = _gravity(gravity)
         self.parts: dict[str, Any] = {}
-        self._built: set[str] = set()  # names of the parts that models hold on to
+        self._built: set[str] = set()  # names of the parts of models
 
     def __repr__(self):
         return f"<Scene: {len(self.parts)} part{'s' * (len(self.parts) != 1)}{': ' * bool(self.parts)}{cut(counted(self.parts))}>"
@@ -45,12 +51,24 @@ class Scene:
         """A table of the parts, for notebooks."""
         rows = [(name, type(part).__name__, settings(part)) for name, part in self.parts.items()]
         gravity = ", ".join(f"{g:.6g}" if is_number(g) else short(g) for g in self.gravity)
-        return table(f"Scene, gravity ({gravity}) m/s²", ("name", "kind", "what it is given"), rows)
+        return table(f"Scene, gravity ({gravity}) m/s²", ("name", "kind", "settings"), rows)
 
     def add(self, part: Part) -> Part:
-        """Add a part and return it. Parts without a name are called by kind and number ("plate 1").
+        """Add a part.
 
-        Raises InputError for what is no part, and for a name that is taken.
+        Parameters
+        ----------
+        part : Plate, PointMass, Joint, Body, ForceElement, PointLoad or EdgeTraction
+            Without a name it is called by kind and number ("plate 1").
+
+        Returns
+        -------
+        the part
+
+        Raises
+        ------
+        InputError
+            For anything else, and for a name that is taken.
         """
         if not isinstance(part, KINDS_AND_BASES):
             known = ", ".join(kind.__name__ for kind in KINDS_AND_BASES)
@@ -74,25 +92,44 @@ class Scene:
         return f"{kind} {number}"
 
     def assemble(self) -> Assembly:
-        """Move the bodies, each as rigid and by as little as it takes, until all joints are closed; an Assembly that says by how much.
+        """Close all joints by the least motion of the bodies, each as a rigid one.
 
-        Unknowns are place and angle of each body, equations the rows of the joints as drawn, those that are driven at t = 0, solved
-        to round-off. What joints take from the drawing they keep: a joint to plain `ground` its place there, a motor or clamp the angle
-        between its sides; a body clamped to the ground stays. Bodies are moved where they are, by their `origin` and `angle`: their
-        attachments hold on. One of a user's own without these two stays too.
-        Raises InputError, with nothing moved, naming the joints that stay open and by how much; and where bodies would have to move
-        of which there is a model already.
+        Unknowns are `origin` and `angle` of each body; equations are the rows of the joints, of motors at t = 0, solved to round-off. Joints
+        to plain `ground` keep their place there, motors and clamps the angle between their sides as drawn. A body that is clamped to the
+        ground, and a user's body without `origin` and `angle`, does not move.
+
+        Returns
+        -------
+        Assembly
+            By how much each body was moved.
+
+        Raises
+        ------
+        InputError
+            With nothing moved: if joints stay open, with their distances; and if bodies of an existing model would have to move.
         """
         self._require_sides("assemble")
         return close(self.parts, self._built)
 
     def build(self, redundant: str = "refuse") -> SceneModel:
-        """The model of the scene as it is now. Raises InputError naming the part that is wrong.
+        """Build the model of the scene as it is now.
 
-        redundant: what becomes of rows of joints that follow from others, as those of a second hinge on one axis. "refuse": runs do not
-        start, and the message names them. "least-norm": they are left out, `model.redundant.labels` names them, and reactions are those
-        of all rows with the least sum of squares; `run.unique(name)` says which of them are the only ones. Rows that are independent
-        elsewhere, or contradict others, are refused.
+        Parameters
+        ----------
+        redundant : "refuse" or "least-norm"
+            Treatment of dependent rows of joints, such as those of a second hinge on one axis. "refuse": runs do not start, and the message
+            names the rows. "least-norm": they are left out, `model.redundant.labels` names them, and reactions are those of all rows with the
+            least sum of squares; `run.unique(name)` is True for unique ones. Rows that are independent elsewhere, or contradict others, are
+            refused.
+
+        Returns
+        -------
+        SceneModel
+
+        Raises
+        ------
+        InputError
+            Naming the wrong part.
         """
         if not is_one_of(redundant, REDUNDANT):
             raise InputError(f"Scene.build: redundant = {redundant!r} must be one of {', '.join(map(repr, REDUNDANT))}")
@@ -102,7 +139,7 @@ class Scene:
         return model
 
     def _require_sides(self, what):
-        """Raise InputError unless there are bodies, and parts hold on to bodies of this scene."""
+        """Raise InputError unless there are bodies, and all parts are attached to bodies of this scene."""
         bodies = [part for part in self.parts.values() if isinstance(part, (Plate, Body))]
         if not bodies:
             raise InputError(f"Scene.{what}: the scene has no plate and no other body")
@@ -120,7 +157,7 @@ def _gravity(given):
 
 
 def kind_of(part):
-    """What a part without a name is called with a number."""
+    """The name of a part without one, before its number."""
     if isinstance(part, Joint):
         return part.kind or type(part).__name__.lower()
     if isinstance(part, (ForceElement, Body)):

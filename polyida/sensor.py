@@ -1,4 +1,6 @@
-"""Ready sensors: what of every accepted state `solve(..., sensors={name: sensor})` records, and what they gave in a run."""
+"""Sensors for `solve(..., sensors={name: sensor})`, which records their values at every accepted state, and the recorded values."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,22 +17,52 @@ from polyida.validation import is_one_of, named_keywords, read_only
 __all__ = ["position", "reaction", "state"]
 
 
+def __dir__():
+    return __all__
+
+
 @dataclass(frozen=True)
 class Sensor:
-    """Something that reads numbers of a model's state."""
+    """A function of a model and a state.
+
+    Parameters
+    ----------
+    read : function f(model, state) -> array_like
+    """
 
     read: Callable[[Any, State], ArrayLike]
 
 
 @named_keywords
 def position(of: object) -> Sensor:
-    """The place of a mass, load or joint, by name or itself, or of an attachment, (2,), m."""
+    """Make a sensor of the place of a point, (2,), m.
+
+    Parameters
+    ----------
+    of : str, part or attachment
+        A mass, load or joint, by name or itself, or an attachment.
+
+    Returns
+    -------
+    Sensor
+        For `solve(..., sensors={name: sensor})`.
+    """
     return Sensor(lambda model, state: model.position(of, state.q[None])[0])
 
 
 @named_keywords
 def reaction(joint: str) -> Sensor:
-    """What a joint, by name, does to its side b, as `run.reaction` tells it: (k,), N and N m."""
+    """Make a sensor of the reaction of a joint on its side b, (k,), N and N m, as `run.reaction`.
+
+    Parameters
+    ----------
+    joint : str
+
+    Returns
+    -------
+    Sensor
+        For `solve(..., sensors={name: sensor})`.
+    """
 
     def read(model, state):
         if not is_one_of(joint, model.rows):
@@ -42,7 +74,18 @@ def reaction(joint: str) -> Sensor:
 
 @named_keywords
 def state(function: Callable[[State], ArrayLike]) -> Sensor:
-    """A function of the whole State: t, q, v, a, lam, to read only. Raises InputError where it is no function."""
+    """Make a sensor of a function of the whole state.
+
+    Parameters
+    ----------
+    function : function f(state) -> array_like
+        Of a read-only State: t, q, v, a, lam.
+
+    Returns
+    -------
+    Sensor
+        For `solve(..., sensors={name: sensor})`.
+    """
     if not callable(function):
         raise InputError(f"sensor.state: {function!r:.100} must be a function of a State")
     return Sensor(lambda model, state: function(State(state.t, *(read_only(x) for x in (state.q, state.v, state.a, state.lam)))))
@@ -50,9 +93,13 @@ def state(function: Callable[[State], ArrayLike]) -> Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Sensors(Mapping):
-    """{name: what it gave, (steps, ...)} at the times t (steps,): the run's start and every accepted step, whatever became a frame.
+    """The recorded values of a run's sensors: a mapping {name: (steps, ...)}, at the start and at every accepted step.
 
-    shapes: {name: shape of what it gives}; rows: (steps, 1 + numbers), the time and all of it.
+    Parameters
+    ----------
+    shapes : dict, {name: shape of a value}
+    rows : (steps, 1 + numbers) float
+        The time, s, and the values of all sensors.
     """
 
     shapes: dict = field(default_factory=dict)

@@ -1,4 +1,6 @@
-"""What comes back from a run: the motion, the work done, how it ended, and what can be derived from it when asked."""
+"""Trajectory: the frames of a run, its counts, how it ended, and values derived from the frames on request."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -31,14 +33,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
+    """The frames of a run and how it ended.
 
-    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
-    file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
-    where and why; success: it reached its end.
-    counts: exact work. sensors: {name: what it gave at every step}, with the steps' times `sensors.t`. Frames too large for memory stay in
-    a file: they index, slice and iterate like arrays and are read when asked for; those of a run with precision="single" are float32.
-    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for, frame by frame.
+    Frames that exceed the memory limit stay in a file: they index, slice and iterate like arrays and are read when needed; with
+    precision="single" they are float32. Energies, drift, positions, reactions and stresses are computed from the frames on request.
+
+    Parameters
+    ----------
+    model : Model or None
+        None if a loaded run has none.
+    integrator : Integrator or str
+        The name of a class that is not known, of a loaded run.
+    t : (frames,) float, s
+    q, v, a : (frames, n) float
+    lam : (frames, m) float
+    status : str
+        "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a file; the frames before the
+        damage), "error" (in a user's function), "disk full", or the kind of failure.
+    message : str
+        Place and reason of a failure.
+    counts : Counts
+        Exact counts of the work.
+    cpu_seconds, wall_seconds : float, s
+    machine : dict
+        Versions, processor and threads.
+    restart : Restart or None
+        The state from which the run can be continued.
+    plan : dict
+        The arguments of `solve`.
+    missing : str
+        Why there is no model.
+    sensors : Sensors
+        {name: values at every step}, with their times `sensors.t`.
     """
 
     model: Any
@@ -61,10 +87,10 @@ class Trajectory:
 
     @property
     def state(self) -> State:
-        """The state at which the run ended; `solve(model, t_end, integrator, state=run.state)` goes on from it.
+        """The final state; `solve(model, t_end, integrator, state=run.state)` continues from it.
 
-        An accepted one has the integrator's memory, so that generalized-alpha with constant steps goes on as if it had
-        not stopped. One that `until` found between two steps has none: solve starts anew from it, put on the constraints.
+        It has the integrator's memory, so that generalized-alpha with constant steps continues as if it had not stopped. A state that
+        `until` located between two steps has none: solve then starts again from it, projected onto the constraints.
         """
         if self.restart and not (len(self) and self.t[-1] > self.restart.state.t):
             return self.restart.state
@@ -73,12 +99,12 @@ class Trajectory:
 
     @property
     def memory(self) -> dict:
-        """What the integrator needs to go on from the last frame as if it had not stopped; empty where unknown."""
+        """What the integrator needs to continue from the last frame as if it had not stopped; empty if unknown."""
         return self.state.memory if len(self) and self.state.t == self.t[-1] else {}
 
     @property
     def success(self) -> bool:
-        """True where the run reached its end."""
+        """True if the run reached its end."""
         return self.status in ("done", "stopped")
 
     @property
@@ -91,7 +117,7 @@ class Trajectory:
 
     @cached_property
     def drift(self) -> NDArray:
-        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), rows that were left out as redundant too."""
+        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), with the rows that were left out as redundant."""
         model = self.known_model("drift")
         model = model.redundant.whole if model.redundant else model
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
@@ -105,14 +131,12 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they
-        dissipate.
-        """
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame; on request work of parts and dissipation."""
         return energy_of(self._motion("energy"))
 
     @property
     def momentum(self) -> NDArray:
-        """Momentum of all bodies, (frames, 2), N s. Raises InputError where a model of one's own does not say it."""
+        """Momentum of all bodies, (frames, 2), N s. Raises InputError if a user's model has no `momenta`."""
         return self._momenta[:, :2]
 
     @property
@@ -125,39 +149,68 @@ class Trajectory:
         return momenta_of(self._motion("momentum"))
 
     def _motion(self, what):
-        """The run with its model as it is called."""
         return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
     def known_model(self, what: str) -> Any:
-        """The model as it is called. Raises InputError, in the name of `what`, for a loaded run that has none; it says why."""
+        """Return the guarded model; InputError, in the name of `what`, for a loaded run without one."""
         if self.model is None:
             raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
         return guard(self.model)
 
     def position(self, name: object) -> NDArray:
-        """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
+        """Return the path of a point.
 
-        Raises InputError for what is not in the scene.
+        Parameters
+        ----------
+        name : str, part or attachment
+            A mass, load or joint, by name or itself, or an attachment.
+
+        Returns
+        -------
+        (frames, 2) float, m
+            Its places.
+
+        Raises
+        ------
+        InputError
+            If it is not in the scene.
         """
         model = self.known_model("position")
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment
-        about the point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
+        """Return the reaction of a joint on its side b.
 
-        It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
-        the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the
-        clamp of a plate to ground the force on each node, a joint of one's own with one row on the point of b the force along d phi/dx_b.
-        `wrench` gives (fx, fy, m) of any joint. Of redundant constraints it is that with the least sum of squares of all
-        multipliers; see `unique`. Raises InputError for what is no joint of the model.
+        By virtual work it is the force `-phi_q^T lam` of the joint's rows on the body of b, or on the ground. Components that
+        the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a prescribed position those that
+        it prescribes, the clamp of a plate to ground the force on each node, a user's joint with one row on the point of b the force along
+        d phi/dx_b. `wrench` gives (fx, fy, m) of any joint. Of redundant constraints it is the reaction with the least sum of squares of
+        all multipliers; see `unique`.
+
+        Parameters
+        ----------
+        name : str
+            Of a joint.
+
+        Returns
+        -------
+        (frames, k) float
+            Forces, N, in the axes of the scene; a moment, N m, about the point of b, counter-clockwise.
         """
         return self._reaction("reaction", name, False)
 
     def wrench(self, name: str) -> NDArray:
-        """Force and moment of a joint on its side b, (frames, 3): (fx, fy), N, in the axes of the scene, and m, N m, about the point of b.
+        """Return force and moment of any joint on its side b, also if `reaction` has fewer components, or more.
 
-        Of every joint, also where `reaction` has fewer components, or more. Raises InputError for what is no joint of a scene.
+        Parameters
+        ----------
+        name : str
+            Of a joint of a scene.
+
+        Returns
+        -------
+        (frames, 3) float
+            fx, fy, N, in the axes of the scene, and m, N m, about the point of b.
         """
         return self._reaction("wrench", name, True)
 
@@ -172,49 +225,72 @@ class Trajectory:
         return np.concatenate(found)
 
     def angle(self, joint: object) -> NDArray:
-        """By how much side b of a joint, by name or itself, has turned against side a since the reference configuration, (frames,), rad.
+        """Return the rotation of side b of a joint relative to side a since the reference configuration.
 
-        Counter-clockwise, of the directions of both; unwrapped, so frames are to be less than half a turn apart; the first is between
-        -pi and pi. Raises InputError for what is no joint of the scene, and where a side has no direction.
+        Parameters
+        ----------
+        joint : str or Joint
+            Both sides need a direction.
+
+        Returns
+        -------
+        (frames,) float, rad
+            Counter-clockwise; unwrapped, so that frames must be less than half a turn apart; the first is between -pi and pi.
         """
         return angle_of(self._motion("angle"), joint)
 
     def unique(self, name: str) -> bool:
-        """Whether the reaction of a joint is the only one with which the bodies move so: always, unless constraints are redundant."""
+        """Return True if the reaction of a joint is unique, as it is without redundant constraints."""
         model = self._of_joint("unique", name)
         return model.redundant is None or model.redundant.unique(name)
 
     def _of_joint(self, what, name):
-        """The model, which has a joint of this name."""
         model = self.known_model(what)
         if not is_one_of(name, model.rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
         return model
 
     def node_positions(self, frame: int) -> NDArray:
-        """Positions of the nodes of all plates in a frame, reduced and rigid ones too, (nodes, 2), m."""
+        """Return the places of the nodes of all plates in a frame, with reduced and rigid ones, (nodes, 2), m."""
         q, model = self._frame("node_positions", frame), self._scene("node_positions")
         return model.drawn_points + model.nodal(q)
 
     def stress(self, frame: int) -> NDArray:
-        """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        """Return the Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         return self._scene("stress").stress(self._frame("stress", frame))
 
     def strain(self, frame: int) -> NDArray:
-        """Green's strain of every element in a frame, (cells, 3): Exx, Eyy, 2 Exy, its mean over the element, plate after plate.
+        """Return Green's strain `E = (F^T F - I) / 2` of every element in a frame, (cells, 3): Exx, Eyy, 2 Exy, means over the element.
 
-        `E = (F^T F - I) / 2` in the axes of the scene at rest: zero under any rigid motion.
+        In the axes of the scene at rest, plate after plate; zero under any rigid motion.
         """
         return strains(self._scene("strain"), self._frame("strain", frame))
 
     def section_forces(self, plate: object, at: ArrayLike, normal: ArrayLike = (1.0, 0.0), frame: int | None = None) -> SectionForces:
-        """Normal force, shear force and bending moment through a straight cut across a full plate, over all frames or in one.
+        """Return normal force, shear force and bending moment through a straight cut across a full plate.
 
-        plate: by name or itself. at (x, y), m: a point of the cut, and normal: the direction it is crossed in, both in the axes of the
-        plate's mesh, where the plate is at rest. Its SectionForces are those of the part ahead on the part behind: nodal forces of cells
-        with inertia, damping and weight, in exact equilibrium with loads, joints and inertia, not stresses at points. What holds on
-        to nodes between the cells of both parts acts behind. Raises InputError for another plate, one of few coordinates (whose modes
-        leave forces out), and where the cut does not part it.
+        They are the forces of the part ahead on the part behind: nodal forces of cells with inertia, damping and weight, in exact
+        equilibrium with loads, joints and inertia, not stresses at points. Loads and joints on nodes of both parts act behind.
+
+        Parameters
+        ----------
+        plate : str or Plate
+        at : (2,) float, m
+            A point of the cut, in the axes of the plate's mesh, where the plate is at rest.
+        normal : (2,) float
+            The direction from the part behind to the part ahead, in the same axes.
+        frame : int, optional
+            One frame; by default all.
+
+        Returns
+        -------
+        SectionForces
+            Over the frames.
+
+        Raises
+        ------
+        InputError
+            For another plate, a reduced or rigid one, and a cut that does not divide it.
         """
         self._scene("section_forces")
         if frame is not None:
@@ -222,12 +298,11 @@ class Trajectory:
         return section_forces(self._motion("section_forces"), plate, at, normal, frame)
 
     def von_mises(self, frame: int) -> NDArray:
-        """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
+        """Return the von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane in plane strain."""
         stress = self.stress(frame)
         return von_mises(stress, self.model.stress_across(stress))
 
     def _frame(self, what, frame):
-        """q of a frame."""
         if not is_whole(frame, -len(self), len(self) - 1):
             raise InputError(f"{what}: frame = {frame!r} must be the index of one of the run's {len(self)} frames")
         return np.asarray(self.q[frame], float)
@@ -238,7 +313,7 @@ class Trajectory:
         return self.model
 
     def summary(self) -> str:
-        """One line: how it ended, what it cost, how well it held."""
+        """Return one line: how the run ended, its cost, and its drift."""
         c = self.counts
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
@@ -257,45 +332,45 @@ class Trajectory:
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}"
 
     def __repr__(self):
-        return f"<Trajectory: {self._told()}>"
+        return f"<Trajectory: {self._headline()}>"
 
-    def _told(self):
-        """How it ended and how long it is, in few words."""
+    def _headline(self):
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         end = f"t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self) else "no frame"
         n, m = (np.shape(x)[-1] for x in (self.q, self.lam))
         return f"{self.status}, {cut(name, LONGEST)}, {end}, {len(self)} frames, {self.steps} steps, n = {n}, m = {m}"
 
     def _repr_html_(self):
-        """How it went, its counts and its last frame, for notebooks."""
+        """HTML for notebooks: status, counts and the last frame."""
         model = "not known" if self.model is None else short(self.model)
         seconds = f"{self.cpu_seconds:.3g} CPU s, {self.wall_seconds:.3g} s by the clock"
         rows = [("message", self.message)] * bool(self.message) + [("model", model), ("integrator", short(self.integrator, CELL))]
         rows += [("time taken", seconds), ("counts", ", ".join(f"{name} {count}" for name, count in self.counts.as_dict().items()))]
-        return table(f"Trajectory: {self._told()}", (), rows) + registry.find(registry.views, "drawing")(self)
+        return table(f"Trajectory: {self._headline()}", (), rows) + registry.find(registry.views, "drawing")(self)
 
     @property
-    def plot(self) -> "RunPlots":
-        """Pictures of the run on matplotlib axes, given or new: `run.plot.energy()`, `position("tip")`, `tip()`, `reactions("shoulder")`,
-        `drift()`, `deformed()`.
-        """
+    def plot(self) -> RunPlots:
+        """Plots on matplotlib axes: `run.plot.energy()`, `position("tip")`, `tip()`, `reactions("shoulder")`, `drift()`, `deformed()`."""
         return registry.find(registry.views, "plot")(self)
 
-    def to_dataframe(self) -> "DataFrame":
-        """A pandas.DataFrame, a row a frame. Of a scene: `t`; `NAME.x`, `NAME.y`, m, where masses, loads and joints are; what joints do to
-        their side b, `NAME.force_x`, N, `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other
-        models: `t`, `q[0]`, ..., `v[0]`, ..., `lam[0]`, ...
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each frame.
+
+        Columns of a scene: `t`; places `NAME.x`, `NAME.y`, m, of masses, loads and joints; reactions on side b, `NAME.force_x`, N,
+        `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other models: `t`, `q[0]`, ..., `v[0]`, ...,
+        `lam[0]`, ...
         """
         return dataframe(self)
 
-    def to_xarray(self) -> "Dataset":
-        """An xarray.Dataset over t: q, v, a (t, coordinate), lam (t, constraint); of a scene also position (t, point, axis), reaction (t,
-        component), the energies and drift; what sensors gave over step, at t_step. Raises InputError where xarray is not installed.
+    def to_xarray(self) -> Dataset:
+        """Return an xarray.Dataset over t: q, v, a (t, coordinate), lam (t, constraint), and values of sensors over step, at t_step.
+
+        Of a scene also position (t, point, axis), reaction (t, component), the energies and drift. Raises InputError if xarray is missing.
         """
         return dataset(self)
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
-        """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
+        """Write to an HDF5 file. Raises InputError if it exists and overwrite is False."""
         save(self, path, overwrite)
 
 

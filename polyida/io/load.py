@@ -1,4 +1,4 @@
-"""`load`: a Trajectory from a file; the scene and the integrator that made it are built again from the file's data."""
+"""`load`: a Trajectory from a file, with the scene and the integrator built again from the file's data."""
 
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -21,15 +21,30 @@ TORN = "; the record of one flush is not whole: cut off by the end of the proces
 
 @named_keywords
 def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = True) -> Trajectory:
-    """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
+    """Read a trajectory from a file of `solve(..., out=path)` or `run.save(path)`.
 
-    Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed
-    holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
-    status "running". All frames are looked at: where some are damaged, those before them come back, with status
-    "damaged" and a message that says which and why. check=False looks at none of them, for files that take long to read: what
-    is damaged raises InputError when it is asked for. The scene is built again from the file's data. A motor or load
-    whose profile was a function of the user's own follows the values that the run saw, which are in the file; without a
-    frame there is no model then.
+    The file of a killed run has the frames up to the last flush, with status "interrupted"; one that is still written those up to now, with
+    status "running". The scene is built again from the file's data. A motor or load whose profile was a user's function follows the values
+    of the run, which are in the file; without a frame there is no model then.
+
+    Parameters
+    ----------
+    path : path of the file
+    memory_limit : float, bytes
+        More frames than this stay in the file and are read when needed.
+    check : bool
+        Read all frames. If some are damaged, those before them are returned, with status "damaged" and the reason as message. False: damaged
+        frames raise InputError when they are read.
+
+    Returns
+    -------
+    Trajectory
+        The run in the file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated or of another kind.
     """
     require_bytes("load", memory_limit)
     if not is_flag(check):
@@ -66,12 +81,11 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
 
 
 def sensors_of(stored):
-    """The Sensors in a file."""
     return Sensors(stored.sensors, np.asarray(stored.sensed)) if stored.sensors else Sensors()
 
 
 def _model(stored):
-    """(model or None, why there is none)."""
+    """(model, or None, and the reason)."""
     if stored.about["drives"] and not stored.count:
         return None, "its profiles are functions of a user's own, of which the file holds no value yet"
     try:
@@ -83,14 +97,14 @@ def _model(stored):
 
 
 def integrator_of(stored):
-    """The integrator with its settings, or its name where `registry.integrators` has no dataclass of that name."""
+    """The integrator with its settings, or its name if `registry.integrators` has no dataclass of that name."""
     kind, settings = stored.about["integrator"]["kind"], stored.about["integrator"]["settings"]
     known = registry.find(registry.integrators, kind)
     return known(**settings) if is_dataclass(known) else str(kind)
 
 
 def model_of(stored, drives):
-    """The scene's model built from data, None for a model of a user's own; drives: {key: profile}. Raises UnknownPart."""
+    """The model of the scene in the file, None for a user's model; drives: {key: profile}. Raises UnknownPart."""
     from polyida.scene import Scene
 
     if "scene" not in stored.about:
@@ -110,7 +124,7 @@ def model_of(stored, drives):
 
 
 def _interpolated(times, samples):
-    """The profile through the values (frames, 3) that a run saw."""
+    """The profile through the values and derivatives (frames, 3) of a run."""
     from scipy.interpolate import CubicHermiteSpline
 
     from polyida.profile import Profile, constant

@@ -26,13 +26,13 @@ from polyida.model.guarded import guard, require_functions
 
 SMALL = 400  # coordinates up to which matrices are made dense
 ROUND = 1e-14  # of |x|^T |K| |x|: round-off of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
-NOTHING = 1e-28  # of K's largest entry: where a rigid motion is one coordinate, nothing else is left of its round-off
+NOTHING = 1e-28  # of K's largest entry: round-off of a rigid motion that is one coordinate
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
 SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the modes of a fine mesh, above the round-off of K
 NEAR = 0.1  # shift of the damped form, of the slowest undamped vibration
-SPARE = 4  # undamped modes beyond the wanted ones in which rigid motions are looked for
-STILL = 1e-12  # of |C| |x|: what round-off leaves of C x
-LEAST = 1e-14  # of the largest of C and x: less of C x is round-off too, where a rigid motion is few coordinates
+SPARE = 4  # undamped modes beyond the wanted ones, among which rigid motions are searched
+STILL = 1e-12  # of |C| |x|: round-off of C x
+LEAST = 1e-14  # of the largest of C and x: a smaller C x is round-off too, if a rigid motion has few coordinates
 RESTARTS = 100  # of Arnoldi's method
 GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
@@ -64,7 +64,7 @@ class LinearSystem:
 
     @cached_property
     def conservative(self):
-        """Whether K is symmetric."""
+        """True if K is symmetric."""
         return symmetric(self.K)
 
     def factor(self, c_m, c_v):
@@ -90,13 +90,13 @@ class LinearSystem:
         return solve_triangular(cholesky(mass, lower=True), Z.T, lower=True).T
 
     def stiffness_of(self, X):
-        """`x^T K x` of columns X (n, k), those that are no more than K's round-off exactly zero."""
+        """`x^T K x` of columns X (n, k); values below K's round-off are set to zero."""
         values = np.einsum("ik,ik->k", X.conj(), self.K @ X).real
         values[np.abs(values) <= self.round_off(X)] = 0.0
         return values
 
     def round_off(self, X):
-        """Of `x^T K x`, (k,): of its sums, and of derivatives by differences, which show in what K is not symmetric by."""
+        """Round-off of `x^T K x`, (k,): of its sums, and of derivatives by differences, estimated by the asymmetry of K."""
         size = np.abs(X)
         least = self._apart + NOTHING * float(abs(self.K).max())
         return ROUND * np.einsum("ik,ik->k", size, abs(self.K) @ size) + least * np.einsum("ik,ik->k", size, size)
@@ -109,8 +109,8 @@ class LinearSystem:
 def linear_system(part, model, state=None):
     """The LinearSystem of a model about a state, or about q = 0 with lam = 0 at t = 0.
 
-    What moves is taken as if it stood still there, with a warning. Raises InputError, in the name of `part`, for what is no model or
-    no state of it, for one that is off its constraints, and for redundant constraints.
+    Velocities of the state are ignored, with a warning. Raises InputError, in the name of `part`, for a wrong model or state, a state off
+    the constraints, and redundant constraints.
     """
     model = guard(model, part)
     rest = np.zeros(model.n)

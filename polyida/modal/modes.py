@@ -1,4 +1,6 @@
-"""Linear modes about a state, on the constraints."""
+"""Linear modes of a model about a state, on the constraints."""
+
+from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
@@ -17,13 +19,13 @@ from polyida.reprs import brief
 from polyida.validation import is_flag, is_number, is_whole, named_keywords
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
-FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it
+FLUTTER = 1e-9  # of |s|: a root that is less to the right of the imaginary axis is on it
 
 
 def effective_masses(model, M, X):
     """`|x^H M r|^2`, (count, 2), kg, of mass-normalised shapes X (n, count), r the unit translations along x and y; and `r^T M r`, kg.
 
-    None and nan of a model that has no bodies.
+    (None, nan) for a model without bodies.
     """
     r = translations(model)
     if r is None:
@@ -32,7 +34,7 @@ def effective_masses(model, M, X):
 
 
 def translations(model):
-    """Columns (n, 2): how q moves where all bodies move by 1 m along x, and along y; None where the model has no bodies."""
+    """Columns (n, 2): changes of q if all bodies move by 1 m along x, and along y; None if the model has no bodies."""
     if not model.is_scene:
         return None
     T = model.translation
@@ -42,14 +44,23 @@ def translations(model):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Linear modes `x e^(s t)` of a model about a state; what `pi.modes` gives.
+    """Linear modes `x e^(s t)` of a model about a state; the result of `pi.modes`.
 
-    roots: s, (count,), 1/s, complex. Without damping a mode is a pair +-s, of which the one above the real axis, or the growing one, is given;
-    they come by s^2. With damping a mode is a complex pair, of which the one above the real axis is given, or one real root; they come by
-    |s|. shapes: x, (count, n), as changes of q (displacements, m, of plates), of modal mass 1 kg: `x^T M x = 1`; complex with damping. The
-    first entry above half of the largest is real and positive. participation: effective modal masses along x and y, (count, 2), kg,
-    `|x^H M r|^2` of the unit translation r, and None of a model without bodies; over all modes without damping they add up to `mass`, kg,
-    less what the supports hold.
+    Parameters
+    ----------
+    model : Model
+    state : State
+    roots : (count,) complex, 1/s
+        s. Without damping a mode is a pair +-s, and the root above the real axis, or the growing one, is stored, ordered by s^2. With damping
+        a mode is a complex pair, of which the root above the real axis is stored, or one real root, ordered by |s|.
+    shapes : (count, n) float or complex
+        x as changes of q (displacements, m, of plates), of modal mass 1 kg: `x^T M x = 1`; complex with damping. The first entry above half of
+        the largest is real and positive.
+    participation : (count, 2) float, kg, or None
+        Effective modal masses along x and y, `|x^H M r|^2` of the unit translation r; None for a model without bodies. Over all modes without
+        damping they add up to `mass` less the part on the supports.
+    mass : float, kg
+        Of the model.
     """
 
     model: Model
@@ -63,8 +74,8 @@ class Modes:
 
     @property
     def frequencies(self) -> NDArray:
-        """`|s| / 2 pi`, (count,), Hz, of modes that swing; 0 of rigid motions. Of a real root 0 with damping, see `rates`; without damping
-        minus that of s, the mode being a pair +-s with s^2 > 0.
+        """`|s| / 2 pi`, (count,), Hz, of oscillating modes; 0 of rigid motions and, with damping, of real roots (see `rates`); without damping
+        `-|s| / 2 pi` of a pair +-s with s^2 > 0.
         """
         swings = self.roots.imag != 0
         size = np.where(swings | (not np.iscomplexobj(self.shapes)), np.abs(self.roots), 0.0)
@@ -72,23 +83,21 @@ class Modes:
 
     @property
     def rates(self) -> NDArray:
-        """`Re s`, (count,), 1/s: a mode changes in size by `e^(rate t)`, so it fades where this is negative and grows where it is positive."""
+        """`Re s`, (count,), 1/s: the amplitude of a mode changes as `e^(rate t)`, so it decays if this is negative and grows if positive."""
         return self.roots.real
 
     @property
     def damping(self) -> NDArray:
-        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and
-        -1 where they grow.
-        """
+        """Ratios `-Re s / |s|`, (count,): 0 without damping and of rigid motions, negative of growing modes; 1 or -1 of real roots."""
         return -self.roots.real / np.where(self.roots == 0, 1.0, np.abs(self.roots))
 
     @property
     def unstable(self) -> NDArray:
-        """Which modes grow, (count,) of True and False: the state is left at a touch."""
+        """True for growing modes, (count,): the state is unstable."""
         return self.roots.real > FLUTTER * np.abs(self.roots)
 
     def summary(self) -> str:
-        """A line a mode: frequency, damping, its share of the mass along x and y."""
+        """Return a line for each mode: frequency, damping, its share of the mass along x and y."""
         lines = [f"{len(self.roots)} modes of {type(self.model).__name__} about t = {self.state.t:.6g} s"]
         for k in range(len(self.roots)):
             share = "" if self.participation is None else self._share(self.participation[k])
@@ -101,11 +110,21 @@ class Modes:
         return ", {:.1%} along x, {:.1%} along y".format(*masses / self.mass)
 
     def plot(self, number: int | list[int] | None = None, scale: float = 1.0, axes: Any = None) -> Any:
-        """A matplotlib Figure of the bodies at rest and in a mode, not to scale: its largest displacement is 12 % of the size of the whole,
-        times `scale`. Complex shapes when their first large entry is; models without bodies as bars.
+        """Return a matplotlib Figure of the bodies at rest and in a mode; of a complex shape its real part, of models without bodies bars.
 
-        number: index of a mode, 0 the slowest, or a list, a panel each; None for all. axes: matplotlib axes to draw one mode on
-        instead. Raises InputError for a number that there is not, and a scale that is not positive.
+        Parameters
+        ----------
+        number : int or list of int, optional
+            Indices of modes, 0 the slowest, a panel each; by default all.
+        scale : float
+            The largest displacement is 12 % of the size of the whole, times this.
+        axes : matplotlib axes, optional
+            To draw one mode on.
+
+        Returns
+        -------
+        Figure
+            Not to scale.
         """
         from polyida.show.small_motions import draw, shapes
 
@@ -120,7 +139,7 @@ class Modes:
         return axes.figure
 
     def title(self, number: int) -> str:
-        """ "mode 1: 3.42 Hz", with its damping where there is, or "mode 1: fades at 9.9 1/s" of a real root, and a word where it grows."""
+        """Return "mode 1: 3.42 Hz", with its damping if it has any, or "mode 1: fades at 9.9 1/s" of a real root."""
         damping, root = self.damping[number], self.roots[number]
         if root.real and not root.imag:
             return f"mode {number + 1}: " + (
@@ -132,18 +151,38 @@ class Modes:
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping
-    of `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
+    """Compute linear modes about a state: `s^2 M x + K x + B^T mu = 0`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
-    state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). count: how many
-    modes, or all where these are fewer. Without damping there are n - m, each a pair +-s. damped: the 2 (n - m) roots s of the linearised
-    system, the eigenvalues of `pi.linearise(model, state).A` without motors: a mode is a complex pair or one real root, so that there are
-    from n - m to 2 (n - m). Rigid motions have s = 0 twice, x and x t, and come once, as 0 Hz; modes that grow come with a warning.
-    Large models by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
-    Raises InputError for a wrong count, no model, no state of it, one off its constraints, redundant constraints, coordinates without mass,
-    and without `damped` for forces that have no potential; StepFailure where Arnoldi's method does not converge.
+    With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv. Rigid motions have s = 0 twice, x and x t, and are returned once, as 0 Hz.
+    Growing modes are returned with a warning. Large models are solved by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
 
-        pi.modes(model, state=pi.static(model), count=3).frequencies
+    Parameters
+    ----------
+    model : Model
+    state : State, optional
+        One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0).
+    count : int
+        Number of modes: those of least s^2, with damping of least |s|; all if there are fewer.
+    damped : bool
+        True: the 2 (n - m) roots of the linearised system, the eigenvalues of `pi.linearise(model, state).A` without motors; a mode is a
+        complex pair or one real root. False: the n - m modes without damping, each a pair +-s.
+
+    Returns
+    -------
+    Modes
+        Roots, shapes, effective masses.
+
+    Raises
+    ------
+    InputError
+        For wrong arguments, a state off the constraints, redundant constraints, coordinates without mass, and without `damped` for forces
+        that have no potential.
+    StepFailure
+        If Arnoldi's method does not converge.
+
+    Examples
+    --------
+    >>> pi.modes(model, state=pi.static(model), count=3).frequencies  # doctest: +SKIP
     """
     system = linear_system("modes", model, state)
     if not is_whole(count):

@@ -5,6 +5,8 @@ move constraints, `B G = -rows`, normal to T in M, so that their accelerations m
 velocities, accelerations and reactions by name, or combinations of coordinates.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,15 +28,12 @@ from polyida.reprs import brief
 from polyida.results.motion import reaction_of
 from polyida.validation import floats, is_one_of, is_whole, named_keywords
 
-OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
-MOST = 2000  # coordinates that are taken without modes
+OFF = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to another state
+MOST = 2000  # coordinates without `modes`
 
 
 def inputs_of(part, model, state, given):
-    """A list of Direction with labels, of what a user gives: None (all profiles), one, a list or a dictionary {label: one}.
-
-    Raises InputError in the name of `part`.
-    """
+    """A list of Direction with labels of a user's None (all profiles), one input, a list or a dictionary {label: input}."""
     if given is None:
         given = [name for name in known_inputs(model) if name]
     if not isinstance(given, (list, dict)):
@@ -100,29 +99,23 @@ MOTION = {"position": 0, "velocity": 1, "acceleration": 2}
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """labels: of its components. along(moved, mu): their changes, (components, k), where q, v and a change by the three of `moved`,
-    (n, k) each, and lam by mu (m, k)."""
+    """Components with labels; along(moved, mu): their changes, (components, k), for changes `moved` of q, v and a, (n, k), and mu of lam."""
 
     labels: tuple[str, ...]
     along: Callable[[tuple[NDArray, NDArray, NDArray], NDArray], NDArray]
 
 
 def outputs_of(part, model, state, given):
-    """A list of Output of what a user gives: None, one, a list or a dictionary {label: one}. Raises InputError, in the name of `part`."""
-    if given is None:
-        given = default(model)
+    """A list of Output of a user's None, one output, a list or a dictionary {label: output}."""
+    if given is None:  # the places of all masses and loads; without any, all of q
+        given = [name for name, thing in model.parts.items() if isinstance(getattr(thing, "at", None), Attachment)]
+        given = given or {f"q[{k}]": row for k, row in enumerate(np.eye(model.n))}
     if isinstance(given, (dict, list)) and not given:
         raise InputError(f"{part}: output {given!r} names nothing to look at; leave it out for masses, loads or all coordinates")
     if isinstance(given, dict):
         return [_output(part, model, state, one, str(label)) for label, one in given.items()]
     given = given if isinstance(given, list) else [given]
     return [_output(part, model, state, one, None) for one in given]
-
-
-def default(model):
-    """The places of all masses and loads; without any, all of q."""
-    names = [name for name, thing in model.parts.items() if isinstance(getattr(thing, "at", None), Attachment)]
-    return names or {f"q[{k}]": row for k, row in enumerate(np.eye(model.n))}
 
 
 def labels_of(outputs):
@@ -182,11 +175,19 @@ def _slope(function, X):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """`x' = A x + B u`, `y = C x + D u`, all of them changes from a state; what `pi.linearise` gives.
+    """State space `x' = A x + B u`, `y = C x + D u` of changes from a state; the result of `pi.linearise`.
 
-    x = (z, z', value and rate of each motor): z (d,) independent coordinates with unit mass, d their number. inputs, outputs: names of u
-    and y. motors: those of the inputs that are motors, whose u is the second derivative of the profile's value (rad/s^2 of an angle): so
-    velocities and reactions depend on u alone. shapes: (d + motors, n), how q moves with z and with the motors' values.
+    x = (z, z', value and rate of each motor), with d independent coordinates z of unit mass.
+
+    Parameters
+    ----------
+    A, B, C, D : matrices
+    inputs, outputs : tuple of str
+        Names of u and y.
+    motors : tuple of str
+        The inputs that are motors; their u is the second derivative of the profile's value (rad/s^2 of an angle).
+    shapes : (d + motors, n) float
+        Changes of q with z and with the motors' values.
     """
 
     A: NDArray
@@ -201,18 +202,18 @@ class StateSpace:
     __repr__ = brief
 
     def to_scipy(self) -> Any:
-        """The same as a `scipy.signal.StateSpace`."""
+        """Return a `scipy.signal.StateSpace`."""
         from scipy.signal import StateSpace as Scipy
 
         return Scipy(self.A, self.B, self.C, self.D)
 
     def response(self, frequencies: ArrayLike) -> NDArray:
-        """`C (i omega - A)^-1 B + D` at frequencies (k,), Hz: complex, (k, outputs, inputs)."""
+        """Return `C (i omega - A)^-1 B + D` at frequencies (k,), Hz: complex, (k, outputs, inputs)."""
         one = np.eye(len(self.A))
         return np.array([self.C @ np.linalg.solve(2j * np.pi * f * one - self.A, self.B) + self.D for f in np.atleast_1d(frequencies)])
 
     def displacements(self, x: ArrayLike) -> NDArray:
-        """Changes of q (..., n) in states x (..., states)."""
+        """Return changes of q (..., n) for states x (..., states)."""
         x, d = np.asarray(x), (len(self.A) - 2 * len(self.motors)) // 2
         return np.concatenate([x[..., :d], x[..., 2 * d : 2 * d + len(self.motors)]], axis=-1) @ self.shapes
 
@@ -221,19 +222,38 @@ class StateSpace:
 def linearise(
     model: Model, state: State | None = None, inputs: Any = None, outputs: Any = None, modes: Modes | int | None = None
 ) -> StateSpace:
-    """The StateSpace of a model's small motions about a state at rest: one of `pi.static`, or q = 0 as it is drawn where it is None.
+    """Linearise a model about a state at rest.
 
-    inputs: names of loads and motors with a profile (all of them where it is None), vectors (n,) of generalised force, functions of q that
-    give these: one, a list, or {name: input}. A load's u is its profile's value; a motor's is the second derivative of that, its value and
-    rate are states. outputs: names (or attachments) for their places, (name, kind) with kind "position", "velocity", "acceleration" or
-    "reaction" (of a joint), vectors w (n,) for `w^T q`: one, a list, or {name: output}; by default the places of all masses and
-    loads, or all of q.
-    modes: how many modes, or which, are the coordinates; by default all n - m, an orthonormal basis of what the constraints allow: A's
-    eigenvalues are the roots of `pi.modes(..., damped=True)`, and two zeros a motor.
-    Raises InputError for an input or output that there is not, naming those that there are, and as `pi.modes`.
+    Parameters
+    ----------
+    model : Model
+    state : State, optional
+        One of `pi.static`; by default q = 0.
+    inputs : optional
+        One input, a list, or {name: input}: the name of a load or motor with a profile, a vector (n,) of generalised force, or a function of
+        q that returns one. By default all loads and motors with a profile. u of a load is its profile's value, u of a motor the second
+        derivative of that; the motor's value and rate are states.
+    outputs : optional
+        One output, a list, or {name: output}: a name or attachment for its place, (name, kind) with kind "position", "velocity",
+        "acceleration" or "reaction" (of a joint), or a vector w (n,) for `w^T q`. By default the places of all masses and loads, or all of q.
+    modes : int or Modes, optional
+        Number of modes, or the modes, that are the coordinates. By default all n - m, an orthonormal basis on the constraints: then the
+        eigenvalues of A are the roots of `pi.modes(..., damped=True)`, and two zeros for each motor.
 
-        system = pi.linearise(model, pi.static(model), inputs="wind", outputs=["tip", ("tip", "velocity")])
-        t, y, _ = scipy.signal.lsim(system.to_scipy(), u, t)
+    Returns
+    -------
+    StateSpace
+        Its matrices and names.
+
+    Raises
+    ------
+    InputError
+        For an unknown input or output, and as `pi.modes`.
+
+    Examples
+    --------
+    >>> system = pi.linearise(model, pi.static(model), inputs="wind", outputs=["tip", ("tip", "velocity")])  # doctest: +SKIP
+    >>> t, y, _ = scipy.signal.lsim(system.to_scipy(), u, t)  # doctest: +SKIP
     """
     system = linear_system("linearise", model, state)
     given = inputs_of("linearise", system.model, system.state, inputs)
@@ -247,7 +267,7 @@ def linearise(
 
 
 def _matrices(of, motors, outputs):
-    """A, B, C and D: what each column of states and inputs by one does to x, x', x'' and the multipliers.
+    """A, B, C and D from x, x', x'' and the multipliers for each state and input equal to one.
 
         z  z'  value  rate  u                 z  z'  value  rate  u
     x   T  0   G      0     0        force    0  0   f      0     f of loads
@@ -276,9 +296,15 @@ def _matrices(of, motors, outputs):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """What `pi.frequency_response` gives: outputs y of an input `u = e^(i omega t)`.
+    """Outputs y of an input `u = e^(i omega t)`; the result of `pi.frequency_response`.
 
-    frequencies: (k,), Hz. values: complex, (k, outputs), y over u. input, outputs: their names.
+    Parameters
+    ----------
+    frequencies : (k,) float, Hz
+    values : (k, outputs) complex
+        y / u.
+    input : str
+    outputs : tuple of str
     """
 
     frequencies: NDArray
@@ -295,11 +321,11 @@ class FrequencyResponse:
 
     @property
     def phase(self) -> NDArray:
-        """By how much y is ahead of u, (k, outputs), rad, from -pi to pi."""
+        """The phase by which y leads u, (k, outputs), rad, from -pi to pi."""
         return np.angle(self.values)
 
     def plot(self) -> Any:
-        """A matplotlib Figure: amplitude and phase of each output against frequency."""
+        """Return a matplotlib Figure of amplitude and phase of each output against frequency."""
         from polyida.show.small_motions import response
 
         return response(self.frequencies, self.values, self.input, self.outputs)
@@ -309,16 +335,33 @@ class FrequencyResponse:
 def frequency_response(
     model: Model, state: State | None, input: Any, output: Any, frequencies: ArrayLike, modes: Modes | int | None = None
 ) -> FrequencyResponse:
-    """The FrequencyResponse of a model about a state at rest (None: q = 0 as it is drawn) to one input, at frequencies (k,), Hz:
+    """Compute the steady response to one harmonic input.
 
         [ K + i omega C - omega^2 M   B^T ] [ x  ]   [  force ]
         [ B                            0  ] [ mu ] = [ -row   ]        omega = 2 pi f
 
-    input: the name of a load or motor with a profile, by the value of which the response is counted (1, or 1 rad); a vector (n,) of
-    generalised force, or a function of q that gives one. output: as one or several of `pi.linearise`. modes: None for the whole system,
-    factored at each frequency; or how many modes, or which, x is made of, beside what a motor moves at once: what the others
-    would do, also at rest, is left out.
-    Values are infinite where an undamped mode is met exactly. Raises InputError as `pi.linearise`.
+    Parameters
+    ----------
+    model : Model
+    state : State or None
+        At rest; None for q = 0.
+    input : str, (n,) float or function
+        A load or motor with a profile, whose value is u; a vector of generalised force, or a function of q that returns one.
+    output : as `outputs` of `pi.linearise`
+    frequencies : (k,) float, Hz
+    modes : int or Modes, optional
+        x is made of these modes and of the immediate motion by a motor; the static response of the other modes is missing. By default the
+        whole system is factored at each frequency.
+
+    Returns
+    -------
+    FrequencyResponse
+        Infinite at the frequency of an undamped mode.
+
+    Raises
+    ------
+    InputError
+        As `pi.linearise`.
     """
     system = linear_system("frequency_response", model, state)
     given = floats(frequencies)

@@ -1,4 +1,6 @@
-"""What a model says of itself, looked at before a run: promises of its `needs`, derivatives of phi, energies with forces as their slope."""
+"""Checks of a model before a run: its `needs`, derivatives of phi, and energies whose slopes are forces; `check_derivatives`."""
+
+from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
@@ -13,19 +15,20 @@ from polyida.model.guarded import SAME, guard, require_constraints, require_func
 from polyida.registry import is_built_in
 from polyida.validation import floats, is_number, is_whole, named_keywords
 
-REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
-SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known
-AGREES = 1e-5  # of its size, by which a derivative may be off
-DOUBT = 10.0  # times by how much differences disagree
+REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: distance of a random state from the start, the first for which phi is finite
+SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: if two of them agree, the difference is known
+AGREES = 1e-5  # of its size: accepted error of a derivative
+DOUBT = 10.0  # times the disagreement of differences
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
-RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at places drawn at random
-MOMENTS = 8  # times at which phi is looked at
+RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at random places
+MOMENTS = 8  # times at which phi is evaluated
 VELOCITY_ROWS = '; a velocity constraint that has no phi needs IDA(form="index2", nonholonomic=True), or "index1"'
 
 
 def energies(model, t, q):
-    """(part, its energy of places x, J, minus the slope that it must have there, or None, x at q, sizes of x): of bodies and force elements
-    of a scene, or of a model of one's own.
+    """Yield (part, energy(x), forces(x), x at q, sizes of x) of bodies and force elements of a scene, or of a user's model.
+
+    x: places. forces: minus the slope that the energy must have, or None if it need not.
     """
     if not model.is_scene:
 
@@ -42,9 +45,9 @@ def energies(model, t, q):
 
 
 def require_energies(model, t, q, strain_only=False):
-    """Raise InputError for an energy that forces at v = 0 are not the falling slope of, at two places drawn at random near q (n,).
+    """Raise InputError unless the forces at v = 0 of users' parts and models are minus the slope of their energies.
 
-    It is looked at of bodies of one's own (strain_only), and of force elements and models of one's own that say that they are conservative.
+    Compared are bodies (with strain_only bodies alone), force elements and models that are conservative, at two random places near q (n,).
     """
     random = np.random.default_rng(0)
     for part, energy, forces, x, sizes in energies(model, t, q):
@@ -61,7 +64,7 @@ def require_energies(model, t, q, strain_only=False):
 
 
 def _wrong_slope(energy, forces, x, sizes, random):
-    """What forces say of the slope of an energy near x, along a direction, and what differences do; empty where they agree or say nothing."""
+    """The slope of an energy near x along a direction by forces and by differences, in words; empty if they agree or are unknown."""
     for reach in (0.3, 0.03):
         place, d = x + reach * sizes * random.standard_normal(x.shape), sizes * random.standard_normal(x.shape)
         with suppress(*RAISED), np.errstate(all="ignore"):
@@ -77,12 +80,11 @@ def _wrong_slope(energy, forces, x, sizes, random):
 
 
 def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
-    """Raise InputError where a function of a model gives what is wrong or not finite at (t, q, v), where the model breaks a promise of its
-    `needs`, and where it writes a wrong derivative of phi.
+    """Raise InputError for a wrong or not finite value at (t, q, v), for wrong `needs`, and for a wrong derivative of phi that is written.
 
-    The last two are looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or
-    raises, is passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
-    constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
+    Needs and derivatives are compared at two random states near q and v (n,), at times between t and t_end. Values that are not finite
+    there, exceptions, and derivatives whose differences with different steps disagree, as beside a kink, are ignored. nonholonomic: phi_rate
+    is a constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
     """
     require_functions(model, t, q, v)
     if model.is_scene:
@@ -98,7 +100,7 @@ def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
 
 
 def _near(model, t, t_end, q, v, random, reaches):
-    """(times, q, v) beside a state where the model's functions are finite, or None."""
+    """(times, q, v) near a state at which the model's functions are finite, or None."""
     times = t + (t_end - t) * np.array([*(0.2 + 0.6 * random.random(MOMENTS)), 0.0, 1.0])
     drawn = [random.standard_normal(model.n) for _ in range(2)]
     for reach in reaches:
@@ -117,7 +119,7 @@ def _size(x, otherwise=1.0):
 
 
 def _require_needs(model, times, q, v, random):
-    """Raise InputError for a promise that does not hold."""
+    """Raise InputError if one of `needs` is False and should be True."""
     needs, d = model.needs, 1e-3 * _size(q) * random.standard_normal(model.n)
     t, other = times[0], _size(v) * random.standard_normal(model.n)
     promises = [
@@ -138,7 +140,7 @@ def _require_needs(model, times, q, v, random):
 
 
 def _change(calls):
-    """The largest change of an entry from the first call's on, None where it is none but round-off."""
+    """The largest change of an entry from that of the first call, None if it is round-off."""
     values = []
     for call in calls:
         with suppress(*RAISED):
@@ -154,7 +156,7 @@ def _largest(array):
 
 
 def _require_derivatives(model, times, q, v, random, nonholonomic):
-    """Raise InputError for a derivative of phi that is written and wrong."""
+    """Raise InputError for a wrong derivative of phi that is written."""
     if not model.m:
         return
     t, ends = times[0], (times.min() - times[0], times.max() - times[0])
@@ -192,7 +194,7 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
 
 
 def _wrong(call, function, scale, room, order, size):
-    """What a derivative that is written gives, and what differences of the function do, in words; empty where they agree, or none is known."""
+    """A derivative that is written and differences of the function, in words; empty if they agree, or if the differences are unknown."""
     with suppress(*RAISED):
         written, (found, doubt) = np.asarray(call()), _known(function, scale, room, order, size)
         off = np.abs(written - found) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(found))
@@ -203,7 +205,7 @@ def _wrong(call, function, scale, room, order, size):
 
 
 def _known(function, scale, room, order, size):
-    """(derivative, doubt), (m,) each: by the longest differences, of SCALES, from which shorter ones differ by round-off alone, or by least."""
+    """(derivative, uncertainty), (m,) each, by the longest differences of SCALES from which shorter ones differ by round-off alone, or least."""
     steps = [differences.FIRST_ORDER_STEP * scale * part for part in SCALES]
     found = [differences.within(function, room, step, order) for step in steps]
     noise = [ROUND * (np.abs(np.asarray(function(0.0))) + size()) / step**order for step in steps]
@@ -213,10 +215,10 @@ def _known(function, scale, room, order, size):
     return found[best], doubts[best]
 
 
-ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
-TRIES = 8  # states that are drawn until forces are finite
-ONE_SIDED = 8  # by how much more of it a difference beside a kink has
-FINER = 1.0 / 8.0  # of the steps of differences, at which they are taken again: beside a kink they are others
+ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of its function
+TRIES = 8  # random states until forces are finite
+ONE_SIDED = 8  # factor of the round-off of a difference beside a kink
+FINER = 1.0 / 8.0  # of the steps of differences, which are repeated with it: beside a kink the results differ
 
 
 @named_keywords
@@ -229,11 +231,25 @@ def check_derivatives(
     lam: ArrayLike | None = None,
     seed: int = 0,
 ) -> dict[str, float]:
-    """Compare every derivative of a model with differences of what it is the derivative of.
+    """Compare every derivative of a model with differences.
 
-    States that are not given are drawn at random (q of size 1, v of size 1), where forces are finite. Returns {name: relative error}, the
-    largest deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong. What round-off of the
-    force leaves of its differences is none: where forces are large, as of plates bent at random, small slopes are seen less sharply.
+    The round-off of differences is subtracted: if forces are large, as of plates bent at random, errors of small slopes are less visible.
+
+    Parameters
+    ----------
+    model : Model
+    t : float, s
+    q, v, a : (n,) float, optional
+        By default random, of size 1, with finite forces.
+    lam : (m,) float, optional
+        By default random, of size 1.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    dict
+        {name: largest deviation over the largest entry}; about 1e-9 for a correct derivative, about 1 for a wrong one.
     """
     model = guard(model, "check_derivatives")
     if not (is_number(t) and is_whole(seed, 0)):
@@ -262,7 +278,7 @@ def check_derivatives(
         pairs |= {
             "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
             "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
+            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), bounds=model._smooth(t))),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
     for name in model.parameters:
@@ -296,13 +312,13 @@ def check_derivatives(
 
 
 def _slope(function, size):
-    """(slope at 0 of a function of (size,) by differences, (size,), how far it may be off: beside a kink, finer ones are others)."""
+    """(slope at 0 of a function of (size,) by differences, (size,), its uncertainty from differences with finer steps)."""
     one, finer = (differences.jacobian(lambda s, part=part: function(part * s), np.zeros(size), 1)[0] / part for part in (1.0, FINER))
     return one, DOUBT * np.abs(one - finer).max()
 
 
 def _drawn(model, t, random, given):
-    """q, v and a, those that are None drawn at random until forces are finite."""
+    """q, v and a, random if None, with finite forces."""
     for _ in range(TRIES):
         q, v, a = (random.standard_normal(model.n) if x is None else x for x in given)
         if np.isfinite(model.force(t, q, v)).all():

@@ -8,53 +8,50 @@ import numpy as np
 FIRST_ORDER_STEP = np.finfo(float).eps ** (1 / 5)  # balances the h^4 truncation against round-off / h
 NEAR = np.finfo(float).eps ** (1 / 3)  # step of slopes of phi_q, which only Newton sees: two values are enough
 EVERYWHERE = (-np.inf, np.inf)
-LATER = 0.37  # s: when forces are looked at again, whether time is in them
+LATER = 0.37  # s: a later time at which forces are evaluated to see if they depend on time
 SPACES = 6  # between the values of a difference that is not central
 
 
-def along(function, scale=1.0, room=EVERYWHERE):
-    """Derivative d/ds function(s) at s = 0, fourth order central, or by `within` where there is no room for that.
+def along(function, scale=1.0, bounds=EVERYWHERE):
+    """Derivative d/ds function(s) at s = 0, by fourth-order central differences, or by `within` near a bound of s.
 
-    Parameters: `function` of one float, returning an array, which may be the same one each time; `scale`, the size of s
-    over which it varies; `room`, the range of s around 0 in which it is smooth: where that is short on one side, values
-    are taken from the other.
-    Returns an array of the same shape. The error is about eps^(4/5) of the function's size over `scale`; in little
-    room round-off grows.
+    function: of one float, returns an array, which may be the same one each time. scale: the size of s over which it varies. bounds: the
+    range of s around 0 in which it is smooth. The error is about eps^(4/5) of the function's size over `scale`; near bounds round-off grows.
     """
     step = FIRST_ORDER_STEP * scale
-    if room[0] > -2 * step or room[1] < 2 * step:
-        return within(function, room, step)
+    if bounds[0] > -2 * step or bounds[1] < 2 * step:
+        return within(function, bounds, step)
     near = np.array(function(step)) - function(-step)
     far = np.array(function(2 * step)) - function(-2 * step)
     return (8 * near - far) / (12 * step)
 
 
 def bend(function, here, scale):
-    """(first, second) derivative of function(s) at s = 0, where it is `here`, from values on both sides; the second to few digits."""
+    """(first, second) derivative of function(s) at s = 0, where its value is `here`, by central differences; the second to few digits."""
     step = NEAR * scale
     ahead, behind = np.array(function(step)), np.array(function(-step))
     return (ahead - behind) / (2 * step), (ahead - here + behind - here) / step**2
 
 
 def reach_along(q, direction):
-    """The s over which q + s direction moves by its own size, and by 1 where q is less; at most 1."""
+    """The s for which `s direction` has the size of q, at least 1; s is at most 1."""
     size, pace = 1.0 + np.abs(q).max(initial=0.0), np.abs(direction).max(initial=0.0)
     return float(size / pace) if pace > size else 1.0
 
 
 def central(scale=1.0):
-    """(s, weight) of the values that `along` takes where there is room, the derivative being their weighted sum."""
+    """(s, weight) of the central difference of `along`: the derivative is the weighted sum of the values."""
     step = FIRST_ORDER_STEP * scale
     return tuple((k * step, weight / (12 * step)) for k, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)))
 
 
-def within(function, room, step, order=1):
-    """Derivative of order 1 or 2 at s = 0 from 7 values of the function `step` apart, or nearer, all inside of `room`.
+def within(function, bounds, step, order=1):
+    """Derivative of order 1 or 2 at s = 0 from 7 values of the function `step` apart, or nearer, all inside of `bounds`.
 
-    It is that of the polynomial through them, of fifth order in the step or higher, from the right where room[0] = 0. room: numbers, or
-    arrays of one shape, which `function` then takes and gives.
+    It is that of the polynomial through them, of fifth order in the step or higher, one-sided from the right if bounds[0] = 0. bounds:
+    numbers, or arrays of one shape, which `function` then takes and returns.
     """
-    low, high = room
+    low, high = bounds
     least, most = (np.minimum, np.maximum) if np.ndim(low) else (min, max)
     step = least(step, (high - low) / (SPACES + 2))
     first = least(most(-SPACES / 2 * step, low + step / 8), high - step / 8 - SPACES * step)
@@ -69,7 +66,7 @@ def within(function, room, step, order=1):
 
 
 def around(kinks, t):
-    """The range of s in which t + s meets none of the kinks, which are sorted, behind one that is at t itself."""
+    """The range of s in which t + s is at none of the sorted kinks; after a kink that is at t itself."""
     k = np.searchsorted(kinks, t, side="right")
     return float(kinks[k - 1] - t) if k else -np.inf, float(kinks[k] - t) if k < len(kinks) else np.inf
 

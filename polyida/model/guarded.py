@@ -1,7 +1,4 @@
-"""The one place through which a user's model is called: arguments read-only, results looked at and copied.
-
-A scene is compiled and tested; it is called as it is and pays nothing.
-"""
+"""Guarded: a user's model with read-only arguments and checked, copied results. The model of a scene is called directly."""
 
 from collections import defaultdict
 from inspect import signature
@@ -17,12 +14,12 @@ from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.validation import floats, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)
-SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
-REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
+SAME = 1e-8  # largest entry of M - M^T, or of a change of M, over that of M: above it M is not symmetric, or varies
+REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, range of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
-MOST = 50  # coordinates and constraints of a model whose steps are compiled throughout
-SHAPES = {  # of what the functions return, in n and m
+MOST = 50  # coordinates and constraints of a model with compiled steps
+SHAPES = {  # of the returned arrays, in n and m
     "mass": "nn",
     "force": "n",
     "phi": "m",
@@ -42,7 +39,7 @@ SHAPES = {  # of what the functions return, in n and m
 }
 OF_STEPS = tuple(name for name in SHAPES if name not in ("potential", "tangent", "phi_rate", "phi_rate_q", "phi_bias_q"))  # for tables
 CHECKED = tuple(name for name in SHAPES if name != "potential")
-ANSWERS = {  # what other functions return, and what that is called
+ANSWERS = {  # {function: (check of its value, description)}
     "potential": (lambda found: found is None or is_number(found), "a finite number or None"),
     "momenta": (lambda found: found is None or np.shape(floats(found)) == (3,), "three finite numbers px, py, L, or None"),
     "powers": (
@@ -50,25 +47,22 @@ ANSWERS = {  # what other functions return, and what that is called
         "{name: finite number}",
     ),
 }
-OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
+OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default they call checked functions
 
 
 def guard(model, part="solve"):
-    """The model as integrators call it: Guarded where it is a user's own, itself where it is a scene or guarded already.
-
-    Raises InputError, in the name of `part`, for what is no model or has no sizes.
-    """
+    """The model of a scene, or a user's model as a Guarded. Raises InputError, in the name of `part`, if it is no model or has no sizes."""
     require_model(part, model)
     return model if isinstance(model, Guarded) or model.is_scene else Guarded(model)
 
 
 def unguarded(model):
-    """The model as it was given."""
+    """The user's model."""
     return model.user if isinstance(model, Guarded) else model
 
 
 def require_functions(model, t, q, v):
-    """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
+    """Call each function of a guarded model once; raise InputError for a wrong or not finite result."""
     if model.compiled and not model.own_forces:
         return
     require_constraints(model)
@@ -81,14 +75,14 @@ def require_functions(model, t, q, v):
 
 
 def require_constraints(model):
-    """Raise InputError where a guarded model says that it has constraints, and does not write them."""
+    """Raise InputError if a guarded model has m > 0 and does not write phi and phi_q."""
     for name in ("phi", "phi_q") if model.m and not model.is_scene else ():
         if not writes(model.user, name):
             raise InputError(f"{model.name}: m = {model.m} constraints, but its class gives no {name}(t, q)")
 
 
 def blame(model, t, state):
-    """Which of a user's functions gave what is not finite, when last called, or around t, at the state or where it is going."""
+    """The user's functions that returned what is not finite, when last called or around t at the state or ahead of it, in words."""
     if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
     for at, ahead in product(t + REACH, (0.0, 1.0)):
@@ -104,12 +98,12 @@ def blame(model, t, state):
 
 
 def shape_of(name, model):
-    """The shape of what a function returns."""
+    """The shape of the array that a function returns."""
     return tuple({"n": model.n, "m": model.m}[letter] for letter in SHAPES[name])
 
 
 def _view(given):
-    """An array so that nobody can write it; anything else as it is."""
+    """A read-only view of an array; anything else as it is."""
     if isinstance(given, np.ndarray):
         given = given.view()
         given.setflags(False)
@@ -117,11 +111,10 @@ def _view(given):
 
 
 class Guarded(Model):
-    """A user's model whose functions, as far as it writes them, are called through `_checked`; the others are Model's own.
+    """A user's model whose own functions are called through `_checked`; the others are Model's defaults.
 
-    A function that returns complex numbers, objects, another shape than it must, or an M that is not symmetric, is an
-    InputError that names it; so is one that writes into its arguments. Numbers that are not finite are the integrator's
-    to refuse, with a shorter step perhaps: `not_finite` says who gave them last. All else is the user's model's.
+    A function that returns complex numbers, objects, a wrong shape, or an M that is not symmetric, raises InputError with its name; so does
+    one that writes into its arguments. The integrator handles numbers that are not finite; `not_finite` names their functions.
     """
 
     def __init__(self, model):
@@ -157,13 +150,13 @@ class Guarded(Model):
             setattr(self, name, getattr(self.user, name))
 
     def __getattr__(self, name):
-        """What an integrator of a user's own asks of a model of theirs, by names that no Model has."""
+        """Other attributes of the user's model, for a user's own integrator."""
         if name == "user":
             raise AttributeError(name)
         return getattr(self.user, name)
 
     def _checked(self, name, function, shape):
-        """The function with its arguments read-only and its result copied: it may be filled again and again."""
+        """The function with read-only arguments and a copied result: it may return one array again and again."""
         last = self._last[name]
 
         def call(*seen):
@@ -177,13 +170,13 @@ class Guarded(Model):
                 raise InputError(f"{self.name}.{name} {wrong}") from error
             if not (type(found) is np.ndarray and found.dtype is FLOAT and found.shape == shape):
                 self._require(name, found, shape)
-                sparse = getattr(found, "format", "csr") not in ("csr", "csc")  # of diagonals and the like, without all operations
+                sparse = getattr(found, "format", "csr") not in ("csr", "csc")  # other formats lack operations
                 found = (found.tocsr() if sparse else found).astype(float)
             last[1] = found
             return found
 
         checked = lambda *given: call(*map(_view, given)).copy()  # noqa: E731
-        checked.given = call  # for who gives arrays that cannot be written, and copies the result
+        checked.given = call  # for callers with read-only arrays that copy the result
         return checked
 
     def _require(self, name, found, shape):
@@ -194,7 +187,7 @@ class Guarded(Model):
             raise InputError(f"{part} of real numbers, not of {found.dtype}")
 
     def _mass(self, q):
-        """M, looked at at the 1st, 2nd, 4th, 8th ... call; where it is said not to vary, made only then."""
+        """M, checked at the 1st, 2nd, 4th, 8th ... call; a constant M is evaluated only then."""
         self._calls += 1
         due = not self._calls & (self._calls - 1)
         if due or self.needs.mass_varies:
@@ -211,7 +204,7 @@ class Guarded(Model):
         return self._constant
 
     def _kinks(self, t0, t1):
-        """As the model says, sorted."""
+        """The model's kinks, sorted."""
         given = self.user.kinks(t0, t1)
         if type(given) in (tuple, list) and not given:
             return ()
@@ -222,7 +215,6 @@ class Guarded(Model):
 
     @property
     def switching(self):
-        """As the model says."""
         return self.user.switching
 
     def _gaps(self, t, q):
@@ -238,15 +230,12 @@ class Guarded(Model):
             self.phi(t, q), self.phi_q(t, q)
 
     def replaced(self, name, value):
-        """As the model says, guarded."""
         return guard(self.user.replaced(name, value), f"{self.name}.replaced")
 
     def residual_p(self, name, t, q, v, a, lam):
-        """As the model says, (n, ...) as the parameter is."""
         return self._slope("residual_p", self.n, name, t, q, v, a, lam)
 
     def phi_p(self, name, t, q):
-        """As the model says, (m, ...) as the parameter is."""
         return self._slope("phi_p", self.m, name, t, q)
 
     def _slope(self, function, size, name, t, *state):
@@ -260,7 +249,7 @@ class Guarded(Model):
         return given
 
     def _answer(self, name, right, wanted):
-        """The function with its arguments read-only; InputError where its result is not right."""
+        """The function with read-only arguments; it raises InputError for a wrong result."""
 
         def call(*given):
             found = getattr(self.user, name)(*map(_view, given))
@@ -272,7 +261,7 @@ class Guarded(Model):
 
     @property
     def not_finite(self):
-        """Which of the model's functions last gave what is not finite for arguments that are, in words; empty where none."""
+        """The functions that last returned what is not finite for finite arguments, in words; or ""."""
         bad = [
             f"{self.name}.{name}"
             for name, (given, found) in self._last.items()
@@ -286,12 +275,12 @@ def _entries(found):
 
 
 def writes(model, name):
-    """Whether a model writes a function of Model's anew."""
+    """True if a model overrides a function of Model."""
     return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)
 
 
 class Compiled:
-    """The C functions that a model writes, {name: address}, and `data`, the address of what they read as self. Raises InputError."""
+    """C functions of a model, {name: address}, and `data`, the address of the values that they read from self. Raises InputError."""
 
     def __init__(self, guarded, wanted=OF_STEPS):
         model, n, m = guarded.user, guarded.n, guarded.m
@@ -303,7 +292,7 @@ class Compiled:
         self.data = self.own.words.ctypes.data
 
     def calls(self):
-        """{name: function of Python that calls the C function}. They raise StepFailure."""
+        """{name: Python function that calls the C function}. They raise StepFailure."""
         return {name: self._call(name, self.functions[name].__qualname__, CALLBACK(address)) for name, address in self.addresses.items()}
 
     def _call(self, name, label, function):

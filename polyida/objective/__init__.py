@@ -1,4 +1,4 @@
-"""Objectives: what a design is judged by, functions of a run with their slopes. `2.0 * one + other` is one too."""
+"""Objectives of a design: functions of a run with their derivatives. `2.0 * one + other` is an objective too."""
 
 from polyida.objective.frequency import Frequency
 from polyida.objective.objective import Objective, Slopes, UserObjective
@@ -7,3 +7,7 @@ from polyida.objective.peak_stress import PeakStress, StrainEnergy
 from polyida.objective.time_mean import Compliance, Deviation
 
 __all__ = ["Compliance", "Deviation", "Frequency", "Objective", "UserObjective", "PeakReaction", "PeakStress", "Slopes", "StrainEnergy"]
+
+
+def __dir__():
+    return __all__

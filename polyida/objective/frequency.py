@@ -1,4 +1,6 @@
-"""How fast a structure swings."""
+"""Natural frequency of a structure as an objective."""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,19 +14,28 @@ from polyida.model.guarded import guard
 from polyida.objective.objective import Objective, Slopes, along_way, reach, run_of
 from polyida.validation import is_whole, named_keywords
 
-APART = 1e-6  # of omega^2: nearer frequencies are one, whose shapes nothing tells apart
+APART = 1e-6  # of omega^2: nearer frequencies are equal, and their shapes are not unique
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Frequency(Objective):
-    """Frequency of an undamped mode, Hz: of `pi.modes` one of theirs, of a run or an equilibrium that of its model at rest.
+    """Frequency of an undamped mode, Hz: one of `pi.modes`; of a run or an equilibrium that of its model at rest.
 
         d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
 
-    At rest is q = 0 at t = 0 without loads, as `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` holds by how
-    much that moves with each parameter; any other state is held as it is. number: 0 is the slowest. Raises InputError for what is no such
-    number, for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several of one frequency.
+    At rest is q = 0 at t = 0 without loads, as in `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` includes the
+    motion of the equilibrium with each parameter; any other state is fixed.
+
+    Parameters
+    ----------
+    number : int
+        Of the mode; 0 is the slowest.
+
+    Raises
+    ------
+    InputError
+        For a wrong number, for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several with the same frequency.
     """
 
     number: int = 0
@@ -37,7 +48,7 @@ class Frequency(Objective):
         return float(self._modes(run_of("Frequency", run), self.number + 1).frequencies[self.number])
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """All of them with the last frame; those in q and lam are of the modes' own state."""
+        """Return a function of a slice of frames: all slopes are those of the last frame; q and lam are of the modes' state."""
         run = run_of("Frequency", run)
         modes = self._modes(run, self.number + 2)
         squares = np.real(-(modes.roots**2))  # omega^2, 1/s^2
@@ -56,7 +67,7 @@ class Frequency(Objective):
         return lambda part: found if part.indices(len(run.t))[1] == len(run.t) else Slopes()
 
     def _modes(self, run, count):
-        """Modes enough, those of the run where it has them. Raises InputError where there are not so many."""
+        """At least `count` modes, or all; those of the run if it has them. Raises InputError if the model has fewer than `number` needs."""
         from polyida.modal.modes import modes
 
         found = getattr(run, "modes", None)

@@ -1,4 +1,6 @@
-"""What is to be made small or large by a design: a function of a run, or of an equilibrium or modes as a run of one frame, with its slopes."""
+"""Objective: a function of a run with its derivatives; an equilibrium or modes are a run of one frame."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -18,13 +20,22 @@ SHARES = np.array([[1.0, 2.0 / 3.0], [-1.0, -2.0 / 3.0], [2.0, -1.0 / 12.0], [-2
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """dJ by the frames of a slice of a run: q, v, a (count, n), lam (count, m), t (count,), the times at which the frames are, or a
-    function without arguments that gives this, called where times move with a parameter; None where zero.
+    """Derivatives of an objective J in the frames of a slice of a run, and its direct derivatives in parameters. None is zero.
 
-    direct: {name of a parameter: dJ/dp at fixed frames}, this slice's share, such as "arm.stiffness" (cells,). work: more of the same
-    for every parameter, entries (t (k,), q, v, a (k, n), lam (k, m), w (k, n), mu (k, m)): dJ/dp holds the sum over them of
-    `w . dr/dp + mu . dphi/dp`; or None. of_model: this slice's share of J, to first order, as a function of the model at fixed frames: for
-    parameters that `direct` does not name, such as "arm.nu"; or None.
+    Parameters
+    ----------
+    q, v, a : (count, n) float, optional
+        dJ/dq, dJ/dv, dJ/da of the frames.
+    lam : (count, m) float, optional
+        dJ/dlam.
+    t : (count,) float or function () -> (count,) float, optional
+        dJ/dt in the times of the frames. The function is called if times depend on a parameter.
+    direct : dict, {name of a parameter: dJ/dp at fixed frames}
+        The part of this slice, such as "arm.stiffness" (cells,).
+    work : tuple (t (k,), q, v, a (k, n), lam (k, m), w (k, n), mu (k, m)), optional
+        Entries of every parameter: dJ/dp contains the sum over them of `w . dr/dp + mu . dphi/dp`.
+    of_model : function f(model) -> float, optional
+        The part of J of this slice, to first order, at fixed frames: for parameters that `direct` does not name, such as "arm.nu".
     """
 
     q: NDArray | None = None
@@ -37,18 +48,18 @@ class Slopes:
     of_model: Callable[[Any], float] | None = None
 
     def by_time(self) -> NDArray | None:
-        """t, (count,), or None."""
+        """Return t, (count,), or None; its function is called."""
         return self.t() if callable(self.t) else self.t
 
-    def times(self, factor: float) -> "Slopes":
-        """Those of J times a number."""
+    def times(self, factor: float) -> Slopes:
+        """Return the slopes of J times a number."""
         found: dict[str, Any] = {name: _times(factor, getattr(self, name)) for name in FRAMES}
         direct = {name: factor * value for name, value in self.direct.items()}
         work = None if self.work is None else (*self.work[:5], *(factor * x for x in self.work[5:]))
         return Slopes(**found, direct=direct, work=work, of_model=_times(factor, self.of_model))
 
-    def plus(self, other: "Slopes") -> "Slopes":
-        """Those of a sum of two objectives, of the same slice."""
+    def plus(self, other: Slopes) -> Slopes:
+        """Return the slopes of the sum of two objectives, of the same slice."""
         found: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
         direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
         works = [work for work in (self.work, other.work) if work is not None]
@@ -60,7 +71,7 @@ FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 
 def _times(factor, x):
-    """Of an array or a function, None where there is none."""
+    """factor x of an array or a function; None of None."""
     if callable(x):
         return lambda *given: factor * x(*given)
     return None if x is None else factor * x
@@ -79,14 +90,14 @@ def _value(x, given):
 
 
 def reach(model, q, way):
-    """The length along a way over which a model's functions vary, about."""
+    """The length along a direction `way` of q over which a model's functions vary, approximately."""
     return (model.extent or max(1.0, np.abs(q).max())) / (np.abs(way).max() or 1.0)
 
 
 def along_way(model, t, q, lam, way, w, mu):
-    """Entries of the `work` of Slopes whose sum is `d/ds (w . r + mu . phi)` at q + s way, a = 0: exact of plates, whose r is a cubic of s.
+    """Entries of `Slopes.work` whose sum is `d/ds (w . r + mu . phi)` at q + s way, a = 0; exact for plates, whose r is cubic in s.
 
-    What is linear about a state is so in every parameter too. q, way, w (n,), lam, mu (m,).
+    q, way, w (n,), lam, mu (m,).
     """
     step = FIRST_ORDER_STEP * reach(model, q, way)
     at, weight = SHARES[:, :1] * step, SHARES[:, 1:] / step
@@ -95,63 +106,70 @@ def along_way(model, t, q, lam, way, w, mu):
 
 
 class Objective:
-    """A number that a run, or an equilibrium as a run of one frame, is judged by: `objective(run)`, with `slopes`.
+    """Base class of objectives: a number `objective(run)` of a run, with its derivatives `slopes(run)`.
 
-    A run has model, t, q, v, a and lam. `2.0 * one + other`, `one - other` and `sum([...])` are objectives again.
+    A run has model, t, q, v, a and lam; an equilibrium is a run of one frame. `pi.gradient` calls `objective(run)` once for the value, then
+    `slopes(run)` once, and the function that it returns for slice after slice of the frames, from the last to the first. `2.0 * one +
+    other`, `one - other` and `sum([...])` are objectives again. UserObjective makes one of two functions.
     """
 
     def __call__(self, run: Any) -> float:
-        """Its value."""
+        """Return the value."""
         raise NotImplementedError(f"{type(self).__name__} gives no value")
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """A function of a slice of the run's frames that gives the Slopes there; its attribute `value` is J where that is known by then."""
+        """Return a function of a slice of frames that returns their Slopes; its attribute `value` is J if that is known by then."""
         raise NotImplementedError(f"{type(self).__name__} gives no slopes")
 
-    def named(self, model: Any) -> "Objective":
-        """The same with names in place of parts of a model: it may then be asked of one that has another number in a part."""
+    def named(self, model: Any) -> Objective:
+        """Return the objective with names instead of parts of a model, for models with other values of parameters."""
         return self
 
-    def __add__(self, other: "Objective") -> "Sum":
+    def __add__(self, other: Objective) -> Sum:
         return Sum((*_terms(self), *_terms(other)))
 
-    def __radd__(self, other: Any) -> "Objective":
+    def __radd__(self, other: Any) -> Objective:
         return self if is_number(other) and other == 0 else Sum((*_terms(other), *_terms(self)))
 
-    def __sub__(self, other: "Objective") -> "Sum":
+    def __sub__(self, other: Objective) -> Sum:
         return self + -_objective(other)
 
-    def __mul__(self, number: float) -> "Sum":
+    def __mul__(self, number: float) -> Sum:
         if not is_number(number):
             raise InputError(f"an objective is multiplied by {number!r:.100}; use a finite number")
         return Sum(tuple((float(number) * weight, part) for weight, part in _terms(self)))
 
     __rmul__ = __mul__
 
-    def __truediv__(self, number: float) -> "Sum":
+    def __truediv__(self, number: float) -> Sum:
         if not (is_number(number) and number != 0):
             raise InputError(f"an objective is divided by {number!r:.100}; use a finite number that is not zero")
         return self * (1.0 / number)
 
-    def __neg__(self) -> "Sum":
+    def __neg__(self) -> Sum:
         return self * -1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Sum(Objective):
-    """`sum of weight J`, terms (weight, objective)."""
+    """A weighted sum of objectives.
+
+    Parameters
+    ----------
+    terms : tuple of (weight, objective)
+    """
 
     terms: tuple[tuple[float, Objective], ...]
 
     def __call__(self, run: Any) -> float:
         return float(sum(weight * part(run) for weight, part in self.terms))
 
-    def named(self, model: Any) -> "Sum":
-        """All terms alike."""
+    def named(self, model: Any) -> Sum:
+        """Return the sum of the named terms."""
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """The sum of the terms' slopes."""
+        """Return a function of a slice of frames that returns the sum of the terms' slopes."""
         each = [(weight, part.slopes(run)) for weight, part in self.terms]
 
         def of(part):
@@ -165,18 +183,18 @@ class Sum(Objective):
         return of
 
 
-def asked(told: str, function: Callable, *given: Any, advice: str = "") -> Any:
-    """What a user's function gives. Raises InputError, which begins with `told`, where it raises."""
+def call_user(label: str, function: Callable, *given: Any, advice: str = "") -> Any:
+    """The value of a user's function; its exceptions become an InputError that begins with `label`."""
     try:
         return function(*given)
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"{told} raised {type(error).__name__}: {error}{advice}") from error
+        raise InputError(f"{label} raised {type(error).__name__}: {error}{advice}") from error
 
 
 def require_objective(part: str, given: Any) -> Objective:
-    """The objective. Raises InputError, in the name of `part`, for anything else."""
+    """The objective; InputError, in the name of `part`, for anything else."""
     if not isinstance(given, Objective):
         raise InputError(
             f"{part}: objective = {given!r:.100} must be one of pi.objective, such as pi.objective.UserObjective(value, slopes)"
@@ -192,8 +210,8 @@ def _terms(given):
     return given.terms if isinstance(given, Sum) else ((1.0, _objective(given)),)
 
 
-class Still(NamedTuple):
-    """A state of a model as a run of one frame; modes: about it, or None."""
+class OneFrame(NamedTuple):
+    """A state of a model as a run of one frame, with the modes about it or None."""
 
     model: Any
     t: NDArray
@@ -205,34 +223,43 @@ class Still(NamedTuple):
 
 
 def run_of(part: str, subject: Any) -> Any:
-    """What has model, t, q, v, a and lam. Raises InputError, in the name of `part`, for anything else."""
-    if isinstance(subject, Still):
+    """The run, or an equilibrium or modes as a OneFrame; InputError, in the name of `part`, for anything else."""
+    if isinstance(subject, OneFrame):
         return subject
     if isinstance(subject, Equilibrium):
-        return _still(subject.model, subject)
+        return _one_frame(subject.model, subject)
     if hasattr(subject, "roots") and hasattr(subject, "shapes"):
-        return _still(subject.model, subject.state, subject)
-    if not all(hasattr(subject, name) for name in Still._fields[:-1]) or not len(subject.t):
+        return _one_frame(subject.model, subject.state, subject)
+    if not all(hasattr(subject, name) for name in OneFrame._fields[:-1]) or not len(subject.t):
         raise InputError(f"{part}: {subject!r:.100} is no run with frames, no equilibrium of pi.static and no pi.modes")
     if subject.model is None and hasattr(subject, "known_model"):
         subject.known_model(part)
     return subject
 
 
-def _still(model, state, modes=None):
+def _one_frame(model, state, modes=None):
     frames = (np.asarray(x, float)[None] for x in (state.t, state.q, state.v, state.a, state.lam))
-    return Still(model, *frames, modes)
+    return OneFrame(model, *frames, modes)
 
 
 @named_keywords
 class UserObjective(Objective):
-    """A function of a run with its slopes, both written by the user.
+    """An objective made of two functions of the user.
 
-    value(run) -> J. slopes(run) -> {"q": dJ/dq (frames, n), "v", "a": alike, "lam": (frames, m), "t": (frames,)} in all frames; what is not
-    there is zero. Where J depends on a parameter by itself, its slope at the same frames stands there too, by the parameter's name:
-    "arm.mass"; without any such name, slopes of that kind in parameters that `pi.gradient` is asked for by name (`body.inertia`) are
-    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no
-    functions, and of a run for other names and shapes, and numbers that are not finite.
+    Parameters
+    ----------
+    value : function f(run) -> float
+        J.
+    slopes : function f(run) -> dict
+        {"q": dJ/dq (frames, n), "v", "a": the same shape, "lam": (frames, m), "t": (frames,)}; a missing entry is zero. If J depends on a
+        parameter directly, the dict has the derivative at fixed frames under the parameter's name too, such as "arm.mass". Without any such
+        name, direct derivatives in parameters that `pi.gradient` is asked for by name (`body.inertia`) are differences of value(run).
+        The v of frame 0 is that before the integrator's start and has no slope.
+
+    Raises
+    ------
+    InputError
+        If they are not functions; of a run for other names and shapes, and for numbers that are not finite.
     """
 
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
@@ -248,7 +275,7 @@ class UserObjective(Objective):
         return float(found)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """What the user's function gives, looked at."""
+        """Return a function of a slice of frames that returns the user's slopes, checked."""
         run = run_of("UserObjective", run)
         given = _call("slopes", self._slopes, run)
         if not isinstance(given, Mapping):
@@ -273,11 +300,11 @@ class UserObjective(Objective):
 
 
 def _call(name, function, run):
-    return asked(f"UserObjective: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
+    return call_user(f"UserObjective: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
 
 
 def _checked(name, value, shape=None):
-    """The slope in what is called so, as floats, of a shape, or of any where the name is a parameter's."""
+    """The slope of that name as floats, of a shape, or of any shape if it is a parameter's."""
     if not isinstance(name, str) or (shape is None and "." not in name):
         raise InputError(
             f"UserObjective: slopes(run) has {name!r:.100}; known: {', '.join(map(repr, FRAMES))}, and parameters, as 'arm.mass'"

@@ -1,4 +1,6 @@
-"""How much a joint has to bear."""
+"""Peak reaction of a joint as an objective."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,11 +21,22 @@ UNITS = ("N", "N m")
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakReaction(TimeMean):
-    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m.
+    """`(time mean of |R|^p)^(1/p)`, R the reaction of a joint on its side b, N or N m, as `run.reaction`.
 
-    It lies below the largest |R|, the nearer the larger p. joint: by name or itself. unit: "N" or "N m", the components that are meant of
-    a joint that gives forces and a moment. Raises InputError for a p below 1 or an unknown unit, and of a run for what is no joint of its
-    scene, for a joint of both units without `unit`, and for one whose reaction is not unique.
+    It is below the largest |R| and approaches it as p grows.
+
+    Parameters
+    ----------
+    joint : str or Joint
+    p : float
+        Order of the mean, 1 or more.
+    unit : "N" or "N m", optional
+        The components of a joint that has forces and a moment.
+
+    Raises
+    ------
+    InputError
+        For wrong parameters; of a run if the joint is not in its scene, has both units and no `unit` is given, or has no unique reaction.
     """
 
     joint: Any
@@ -37,7 +50,6 @@ class PeakReaction(TimeMean):
             raise InputError(f'PeakReaction: unit = {self.unit!r:.100} must be "N" or "N m", or None')
 
     def _seen(self, model, span):
-        """|R|."""
         name = self._name(model)
         units = [unit for _, unit in components(model, name)]
         chosen = [k for k, unit in enumerate(units) if self.unit in (None, unit)]
@@ -46,15 +58,15 @@ class PeakReaction(TimeMean):
         columns = model.rows[name]
 
         def look(frames):
-            told = Told(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
-            size = np.linalg.norm(told.reaction, axis=1)
+            found = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
+            size = np.linalg.norm(found.reaction, axis=1)
 
             def back(factor):
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    toward = np.where(size[:, None] > 0, (factor / size)[:, None] * told.reaction, 0.0)
+                    toward = np.where(size[:, None] > 0, (factor / size)[:, None] * found.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
-                lam[:, columns] = told.by_multipliers(toward)
-                return Slopes(q=told.by_coordinates(toward), lam=lam, t=lambda: told.by_time(toward))
+                lam[:, columns] = found.by_multipliers(toward)
+                return Slopes(q=found.by_coordinates(toward), lam=lam, t=lambda: found.by_time(toward))
 
             return lambda: size, back
 
@@ -69,13 +81,13 @@ class PeakReaction(TimeMean):
             raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
         return name
 
-    def named(self, model: Any) -> "PeakReaction":
-        """By the joint's name."""
+    def named(self, model: Any) -> PeakReaction:
+        """Return the objective with the joint's name."""
         return replace(self, joint=self._name(model))
 
 
-class Told:
-    """The reaction of a joint over frames, (frames, chosen components), and the transposes of its slopes, by differences.
+class Reaction:
+    """The reaction of a joint over frames, (frames, chosen components), and products with the transposes of its derivatives, by differences.
 
     It is a function of the multipliers, of the places of the sides in the joint's rows, and of the angles by which profiles turn these.
     """

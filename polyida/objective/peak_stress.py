@@ -1,4 +1,6 @@
-"""Peak stress of the material, and strain energy of bodies."""
+"""Peak stress of the material and strain energy of bodies as objectives."""
+
+from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -25,8 +27,19 @@ from polyida.validation import named_keywords, settle
 class PeakStress(TimeMean):
     """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
 
-    It lies below the largest stress, the nearer the larger p. plate: a plate or a reduced one, by name or itself; None: all. With factors
-    of cells it is the stress of the scaled cells. Raises InputError for a p below 1, and of a run for what is no such plate of its scene.
+    It is below the largest stress and approaches it as p grows. With factors of cells it is the stress of the scaled cells.
+
+    Parameters
+    ----------
+    plate : str, Plate or Reduced, optional
+        By default all.
+    p : float
+        Order of the means, 1 or more.
+
+    Raises
+    ------
+    InputError
+        For p below 1; of a run if the plate is not in its scene.
     """
 
     plate: Any = None
@@ -36,15 +49,14 @@ class PeakStress(TimeMean):
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
 
-    def named(self, model: Any) -> "PeakStress":
-        """By the name of its body."""
+    def named(self, model: Any) -> PeakStress:
+        """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
     def _seen(self, model, span):
-        """The area mean of order p."""
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
-        bodies = [Stressed(body) for body in chosen("PeakStress", model, self.plate, known)]
+        bodies = [CellStress(body) for body in chosen("PeakStress", model, self.plate, known)]
         areas = np.concatenate([body.operator.areas for body in bodies])
         share, splits = areas / areas.sum(), np.cumsum([body.operator.n_cells for body in bodies])[:-1]
 
@@ -70,15 +82,15 @@ class PeakStress(TimeMean):
 
 
 def _pull(bodies, u, stresses, wanted):
-    """What acts on the nodes (nodes, 2)."""
+    """Forces on the nodes (nodes, 2)."""
     forces = np.zeros_like(u)
     for body, stress, one in zip(bodies, stresses, wanted):
         body.pull(u, stress, one, forces)
     return forces
 
 
-class Stressed:
-    """The stress of a body's cells at displacements u (nodes, 2) of all that is drawn."""
+class CellStress:
+    """The stress of the cells of a body at displacements u (nodes, 2) of all meshes."""
 
     def __init__(self, body):
         modulus, nu = body.plate.material.in_plane
@@ -116,19 +128,27 @@ class Stressed:
 class StrainEnergy(TimeMean):
     """Time mean of the strain energy, J, of all bodies or of one, as `run.energy.strain`.
 
-    plate: a plate or a body that deforms, by name or itself; None: all. With factors of cells it is that of the scaled cells. Raises
-    InputError of a run for what is no such body of its scene.
+    With factors of cells it is the energy of the scaled cells.
+
+    Parameters
+    ----------
+    plate : str, Plate or Body, optional
+        A body that deforms; by default all.
+
+    Raises
+    ------
+    InputError
+        Of a run if the body is not in its scene.
     """
 
     plate: Any = None
     _of_material = True
 
-    def named(self, model: Any) -> "StrainEnergy":
-        """By the name of its body."""
+    def named(self, model: Any) -> StrainEnergy:
+        """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
     def _seen(self, model, span):
-        """The energy."""
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
         def look(frames):
@@ -141,7 +161,7 @@ class StrainEnergy(TimeMean):
 
 
 class Elastic:
-    """The elastic energy of some bodies of a scene and its slopes: the scene's own kernels on arrays that hold nothing else."""
+    """The elastic energy of some bodies of a scene and its slopes, by the scene's kernels on arrays of these bodies alone."""
 
     def __init__(self, model, bodies):
         self.model, names = model, {body.name for body in bodies}
@@ -190,7 +210,7 @@ def _pairs(q, model):
 
 
 def _body(placed, names):
-    """A body of few coordinates, without elastic form unless it is of these names."""
+    """A copy of a body of few coordinates, without elastic form unless it has one of these names."""
     other = copy(placed)
     other.form = placed.form if placed.name in names else None
     return other

@@ -1,12 +1,14 @@
 """Objectives that are means over the time of a run.
 
-With s_n >= 0 what is seen of frame n (p = 1: of any sign), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's. Then
+With the values s_n >= 0 of frames n (of any sign if p = 1), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's. Then
 
     dJ/ds_n = w_n / T (s_n / J)^(p - 1)
     dJ/dt_k = (sum_n dw_n/dt_k s_n (s_n / J)^(p - 1) - J dT/dt_k) / (p T)        at fixed s
 
-in which nothing overflows, however large p and s are. A run of one frame, an equilibrium, has w = T.
+These forms do not overflow for large p and s. A run of one frame, an equilibrium, has w = T.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,15 +24,15 @@ from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
 from polyida.model.differences import along, around
 from polyida.model.guarded import guard, unguarded
-from polyida.objective.objective import Objective, Slopes, asked, run_of
+from polyida.objective.objective import Objective, Slopes, call_user, run_of
 from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, named_keywords
 
-NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
-FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+NOTHING = 1e-30  # of the largest slope of J in a value: less is set to zero, it is too small for single precision
+FRAMES_WIDE = 10.0  # typical time of variation over the time between frames: rates are differences over a hundredth of it
 
 
 def chosen(part, model, given, known):
-    """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
+    """The chosen bodies of `known`, {name: placed body}: by name or part, or all for None. Raises InputError in the name of `part`."""
     if not model.is_scene:
         raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.UserObjective")
     if given is None and known:
@@ -43,17 +45,17 @@ def chosen(part, model, given, known):
 
 
 def named(model, given):
-    """The name of a part that is given by itself; what is none of the model's as it is."""
+    """The name of a part of the model; anything else as it is."""
     return next((name for name, part in model.parts.items() if part is given), given)
 
 
 def deforming(model):
-    """{name: one placed} of a scene's bodies that deform."""
+    """{name: placed body} of a scene's bodies that deform."""
     return {body.name: body for body in (*model.bodies, *(placed for placed in model.few if placed.deforms))}
 
 
 class Frames:
-    """The frames of a slice of a run; each array is read when it is asked for."""
+    """The frames of a slice of a run, each array read on first use."""
 
     def __init__(self, run, part):
         self.run, self.part = run, part
@@ -75,15 +77,15 @@ class Frames:
 
 
 class TimeMean(Objective):
-    """A mean of order p over time. _of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
+    """A mean of order p over time. _of_material: True if it depends on the model beyond the parameters that `Slopes.direct` names."""
 
     p: float = 1.0
     _of_material = False
 
     def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
-        """A function of Frames of a model: (a function that gives s (count,), one of dJ/ds (count,) that gives the Slopes).
+        """A function of Frames that returns (function () -> s (count,), function (dJ/ds (count,)) -> Slopes).
 
-        span: the time from one frame to the next, s, about. Raises InputError where the model has not what is asked for.
+        span: the mean time between frames, s. Raises InputError if the model lacks the part in question.
         """
         raise NotImplementedError
 
@@ -92,7 +94,7 @@ class TimeMean(Objective):
         return _Mean(run.t, self._sizes(run, self._of(run)), self.p).value
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Those of J: what is seen is looked at once over the whole run, and again in every slice."""
+        """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each slice."""
         run = run_of(type(self).__name__, run)
         seen = self._of(run)
         mean = _Mean(run.t, self._sizes(run, seen), self.p)
@@ -103,7 +105,7 @@ class TimeMean(Objective):
             return found.plus(Slopes(t=mean.by_times[part], of_model=of_model))
 
         def elsewhere(model, part):
-            """What is seen of the frames with another model."""
+            """The values of the frames with another model."""
             return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]()
 
         of.value = mean.value  # type: ignore[attr-defined]
@@ -170,13 +172,12 @@ def power(part, p):
 class Compliance(TimeMean):
     """Time mean of `f . q`, J, the work of the loads on the displacements; f = -g(t, 0, 0): gravity, loads, and all other forces at q = 0.
 
-    Of an equilibrium for small displacements, `pi.static(model, linear=True)`, it is twice the strain energy, unless constraints move or
-    springs are strained at q = 0: what topology optimisation calls compliance. Of a load that jumps in a frame its value before the jump
-    counts.
+    Of an equilibrium for small displacements, `pi.static(model, linear=True)`, it is twice the strain energy, the compliance of topology
+    optimisation, unless constraints move or springs are strained at q = 0. For a load that jumps in a frame the value before the jump is
+    taken.
     """
 
     def _seen(self, model, span):
-        """f . q."""
         still = np.zeros(model.n)
 
         def load(t):
@@ -198,7 +199,7 @@ class Compliance(TimeMean):
 
 
 def _sides(model, frames):
-    """Times of the frames; of one at a kink the side where the steps of the run are: before it, behind it in the first frame."""
+    """Times of the frames; of one at a kink a time just before it, just behind it for the first frame."""
     begin = frames.run.t[0]
     if len(frames.run.t) == 1:
         return frames.t
@@ -210,8 +211,17 @@ def _sides(model, frames):
 class Deviation(TimeMean):
     """Time mean of `|x(t) - path(t)|^2`, m2, of a point x.
 
-    point: what `run.position` takes: the name of a mass, load or joint, the part itself, or an attachment. path: a function of time that
-    gives (x, y), m, or a constant pair. Raises InputError for a path that is neither, and of a run for a point that is not in its model.
+    Parameters
+    ----------
+    point : str, part or attachment
+        As for `run.position`.
+    path : function f(t) -> (2,) float, m, or (2,) float, m
+        The desired place.
+
+    Raises
+    ------
+    InputError
+        For another path; of a run if the point is not in its model.
     """
 
     point: Any
@@ -222,13 +232,12 @@ class Deviation(TimeMean):
         if not callable(self.path):
             self._place(self.path)
 
-    def named(self, model: Any) -> "Deviation":
-        """By the name of its part, or of the body that an attachment is of."""
+    def named(self, model: Any) -> Deviation:
+        """Return the objective with the name of its part, or of the body of its attachment."""
         body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
         return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
 
     def _seen(self, model, span):
-        """The squared distance."""
         point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
         pull = _pull(model, point)
 
@@ -245,7 +254,7 @@ class Deviation(TimeMean):
 
     def _at(self, t):
         advice = "; it must be a function of time"
-        return self._place(asked(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
+        return self._place(call_user(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
 
     def _place(self, given):
         pair = floats(given)
@@ -268,14 +277,14 @@ class OnBody(NamedTuple):
 
 
 def _pull(model, point):
-    """A function (q (frames, n), forces (frames, 2) on the point) that gives what acts on each coordinate, (frames, n)."""
+    """A function (q (frames, n), forces (frames, 2) on the point) that returns the generalised forces, (frames, n)."""
     if model.is_scene:
         return lambda q, forces: model.pulled((model.side(point), "point"), complex_of_pairs(forces))
     return lambda q, forces: np.einsum("fxk,fx->fk", _slopes(model, point, q), forces)
 
 
 def _slopes(model, point, q):
-    """d position/dq of a model of one's own, (frames, 2, n), by differences."""
+    """d position/dq of a user's model, (frames, 2, n), by differences."""
     sizes = np.maximum(1.0, np.abs(q).max(axis=0, initial=0.0))
     ways = sizes[:, None] * np.eye(model.n)
     found = [along(lambda s, way=way: model.position(point, q + s * way)) / size for size, way in zip(sizes, ways)]

@@ -1,5 +1,7 @@
 """Ready problems with references: `get(name)` returns a Problem, `names()` lists them; users add theirs to `polyida.registry.problems`."""
 
+from __future__ import annotations
+
 import inspect
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -122,7 +124,7 @@ class Problem:
         """
         return {name: self._error(name, value) for name, value in found.items()}
 
-    def compare(self, run: "Trajectory") -> dict[str, float]:
+    def compare(self, run: Trajectory) -> dict[str, float]:
         """`errors` of the last frame of a run, for all parts of the reference. Raises InputError if the run does not end at t_end."""
         if not len(getattr(run, "t", ())):
             raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
@@ -146,7 +148,13 @@ class Problem:
 
 
 def names() -> tuple[str, ...]:
-    """Names of all problems."""
+    """List the names of all problems.
+
+    Returns
+    -------
+    tuple of str
+        Keys of `polyida.registry.problems`.
+    """
     return tuple(registry.problems)
 
 
@@ -162,6 +170,7 @@ def get(name: str, **options: object) -> Problem:
     Returns
     -------
     Problem
+        With its model built.
 
     Raises
     ------

@@ -57,15 +57,14 @@ def body_at(level, modes=5):
 
 def _problem(name, make, t_end, point, level, *options):
     """The Problem of a scene `make(level, *options)`, with digits if the options (modes, cells, seed) are its default ones."""
-    about, reference, known_to = ABOUT[name], {}, {}
+    model, about, reference, known_to = make(level, *options).build(), ABOUT[name], {}, {}
     if options == make.__defaults__[1:4]:
         place, place_known, velocity, velocity_known = DIGITS[name][level]
         reference = {"point": np.array(place), "velocity": np.array(velocity)}
         known_to = {"point": place_known, "velocity": velocity_known}
     else:
         about = about | {"source": "no reference for these options; measure against a refined run"}
-    model, measures = make(level, *options).build(), point_measures(point)
-    return Problem(name, model, None, None, t_end, reference, known_to=known_to, measures=measures, **about)
+    return Problem(name, model, None, None, t_end, reference, known_to=known_to, measures=point_measures(point), **about)
 
 
 CRANK, ROD = 0.15, 0.3  # of the slider crank, m

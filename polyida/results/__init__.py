@@ -1,1 +1,1 @@
-"""What engineers ask of a run: computed from its frames when it is asked for, frame by frame."""
+"""Results derived from the frames of a run: energies, reactions, stresses, section forces."""

@@ -1,7 +1,7 @@
-"""Energies of a run over time: what it has, and what came in and went out.
+"""Energies of a run over time, work of its parts and dissipation.
 
-Work is the integral of powers in time over a motion that is known at its frames. Between two frames, and kinks of profiles there, powers
-are taken at the two Gauss points of the cubic Hermite motion through q and v. With an error e of that motion, which is zero at both ends, a
+Work is the time integral of powers over a motion that is known at its frames. Between two frames, and kinks of profiles there, powers
+are evaluated at the two Gauss points of the cubic Hermite motion through q and v. With an error e of that motion, which is zero at both ends, a
 force misses `int F . e' = -int F' . e`: fourth order in the time between frames, and nothing where F is constant.
 """
 
@@ -22,7 +22,7 @@ from polyida.reprs import brief
 from polyida.results.motion import Motion
 
 GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
-SAME = 1e-12  # of the times' size: a kink as near to a frame is at it
+SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
 
 def works(motion):
@@ -88,24 +88,27 @@ class _Kinks:
 
 
 def _behind(motion, powers, k):
-    """(v, lam, works of the blow) behind a kink at frame k, where a motor's speed and forces may have jumped."""
+    """(v, lam, works of the impulse) after a kink at frame k, where a motor's speed and forces may have jumped."""
     model, t, q, v = motion.model, float(motion.t[k]), np.asarray(motion.q[k], float), np.asarray(motion.v[k], float)
     after, none = beside(t, 1.0), np.zeros(model.m)
     jump, impulse = model.mass_system(after, q).solve(np.zeros(model.n), model.phi_rate(after, q, v)) if model.m else (0.0, none)
     v = v + jump
-    blow = sum(0.5 * (powers(time, q, v, impulse) - powers(time, q, v, none)) for time in (beside(t, -1.0), after))
+    impulse_work = sum(0.5 * (powers(time, q, v, impulse) - powers(time, q, v, none)) for time in (beside(t, -1.0), after))
     bias = model.phi_bias(after, q, v) if model.m else none
-    return v, model.mass_system(after, q).solve(model.force(after, q, v), bias)[1], blow
+    return v, model.mass_system(after, q).solve(model.force(after, q, v), bias)[1], impulse_work
 
 
-GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more is no error that a run may have; frames that are looked at
+GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more growth is reported; number of frames checked
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energies over time, (frames,), J; nan where the model does not state its potential.
+    """Energies over time, (frames,), J; nan if the model has no potential. Work and dissipation are computed on request.
 
-    kinetic; strain, of bodies; potential, of gravity and force elements. What follows is computed when it is asked for.
+    Parameters
+    ----------
+    kinetic, potential, strain : (frames,) float, J
+        Potential is that of gravity and force elements, strain that of bodies.
     """
 
     kinetic: NDArray
@@ -122,7 +125,7 @@ class Energy:
 
     @cached_property
     def gravity(self) -> NDArray:
-        """Potential of gravity, zero in the reference configuration; nan of a model that is no scene's."""
+        """Potential of gravity, J, zero in the reference configuration; nan for a model that is not a scene's."""
         model = self._motion.model
         if not model.is_scene:
             return np.full(len(self.kinetic), np.nan)
@@ -130,26 +133,25 @@ class Energy:
 
     @cached_property
     def elements(self) -> dict[str, NDArray]:
-        """{name: potential energy of a force element that has one}; with `gravity` they make up `potential`."""
+        """{name: potential energy of a force element that has one}, J; with `gravity` they add up to `potential`."""
         forces, q = self._motion.model.own_forces, self._motion.q
         found = [own for own in (forces.each if forces else ()) if not own.strain and writes(own.element, ForceElement, "energy")]
         return {own.name: np.array([own.energy(own.places(frame)) for frame in each(q)]) for own in found}
 
     @property
     def work(self) -> dict[str, NDArray]:
-        """{name: work done on the system since the first frame} by loads, driven joints, and force elements beyond their `energy`.
+        """{name: work done on the system since the first frame, J} by loads, driven joints, and force elements beyond their `energy`.
 
-        `total - total[0] = sum of work - sum of dissipated` for the exact motion. Of the cubic Hermite motion through q and v of
-        the frames, by two Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
-        order in the time between frames; multipliers are interpolated with slopes from their neighbours. So it is as good as the
-        frames are near: what swings between two of them is not seen. The blow of a motor whose speed jumps is counted where a frame is
-        at that kink. A model of one's own tells by its `powers`.
+        `total - total[0] = sum of work - sum of dissipated` for the exact motion. It is the integral over the cubic Hermite motion through
+        q and v of the frames, by two Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
+        order in the time between frames. Multipliers are interpolated with slopes from their neighbours. Vibrations between two frames are
+        missed. The impulse of a motor whose speed jumps is included if a frame is at that kink. A user's model needs `powers`.
         """
         return {name: work for name, work in self._works.items() if name not in self._motion.model.dissipating}
 
     @property
     def dissipated(self) -> dict[str, NDArray]:
-        """{name: energy taken since the first frame}, alike: by force elements that say `dissipates`, and by plates whose material is damped."""
+        """{name: energy dissipated since the first frame, J}, by force elements that declare `dissipates`, and by damped plates."""
         return {name: -work for name, work in self._works.items() if name in self._motion.model.dissipating}
 
     @cached_property
@@ -158,10 +160,7 @@ class Energy:
 
 
 def grown(motion):
-    """What a summary says of energy that grows although nothing supplies any: by more than GROWN of the largest kinetic energy.
-
-    LOOKS frames are looked at; empty where a part may do work.
-    """
+    """A note on energy that grows by more than GROWN of the largest kinetic energy in LOOKS frames, although no part supplies any; or ""."""
     model, count = motion.model, len(motion.t)
     if count < 2 or not _passive(model):
         return ""
@@ -178,7 +177,7 @@ def grown(motion):
 
 
 def _passive(model):
-    """Whether a scene has no load, no profile and no force element without an energy; of other models nothing is known."""
+    """True for a scene without load, profile and force element without an energy; False for other models."""
     if not model.is_scene or any(name for name, _ in model.named_profiles) or dead_loads(model.parts, model.gravity, model.places):
         return False
     return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces.each)

@@ -1,5 +1,7 @@
 """Values derived from the frames of a run: angles and reactions of joints, momentum, strain, stress, energy balance; tables of them."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +15,7 @@ from polyida.validation import floats, named_keywords
 
 
 class Motion(NamedTuple):
-    """A guarded model, t (frames,), and frames of q, v, a, lam, which may lie in a file."""
+    """A guarded model, t (frames,), and frames of q, v, a, lam, arrays or StoredFrames."""
 
     model: Any
     t: NDArray
@@ -24,7 +26,7 @@ class Motion(NamedTuple):
 
 
 def angle_of(motion, joint):
-    """The turn of a joint's side b against side a, (frames,), rad, unwrapped over the frames."""
+    """The rotation of a joint's side b relative to side a, (frames,), rad, unwrapped over the frames."""
     model = motion.model
     joints = {name: model.parts[name] for name in model.joints if isinstance(model.parts[name], Joint)}
     name = next((name for name, part in joints.items() if part is joint), joint)
@@ -34,9 +36,9 @@ def angle_of(motion, joint):
 
 
 def reaction_of(model, name, t, q, lam, whole=False):
-    """Of a joint of a scene, or what a model of one's own says: (frames, k), over t (frames,), q (frames, n), lam (frames, m).
+    """Reaction of a joint, (frames, k), over t (frames,), q (frames, n), lam (frames, m); of a user's model by its `reactions`.
 
-    whole: of a scene's joint (fx, fy, m). Of redundant constraints it is that with the least sum of squares of all multipliers.
+    whole: (fx, fy, m) of a scene's joint. Of redundant constraints it is that with the least sum of squares of all multipliers.
     """
     if model.redundant:
         lam = model.redundant.multipliers(t, q, lam)
@@ -45,7 +47,7 @@ def reaction_of(model, name, t, q, lam, whole=False):
 
 
 def momenta_of(motion):
-    """(frames, 3): linear momentum x and y, N s, and angular momentum about the origin, N m s. Raises InputError where the model says none."""
+    """(frames, 3): momentum along x and y, N s, and angular momentum about the origin, N m s. Raises InputError if the model has none."""
     found = [motion.model.momenta(q, v) for q, v in zip(each(motion.q), each(motion.v))]
     if any(values is None for values in found):
         raise InputError(f"momentum: {motion.model.name} does not say it; let its class write momenta(q, v), giving (px, py, L)")
@@ -65,11 +67,19 @@ def strains(model, q):
 
 @named_keywords
 def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
-    """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
+    """Compute the von Mises stress, `sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)`.
 
-        sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)
+    Parameters
+    ----------
+    stress : (..., 3) float
+        Cauchy stress xx, yy, xy.
+    zz : (...) float
+        0 in plane stress; `run.von_mises(frame)` includes it in plane strain.
 
-    zz is 0 in plane stress; in plane strain it is not, `run.von_mises(frame)` knows it.
+    Returns
+    -------
+    (...) float
+        In the unit of the stress.
     """
     given, out = floats(stress), floats(zz)
     if given is None or not given.ndim or given.shape[-1] != 3:
@@ -89,9 +99,9 @@ def motor_work(run):
 
 
 def unbalanced(run):
-    """Change of the total energy since the start less the work of all parts, more what they dissipated, (frames,), J.
+    """Change of the total energy since the start less the work of all parts, more their dissipation, (frames,), J.
 
-    NaN where a model states no potential. Zero for the exact motion.
+    Zero for the exact motion; NaN if a model has no potential.
     """
     energy = run.energy
     return energy.total - energy.total[0] - sum(energy.work.values()) + sum(energy.dissipated.values())
@@ -128,14 +138,14 @@ def reactions(run):
 
 
 def quantity(model, name, k):
-    """("force x", "N") of component k of a reaction; where a joint has several of a name, as a clamp at each node, "force x 1" is the first."""
+    """("force x", "N") of component k of a reaction; if a joint has several of a name, as a clamp at each node, "force x 1" is the first."""
     said = components(model, name)
     of_name = [i for i, one in enumerate(said) if one == said[k]]
     return (f"{said[k][0]} {of_name.index(k) + 1}", said[k][1]) if len(of_name) > 1 else said[k]
 
 
 def components(model, name):
-    """("force x", "N") of each component of a reaction; of the rows of a body, and of a model of one's own, multipliers."""
+    """("force x", "N") of each component of a reaction; multipliers of the rows of a body, and of a user's model."""
     reaction = model.reaction_of(name) if model.is_scene else None
     if reaction is None:
         rows = model.rows[name]
@@ -144,7 +154,7 @@ def components(model, name):
 
 
 def _of_row(model, row, k):
-    """What a row says of its multiplier, the k-th of its part."""
+    """Name and unit of the multiplier of a row, the k-th of its part."""
     unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
     axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
     return (f"{WORDS[unit]} {axis}".rstrip(), unit) if unit in WORDS else (f"multiplier {k}", "")
@@ -182,7 +192,7 @@ def _of_scene(run):
 
 
 def _sensed(run):
-    """What sensors gave, over the time of every step."""
+    """Values of sensors, over the time of every step."""
     if not run.sensors:
         return {}
     found = {f"sensor.{name}": (("step", *(f"{name}_{k}" for k in range(values.ndim - 1))), values) for name, values in run.sensors.items()}

@@ -22,8 +22,8 @@ ROUND = 1e-9  # of a plate's size: cells that reach over a line by less end ther
 class Slivers:
     """The parts of cells on the wrong side of a line, as masses at their centroids.
 
-    ahead (cells,): the cells that are taken as ahead of the line through `place` across `way`, (2,) in the scene at rest. Those ahead have
-    slivers of negative mass behind the line, the others of positive mass ahead of it. Places and accelerations are interpolated
+    ahead (cells,): True for the cells that count as ahead of the line through `place` with the normal `way`, (2,) in the scene at rest. Those
+    ahead have slivers of negative mass behind the line, the others of positive mass ahead of it. Places and accelerations are interpolated
     with the mean gradient of the cell.
     """
 
@@ -46,36 +46,44 @@ class Slivers:
         self.mass, self.gravity, self.drag, self.rest = np.array(masses)[:, None], gravity, material.mass_damping, body.points
 
     def forces(self, t, v, a):
-        """What moves them, weight and damping taken off, (slivers, 2), N, from the nodes' velocities and accelerations, (nodes, 2)."""
+        """Inertia forces less weight and damping, (slivers, 2), N, from the nodes' velocities and accelerations, (nodes, 2)."""
         return self.mass * (self.weights @ (a + self.drag * v) - gravity_at(self.gravity, t))
 
     def places(self, u):
-        """Where they are, (slivers, 2), m, from the nodes' displacements."""
+        """Their places, (slivers, 2), m, from the nodes' displacements."""
         return self.weights @ (self.rest + u)
 
 
 def _clipped(points, distance):
     """(area, centroid) of the part of a polygon where the distance of its corners from a line, interpolated, is positive."""
-    kept = []
+    corners = []
     for i in range(len(points)):
         if distance[i - 1] * distance[i] < 0:
             s = distance[i - 1] / (distance[i - 1] - distance[i])
-            kept.append(points[i - 1] + s * (points[i] - points[i - 1]))
+            corners.append(points[i - 1] + s * (points[i] - points[i - 1]))
         if distance[i] >= 0:
-            kept.append(points[i])
-    arms = np.array(kept) - kept[0]
+            corners.append(points[i])
+    arms = np.array(corners) - corners[0]
     parts = 0.5 * (arms[:-1, 0] * arms[1:, 1] - arms[:-1, 1] * arms[1:, 0])
-    return parts.sum(), kept[0] + parts @ (arms[:-1] + arms[1:]) / (3.0 * parts.sum())
+    return parts.sum(), corners[0] + parts @ (arms[:-1] + arms[1:]) / (3.0 * parts.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class SectionForces:
-    """What the part of a plate ahead of a cut does to the part behind it, over frames.
+    """Forces of the part of a plate ahead of a cut on the part behind it, over frames.
 
-    normal (frames,), N, > 0 in tension, and shear (frames,), N: its force along `direction`, the cut's normal as it has turned, and
-    along that turned by +90 degrees. moment (frames,), N m, counter-clockwise, about `point`. point, direction (frames, 2): the
-    place, m, and the normal of the cut, moved with its nodes as one rigid set. Along a bar at rest with the load (px, py) a length,
-    s towards `direction`: `normal' = -px`, `shear' = -py`, `moment' = -shear`.
+    Along a bar at rest with the load (px, py) per length, s towards `direction`: `normal' = -px`, `shear' = -py`, `moment' = -shear`.
+
+    Parameters
+    ----------
+    normal : (frames,) float, N
+        Along `direction`; positive in tension.
+    shear : (frames,) float, N
+        Along `direction` rotated by +90 degrees.
+    moment : (frames,) float, N m
+        Counter-clockwise, about `point`.
+    point, direction : (frames, 2) float
+        The place, m, and the normal of the cut, moved with its nodes as one rigid set.
     """
 
     normal: NDArray
@@ -91,22 +99,23 @@ def section_forces(motion, plate, at, normal, frame=None):
     """The SectionForces of a plate, by name or itself, at a place and normal of its mesh, over all frames or in one."""
     cut = Cut(motion.model, _body(motion.model, plate), at, normal)
     if frame is not None:
-        return _told(np.array(cut(float(motion.t[frame]), *(np.asarray(x[frame], float) for x in (motion.q, motion.v, motion.a)))))
+        return _section_forces(
+            np.array(cut(float(motion.t[frame]), *(np.asarray(x[frame], float) for x in (motion.q, motion.v, motion.a))))
+        )
     states = zip(motion.t, each(motion.q), each(motion.v), each(motion.a))
-    return _told(np.array([cut(*state) for state in states]).reshape(-1, 7))
+    return _section_forces(np.array([cut(*state) for state in states]).reshape(-1, 7))
 
 
-def _told(found):
+def _section_forces(found):
     return SectionForces(found[..., 0], found[..., 1], found[..., 2], found[..., 3:5], found[..., 5:])
 
 
 class Cut:
     """A straight cut across a plate.
 
-    The cells that are ahead for the most part are a plate of their own; what r = M a + g of that one leaves at the nodes that it shares
-    with the others is what these do to it. Slivers between there and the line are put on their side with their inertia, weight and damping.
-    So the forces are in exact equilibrium with what accelerates the part ahead and what acts on it. Raises InputError where nothing is
-    parted.
+    The cells that are mostly ahead form a plate of their own; the residual r = M a + g of that plate at the nodes that it shares with the
+    other cells is their force on it. Slivers between these nodes and the line are moved to their side with their inertia, weight and damping.
+    So the forces are in exact equilibrium with inertia and loads of the part ahead. Raises InputError if the cut divides nothing.
     """
 
     def __init__(self, model, body, at, normal):
@@ -159,7 +168,7 @@ def _part(mesh, chosen):
 
 
 def _body(model, plate: Any):
-    """The full plate that is meant, in its scene."""
+    """The placed body of a full plate, given by name or itself."""
     known = {body.name: body for body in model.bodies}
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:

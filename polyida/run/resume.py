@@ -1,5 +1,7 @@
 """`resume`: continue a run that is in a file."""
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -40,7 +42,7 @@ def resume(
     progress: Callable[[float], object] | bool | None = None,
     sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
-) -> "Trajectory":
+) -> Trajectory:
     """Continue the run in a file of `solve(..., out=path)` or `save`.
 
     It starts at the last state in the file from which the integrator can continue: for small models this may be 1024 steps before the last

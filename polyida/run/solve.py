@@ -1,5 +1,7 @@
 """`solve`: run an integrator over a model and collect a trajectory."""
 
+from __future__ import annotations
+
 import math
 import time
 import warnings
@@ -58,7 +60,7 @@ def solve(
     fsync: bool = False,
     memory_limit: float = MEMORY_LIMIT,
     precision: str = "double",
-) -> "Trajectory":
+) -> Trajectory:
     """Run an integrator on a model from t0, or from the state of an earlier run, to t_end.
 
     Parameters
