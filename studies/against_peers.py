@@ -10,9 +10,10 @@ from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, ours, t
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.harness import Study
-from polyida.study.isolation import run_isolated
+from polyida.show.style import legend_above
+from polyida.study.executors import run_isolated
+from polyida.study.plotting import line_picture, loglog, panels, study_figure
+from polyida.study.tasks import Study
 from step_cost.measure import model_of
 
 SOLVERS = LABELS | {
@@ -197,7 +198,7 @@ def _ida_and_alpha(rows, scene, dof, error=1e-5):
     ]
 
 
-@drawn
+@study_figure
 def draw(rows):
     """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
     cases = cases_of(rows)
@@ -209,8 +210,8 @@ def draw(rows):
             if points:
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
-    legend(made, axes, 2)
-    return curves(made, "against_peers")
+    legend_above(made, axes, 2)
+    return line_picture(made, "against_peers")
 
 
 study = Study(

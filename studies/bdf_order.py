@@ -5,9 +5,10 @@ And what it costs that the error test looks at v as sharply as at q: the velocit
 
 from bdf_order.order import run_order, run_tested
 from polyida.cli.study import main
-from polyida.study.drawing import curves, drawn, look, panels
-from polyida.study.harness import Study
-from polyida.study.rows import column, each, last, number, pick, stopped, value
+from polyida.show.style import marker_style
+from polyida.study.plotting import line_picture, panels, study_figure
+from polyida.study.rows import column, distinct, last, number, pick, unfinished_notes, value
+from polyida.study.tasks import Study
 
 ORDERS = (1, 2, 3, 4, 5)
 TESTED = ("q sharply", "q and v alike")
@@ -34,7 +35,7 @@ def run(**task):
 def ratios(rows):
     """Steps per simulated second at order 5 over those at order 2, for each material."""
     found = {}
-    for viscosity in each(rows, "viscosity"):
+    for viscosity in distinct(rows, "viscosity"):
         high, low = (number(rows, "steps_per_s", viscosity=viscosity, max_order=order) for order in (5, 2))
         found["steps_order5_over_order2" + (f"_viscosity_{viscosity:.0e}" if viscosity else "")] = high / low
     return found
@@ -84,14 +85,14 @@ def _by_plate(rows):
 def notes(rows):
     rows = [row for row in rows if "max_order" in row]
     capped = [row for row in pick(rows) if row["outcome"] != "done"]
-    lines = stopped(rows, "viscosity", "max_order", length=140)
+    lines = unfinished_notes(rows, "viscosity", "max_order", length=140)
     covered = "; ".join(f"order {row['max_order']} at viscosity {row['viscosity']:g} s {row['t_reached']:.3g} s" for row in capped)
     if capped:
         lines.append(f"ratios compare steps per simulated second, as {len(capped)} of {len(rows)} runs stopped early: {covered}")
     return lines
 
 
-@drawn
+@study_figure
 def bdf_order_figure(rows):
     """IDA's steps a second against the highest order it may take, its steps over time, its steps a second against stiffness for two error tests."""
     made, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
@@ -100,15 +101,15 @@ def bdf_order_figure(rows):
     weights_panel(axes[2], rows)
     for axis in [axis for axis in axes if axis.lines]:
         axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return curves(made, "bdf-order")
+    return line_picture(made, "bdf-order")
 
 
 def steps_panel(axis, rows):
     """Steps per simulated second against the highest order; runs that stopped are hollow."""
-    for i, viscosity in enumerate(each(rows, "viscosity")):
+    for i, viscosity in enumerate(distinct(rows, "viscosity")):
         runs = pick(rows, viscosity=viscosity)
         label = f"viscosity {viscosity:g} s" if viscosity else "undamped"
-        axis.semilogy(column(runs, "max_order"), column(runs, "steps_per_s"), label=label, **look(i))
+        axis.semilogy(column(runs, "max_order"), column(runs, "steps_per_s"), label=label, **marker_style(i))
     ended = [row for row in pick(rows) if row["outcome"] != "done"]
     if ended:
         axis.plot(
@@ -130,13 +131,13 @@ def history_panel(axis, rows):
         row = last(rows, viscosity=0.0, max_order=order)
         if row is None:
             continue
-        axis.semilogy(row["t"], row["h"], label=f"order {order}", **look(i) | {"marker": "", "linestyle": "-"})
+        axis.semilogy(row["t"], row["h"], label=f"order {order}", **marker_style(i) | {"marker": "", "linestyle": "-"})
         if row["outcome"] != "done":
             axis.plot(
                 row["t"][-1],
                 row["h"][-1],
                 "x",
-                color=look(i)["color"],
+                color=marker_style(i)["color"],
                 markersize=8,
                 markeredgewidth=2.0,
                 zorder=5,
@@ -147,7 +148,7 @@ def history_panel(axis, rows):
 
 def weights_panel(axis, rows):
     """Steps per simulated second against Young's modulus, both error tests; runs that were stopped are hollow."""
-    colours = {key: look(i) for i, key in enumerate((rtol, what) for rtol in each(rows, "rtol") for what in TESTED)}
+    colours = {key: marker_style(i) for i, key in enumerate((rtol, what) for rtol in distinct(rows, "rtol") for what in TESTED)}
     for (rtol, what), style in colours.items():
         runs = sorted(pick(rows, rtol=rtol, tested=what), key=lambda row: row["modulus"])
         if runs:

@@ -8,9 +8,10 @@ from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.integrate.iteration_matrix import MODES
 from polyida.linear.saddle import SCALINGS
-from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
-from polyida.study.harness import Study
-from polyida.study.rows import every, farthest, fitted, number, pick, worst
+from polyida.show.style import legend_above
+from polyida.study.plotting import line_picture, loglog, nested_style, panels, slope_line, study_figure
+from polyida.study.rows import column_with_failures, farthest, fit_slope, largest, number, pick
+from polyida.study.tasks import Study
 
 
 def steps(quick):
@@ -63,8 +64,8 @@ def run(plates, cells, of, form, scaling, h):
     return {
         "values": values,
         "theory": theory(of, form, scaling),
-        "slope": fitted(np.array(h)[small], values[small]),
-        "slope_limit": fitted(far, [measure(step) for step in far]),
+        "slope": fit_slope(np.array(h)[small], values[small]),
+        "slope_limit": fit_slope(far, [measure(step) for step in far]),
         "worst": values[within].max(),
         "at_1e-2": values[h.index(1e-2)],
         "at_1e-9": values[-1],
@@ -104,14 +105,14 @@ def figures(rows):
     unscaled = {"of": "alpha", "form": "(q, lam)", "scaling": "none"}
     found = {
         "slope_unscaled": number(rows, "slope", plates="soft", **unscaled),
-        "slope_unscaled_worst": farthest(every(rows, "slope_limit", **unscaled), -4),
-        "scaled_condition_max": worst(rows, "worst", **physical),
-        "scaled_condition_at_1e-9_max": worst(rows, "at_1e-9", **physical),
+        "slope_unscaled_worst": farthest(column_with_failures(rows, "slope_limit", **unscaled), -4),
+        "scaled_condition_max": largest(rows, "worst", **physical),
+        "scaled_condition_at_1e-9_max": largest(rows, "at_1e-9", **physical),
     }
     for row in pick(rows, **physical):
         found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
     found["scaled_over_free_max"] = over_free(rows, pick(rows, **physical))
-    found["ida_scaled_slope_limit_max"] = abs(farthest(every(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
+    found["ida_scaled_slope_limit_max"] = abs(farthest(column_with_failures(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
         found[f"slope_limit_{row['form']}"] = row["slope_limit"]
     return found | radau_figures(rows)
@@ -122,12 +123,12 @@ def radau_figures(rows):
     raw, physical = {"of": "Radau", "scaling": "none"}, {"of": "Radau", "scaling": "physical"}
     found = {}
     for form, slope in conditioning.RADAU_SLOPES.items():
-        slopes = [every(rows, "slope_limit", form=f"{form}, {mode}", **raw) for mode in MODES]
+        slopes = [column_with_failures(rows, "slope_limit", form=f"{form}, {mode}", **raw) for mode in MODES]
         found[f"radau_{form}_raw_slope"] = farthest(np.concatenate(slopes), slope)
     return found | {
-        "radau_scaled_slope_max": abs(farthest(every(rows, "slope_limit", **physical), 0)),
-        "radau_scaled_condition_max": worst(rows, "worst", **physical),
-        "radau_scaled_condition_at_1e-9_max": worst(rows, "at_1e-9", **physical),
+        "radau_scaled_slope_max": abs(farthest(column_with_failures(rows, "slope_limit", **physical), 0)),
+        "radau_scaled_condition_max": largest(rows, "worst", **physical),
+        "radau_scaled_condition_at_1e-9_max": largest(rows, "at_1e-9", **physical),
     }
 
 
@@ -164,7 +165,7 @@ def label_of(row):
     return f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}"
 
 
-@drawn
+@study_figure
 def alpha_figure(rows):
     """Condition number of generalized-alpha's iteration matrix against the step, with the slopes of theory dashed."""
     made, axes = panels(2, height=3.4)
@@ -177,11 +178,11 @@ def alpha_figure(rows):
             if row["scaling"] == "none":
                 slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
         axis.set(xlabel="step h, s", ylabel="condition number", title=f"generalized-alpha, {plates} plates")
-    legend(made, axes, 3)
-    return curves(made, "condition-alpha")
+    legend_above(made, axes, 3)
+    return line_picture(made, "condition-alpha")
 
 
-@drawn
+@study_figure
 def ida_figure(rows):
     """Condition number of IDA's matrix against 1/cj, raw and scaled, form by form."""
     made, axes = panels(2, height=3.4, sharey=True)
@@ -190,11 +191,11 @@ def ida_figure(rows):
             loglog(axis, row["h"], row["values"], list(conditioning.IDA_SLOPES).index(row["form"]), row["form"])
         axis.set(xlabel="1 / cj, s", title=f"IDA, soft plates, {title}")
     axes[0].set_ylabel("condition number")
-    legend(made, axes, 6)
-    return curves(made, "condition-ida")
+    legend_above(made, axes, 6)
+    return line_picture(made, "condition-ida")
 
 
-@drawn
+@study_figure
 def radau_figure(rows):
     """Condition number of Radau IIA's matrices against the step, raw and scaled, for both modes of the stages."""
     made, axes = panels(2, height=3.4, sharey=True)
@@ -202,14 +203,14 @@ def radau_figure(rows):
     for axis, scaling, title in zip(axes, ("none", "physical"), ("raw", "scaled by physical sizes")):
         for row in pick(rows, of="Radau", plates="soft", scaling=scaling):
             ring = forms.index(row["form"])
-            axis.loglog(row["h"], row["values"], label=row["form"], **nested(ring, ring, len(forms)))
+            axis.loglog(row["h"], row["values"], label=row["form"], **nested_style(ring, ring, len(forms)))
         axis.set(xlabel="step h, s", title=f"Radau IIA, soft plates, {title}")
     for row in pick(rows, of="Radau", plates="soft", scaling="none"):
         if row["form"].endswith("real"):
             slope_line(axes[0], row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
     axes[0].set_ylabel("condition number")
-    legend(made, axes, 4)
-    return curves(made, "condition-radau")
+    legend_above(made, axes, 4)
+    return line_picture(made, "condition-radau")
 
 
 def solve_figure(rows, name, step, shown):
@@ -222,17 +223,17 @@ def solve_figure(rows, name, step, shown):
         title = f"scaling: {scaling}" if of == form else f"{form}, {'raw' if scaling == 'none' else 'scaled'}"
         axis.set(xlabel=step, title=title, ylim=(1e-16, 1e3))
     axes[0].set_ylabel("relative error of the solve")
-    legend(made, axes, 2)
-    return curves(made, name)
+    legend_above(made, axes, 2)
+    return line_picture(made, name)
 
 
-@drawn
+@study_figure
 def solve_alpha_figure(rows):
     """Relative error of one solve with generalized-alpha's matrix against the step, on steel plates, for each back-end and scaling."""
     return solve_figure(rows, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
 
 
-@drawn
+@study_figure
 def solve_ida_figure(rows):
     """Relative error of one solve with IDA's matrix against 1/cj, on steel plates, for each back-end."""
     kinds = [(f"IDA solve, {form}", scaling) for form in ("ggl2", "index1") for scaling in IDA_SCALINGS[::-1]]

@@ -5,9 +5,10 @@ import numpy as np
 from defaults.runs import measure
 from polyida import registry
 from polyida.cli.study import main
-from polyida.study.drawing import curves, drawn, legend, loglog, look, panels
-from polyida.study.harness import Study
-from polyida.study.rows import NAN, column, each, pick, stopped
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, loglog, panels, study_figure
+from polyida.study.rows import NAN, column, distinct, pick, unfinished_notes
+from polyida.study.tasks import Study
 from work_precision.integrators import cheapest
 
 AIM, REACH = 1e-4, (1e-5, 3e-4)  # error over the size: about that, and within these
@@ -81,20 +82,22 @@ def reference_notes(rows):
 
 
 def stop_notes(rows):
-    return stopped(rows, "problem", "integrator", "x")
+    return unfinished_notes(rows, "problem", "integrator", "x")
 
 
-@drawn
+@study_figure
 def defaults_figure(rows):
     """CPU seconds against error: given settings as lines, the own choice a star; the aim is dashed, shaded what counts as reaching it."""
-    problems = each(rows, "problem")
+    problems = distinct(rows, "problem")
     made, axes = panels(len(GIVEN) if problems else 0, width=9.0, height=3.4, columns=3)
     for axis, kind in zip(axes, GIVEN):
         for i, name in enumerate(problems):
             runs = [row for row in pick(rows, problem=name, integrator=kind) if row["x"] is not None]
             loglog(axis, column(runs, "error_max"), column(runs, "cpu_s"), i, name)
             own = default(rows, problem=name, integrator=kind)
-            axis.loglog(column(own, "error_max"), column(own, "cpu_s"), **look(i) | {"marker": "*", "markersize": 10, "linestyle": ""})
+            axis.loglog(
+                column(own, "error_max"), column(own, "cpu_s"), **marker_style(i) | {"marker": "*", "markersize": 10, "linestyle": ""}
+            )
         axis.axvspan(*REACH, color="#dddddd", zorder=0)
         axis.axvline(AIM, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
         axis.set(
@@ -102,8 +105,8 @@ def defaults_figure(rows):
             xlabel="largest error of q over the size",
             ylabel="" if kind != "alpha" else "CPU seconds",
         )
-    legend(made, axes, 5)
-    return curves(made, "defaults")
+    legend_above(made, axes, 5)
+    return line_picture(made, "defaults")
 
 
 COLUMNS = ("problem", "integrator", "x", "error_max", "error_end", "cpu_s", "steps", "rejected", "factorizations", "outcome", "error")

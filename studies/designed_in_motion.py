@@ -9,9 +9,10 @@ from designed_in_motion.machines import MACHINES
 from designed_in_motion.solids import LEVELS
 from polyida.cli.study import main
 from polyida.show.html import Movie
-from polyida.study.drawing import curves, drawn, legend, look, panels, picture
-from polyida.study.harness import Study
-from polyida.study.rows import each, last, pick, value
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, picture, study_figure
+from polyida.study.rows import distinct, last, pick, value
+from polyida.study.tasks import Study
 
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)
@@ -87,7 +88,7 @@ def what_is_compared(rows):
     ]
 
 
-@drawn
+@study_figure
 def densities_figure(rows):
     """Densities of the designs, from the start through the stages of the projection to the end; black is solid."""
     found = [row for row in pick(rows) if "rho" in row]
@@ -103,7 +104,7 @@ def densities_figure(rows):
     return picture(made, "densities")
 
 
-@drawn
+@study_figure
 def solids_figure(rows):
     """The solid designs, all of the same mass."""
     found = pick(rows)
@@ -114,36 +115,36 @@ def solids_figure(rows):
     return picture(made, "solids")
 
 
-@drawn
+@study_figure
 def history_figure(rows):
     """What is minimised over the evaluations, of what it was at the start: the projection grows harder from stage to stage."""
     found = [row for row in pick(rows) if "rho" in row]
     made, (axis,) = panels(1 if found else 0, width=5.6)
     for i, row in enumerate(found):
         values = np.array(row["history"]) / row["history"][0]
-        axis.semilogy(range(1, len(values) + 1), values, **look(i) | {"marker": ""}, label=f"{row['machine']}, {row['design']}")
+        axis.semilogy(range(1, len(values) + 1), values, **marker_style(i) | {"marker": ""}, label=f"{row['machine']}, {row['design']}")
     axis.set(xlabel="evaluation", ylabel="of the value at the start")
-    legend(made, axis, 2)
-    return curves(made, "history")
+    legend_above(made, axis, 2)
+    return line_picture(made, "history")
 
 
-@drawn
+@study_figure
 def motion_figure(rows):
     """How far the tip is from where a rigid machine has it, and the torque of the first motor, over time; solid designs."""
-    machines = each(pick(rows), "machine")
+    machines = distinct(pick(rows), "machine")
     made, axes = panels(2 * len(machines), width=8.0, height=2.6)
     for (off, torque), machine in zip(axes.reshape(-1, 2), machines):
         for row in pick(rows, machine=machine):
-            style = look(DESIGNS.index(row["design"])) | {"marker": ""}
+            style = marker_style(DESIGNS.index(row["design"])) | {"marker": ""}
             off.semilogy(row["t"], np.maximum(1e3 * np.array(row["off"]), 1e-3), label=row["design"], **style)
             torque.plot(row["t"], row["torques"][0], label=row["design"], **style)
         off.set(xlabel="t, s", ylabel="deviation of the tip, mm", title=machine)
         torque.set(xlabel="t, s", ylabel="torque, N m", title=machine)
-    legend(made, axes, 5)
-    return curves(made, "motion")
+    legend_above(made, axes, 5)
+    return line_picture(made, "motion")
 
 
-@drawn
+@study_figure
 def movie(rows):
     """The arm in motion: the design in motion, the static one and the bar of the same mass."""
     shown = [last(rows, machine="arm", design=MOTION), best_static(rows, "arm"), last(rows, machine="arm", design="bar")]

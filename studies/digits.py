@@ -13,7 +13,7 @@ from polyida import problems
 from polyida.integrate.start import consistent_acceleration
 from polyida.problems.mechanisms import LEVELS
 from polyida.problems.plates import DIGITS
-from polyida.study.families import by_explicit, by_radau, distance
+from polyida.study.references import by_explicit, by_radau, distance
 
 
 class Tolerances(NamedTuple):

@@ -4,9 +4,10 @@ import numpy as np
 
 from energy.long_run import balance
 from polyida.cli.study import main
-from polyida.study.drawing import curves, digits, drawn, legend, look, panels, tag
-from polyida.study.harness import Study
-from polyida.study.rows import pick, stopped, worst
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, setting_label, short_number, study_figure
+from polyida.study.rows import largest, pick, unfinished_notes
+from polyida.study.tasks import Study
 from work_precision.integrators import by_tolerance
 
 STEP = 2e-3
@@ -48,7 +49,7 @@ def run(scene, integrator, x, time, cells):
 
 
 def headline(rows):
-    return {"energy_momentum_relative_drift": worst(rows, "energy_drift", scene="swinging", integrator="energy-momentum")}
+    return {"energy_momentum_relative_drift": largest(rows, "energy_drift", scene="swinging", integrator="energy-momentum")}
 
 
 def drifts(rows):
@@ -66,16 +67,16 @@ def losses(rows):
 
 def short(row):
     name = row["integrator"].replace(",", "").replace(" ", "_").replace("-", "_").replace(".", "")
-    return f"{name}_{digits(row['x'])}"
+    return f"{name}_{short_number(row['x'])}"
 
 
 def label(row):
-    return f"{row['integrator']}, {tag('rtol' if by_tolerance(row['integrator']) else 'h', row['x'])}"
+    return f"{row['integrator']}, {setting_label('rtol' if by_tolerance(row['integrator']) else 'h', row['x'])}"
 
 
 def stop_notes(rows):
     """Runs that stopped; their drifts are those up to there."""
-    return [f"{line}; drifts are up to there" for line in stopped(rows, "scene", "integrator", "x", length=140)]
+    return [f"{line}; drifts are up to there" for line in unfinished_notes(rows, "scene", "integrator", "x", length=140)]
 
 
 def loss_notes(rows):
@@ -106,13 +107,13 @@ def draw_change(axis, rows, scene, what):
     for i, member in enumerate(DRAWN):
         for dash, row in zip(("-", (0, (4, 1.6))), pick(rows, scene=scene, integrator=member)):
             t, size, cut = running(row, what)
-            style = look(i) | {"linestyle": dash, "markerfacecolor": "none", "markevery": (0.03 * i, 0.25)}
+            style = marker_style(i) | {"linestyle": dash, "markerfacecolor": "none", "markevery": (0.03 * i, 0.25)}
             axis.semilogy(t[1:], size[1:], label=label(row), **style)
             if cut and len(t) > 1:
                 axis.plot(t[-1], size[-1], "x", color=style["color"], markersize=7, markeredgewidth=1.8)
 
 
-@drawn
+@study_figure
 def energy_figure(rows):
     """The largest relative change of energy and of angular momentum so far; a cross is where a run stopped or had lost the motion."""
     made, axes = panels(3, width=7.4, height=3.4, columns=3)
@@ -120,8 +121,8 @@ def energy_figure(rows):
         draw_change(axis, rows, scene, what)
         axis.set(xlabel="t, s", title=f"{scene}: {'energy' if what == 'energy' else 'angular momentum'}")
     axes[0].set_ylabel("largest relative change so far")
-    legend(made, axes, 3)
-    return curves(made, "energy")
+    legend_above(made, axes, 3)
+    return line_picture(made, "energy")
 
 
 def figure_notes(rows):

@@ -2,9 +2,10 @@
 
 from gradient_errors.measure import KINDS, OBJECTIVES, SCENES, error_row
 from polyida.cli.study import main
-from polyida.study.drawing import curves, drawn, legend, look, panels
-from polyida.study.harness import Study
-from polyida.study.rows import column, each, pick, worst
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, study_figure
+from polyida.study.rows import column, distinct, largest, pick
+from polyida.study.tasks import Study
 
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 AIM = 1e-6  # at a tolerance of 1e-10
@@ -30,11 +31,11 @@ def run(**task):
 def figures(rows):
     """The largest error at the default tolerance and at 1e-10, of all, and at the default one of each objective and kind."""
     found = {
-        "gradient_error_default": worst(rows, "slope_error", tolerance=None),
-        "gradient_error_1e-10": worst(rows, "slope_error", tolerance=1e-10),
+        "gradient_error_default": largest(rows, "slope_error", tolerance=None),
+        "gradient_error_1e-10": largest(rows, "slope_error", tolerance=1e-10),
     }
     for objective in OBJECTIVES:
-        found[f"gradient_error_default_{objective.replace(' ', '_')}"] = worst(rows, "slope_error", tolerance=None, objective=objective)
+        found[f"gradient_error_default_{objective.replace(' ', '_')}"] = largest(rows, "slope_error", tolerance=None, objective=objective)
     for kind in KINDS:
         numbers = [row[kind] for row in pick(rows, tolerance=None) if kind in row]
         if numbers:
@@ -52,23 +53,23 @@ def notes(rows):
     ]
 
 
-@drawn
+@study_figure
 def draw(rows):
     """Largest relative error of the slopes against Newton's tolerance, for each objective; dotted: at the default tolerance."""
-    scenes = each([row for row in pick(rows) if row["tolerance"]], "scene")
+    scenes = distinct([row for row in pick(rows) if row["tolerance"]], "scene")
     made, axes = panels(len(scenes), width=9.0, columns=3)
     for axis, scene in zip(axes, scenes):
         for i, objective in enumerate(OBJECTIVES):
             own = sorted(
                 (row for row in pick(rows, scene=scene, objective=objective) if row["tolerance"]), key=lambda row: row["tolerance"]
             )
-            axis.plot(column(own, "tolerance"), column(own, "slope_error"), label=objective, **look(i))
+            axis.plot(column(own, "tolerance"), column(own, "slope_error"), label=objective, **marker_style(i))
             for row in pick(rows, scene=scene, objective=objective, tolerance=None):
-                axis.axhline(row["slope_error"], linestyle=":", linewidth=0.8, color=look(i)["color"])
+                axis.axhline(row["slope_error"], linestyle=":", linewidth=0.8, color=marker_style(i)["color"])
         axis.set(xscale="log", yscale="log", title=scene, xlabel="Newton's tolerance")
     axes[0].set_ylabel("relative error of slopes")
-    legend(made, axes, columns=5)
-    return curves(made, "gradient-errors")
+    legend_above(made, axes, columns=5)
+    return line_picture(made, "gradient-errors")
 
 
 study = Study(

@@ -4,9 +4,10 @@ import numpy as np
 
 from gradient_over_run import measure
 from polyida.cli.study import main
-from polyida.study.drawing import aim_line, curves, drawn, legend, look, panels
-from polyida.study.harness import Study
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, study_figure, target_line
 from polyida.study.rows import pick
+from polyida.study.tasks import Study
 
 DECADES = {"1e3": 1_000, "1e4": 10_000}
 SPANS = {1_000: 1.0, 3_000: 1.0, 10_000: 0.5, 30_000: 0.2}  # s
@@ -74,7 +75,7 @@ def shares(row):
     return found | {"rest": 1.0 - sum(found.values())}
 
 
-@drawn
+@study_figure
 def draw(rows):
     """Left: CPU time of a gradient over that of its run against the number of coordinates, for each scene and objective. Right: relative error
     of the slopes in each polygon's stiffness against Newton's tolerance.
@@ -86,12 +87,12 @@ def draw(rows):
         for axis, found, x, y in ((axes[0], times, "n", "ratio"), (axes[1], errors, "tolerance", "stiffness_error")):
             own = sorted(pick(found, scene=scene, objective=objective), key=lambda row, x=x: row[x])
             if own:
-                axis.plot([row[x] for row in own], [row[y] for row in own], label=f"{scene}, {objective}", **look(i))
+                axis.plot([row[x] for row in own], [row[y] for row in own], label=f"{scene}, {objective}", **marker_style(i))
     axes[0].set(xscale="log", xlabel="coordinates", ylabel="gradient over run", ylim=(0.0, None))
     axes[1].set(xscale="log", yscale="log", xlabel="Newton's tolerance", ylabel="relative error of the slopes")
-    aim_line(axes[0], AIMS["gradient_over_run_1e4"], "aim at 1e4")
-    legend(made, axes, columns=3)
-    return curves(made, "gradient-over-run")
+    target_line(axes[0], AIMS["gradient_over_run_1e4"], "aim at 1e4")
+    legend_above(made, axes, columns=3)
+    return line_picture(made, "gradient-over-run")
 
 
 study = Study(

@@ -7,10 +7,10 @@ from levels.scenes import FULL, RIGID, goes_at_any_level
 from polyida import registry
 from polyida.cli.study import main
 from polyida.errors import ReductionWarning
-from polyida.show.style import INK
-from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
-from polyida.study.harness import Study
-from polyida.study.rows import column, each, number, pick, stopped
+from polyida.show.style import INK, legend_above, marker_style
+from polyida.study.plotting import line_picture, loglog, panels, study_figure, target_line
+from polyida.study.rows import column, distinct, number, pick, unfinished_notes
+from polyida.study.tasks import Study
 
 MODES = {"double-plate": (3, 5, 8, 10, 12), "double-plate-motors": (5, 10), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
 OTHERS = (3, 5, 10)  # of problems that go at any level by themselves
@@ -75,14 +75,14 @@ def words(level):
 
 
 def stop_notes(rows):
-    return stopped(rows, "problem", "level", "x")
+    return unfinished_notes(rows, "problem", "level", "x")
 
 
 def table_notes(rows):
     """What each level is off, and what it costs where its own error shows: by the longest step that adds no more than that."""
     lines = []
-    for name in each(rows, "problem"):
-        for level in each(pick(rows, problem=name), "level"):
+    for name in distinct(rows, "problem"):
+        for level in distinct(pick(rows, problem=name), "level"):
             found = pick(rows, problem=name, level=level)
             own = number(found, "distance", x=None)
             good = [row for row in found if row["x"] is not None and row["distance"] <= 2 * own]
@@ -92,47 +92,47 @@ def table_notes(rows):
     return lines
 
 
-@drawn
+@study_figure
 def runs_figure(rows):
     """CPU seconds against the tip's distance from that with full plates, a panel a problem, from long steps to short."""
     found = [row for row in rows if row.get("x") is not None]
-    problems, levels = each(found, "problem"), sorted(each(found, "level"), key=place)
+    problems, levels = distinct(found, "problem"), sorted(distinct(found, "level"), key=place)
     made, axes = panels(len(problems), height=3.2)
     for axis, name in zip(axes, problems):
         for i, level in enumerate(levels):
             points = pick(found, problem=name, level=level)
             loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
         axis.set(title=name, xlabel="distance from full plates, m", ylabel="CPU seconds")
-    legend(made, axes, 5)
-    return curves(made, "levels")
+    legend_above(made, axes, 5)
+    return line_picture(made, "levels")
 
 
-@drawn
+@study_figure
 def modes_figure(rows):
     """Distance of the tip with reduced plates from that with full ones, against the number of modes."""
     found = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
     made, (axes,) = panels(1, width=5.0)
-    for i, name in enumerate(each(found, "problem")):
+    for i, name in enumerate(distinct(found, "problem")):
         points = pick(found, problem=name)
-        axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **look(i))
+        axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **marker_style(i))
     axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
     axes.set(xlabel="modes a plate", ylabel="distance from full plates, m")
-    legend(made, axes, 3)
-    return curves(made, "levels_modes")
+    legend_above(made, axes, 3)
+    return line_picture(made, "levels_modes")
 
 
-@drawn
+@study_figure
 def steps_figure(rows):
     """CPU time of a step against the cells of a plate; dashed is the aim."""
     found = pick(rows, part="step")
     made, (axes,) = panels(1 if found else 0, width=5.0)
-    for i, level in enumerate(each(found, "level")):
+    for i, level in enumerate(distinct(found, "level")):
         points = pick(found, level=level)
         loglog(axes, column(points, "cells"), 1e6 * column(points, "step_s"), i, words(level))
-    aim_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
+    target_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
     axes.set(xlabel="cells a plate", ylabel="CPU time of a step, µs")
-    legend(made, axes, 4)
-    return curves(made, "levels_steps")
+    legend_above(made, axes, 4)
+    return line_picture(made, "levels_steps")
 
 
 STUDY = Study(

@@ -3,9 +3,10 @@
 from designed_in_motion.pictures import draw_densities
 from mbb_beam import beam, criteria
 from polyida.cli.study import main
-from polyida.study.drawing import curves, drawn, legend, panels, picture
-from polyida.study.harness import Study
-from polyida.study.rows import NAN, each, number, pick
+from polyida.show.style import legend_above
+from polyida.study.plotting import line_picture, panels, picture, study_figure
+from polyida.study.rows import NAN, distinct, number, pick
+from polyida.study.tasks import Study
 
 PUBLISHED = 233.71  # 60 x 20 squares, volume 0.5, SIMP 3, radius 2.4: Andreassen et al. 2011
 SHOWN = 10  # the first iteration in the picture of the history
@@ -67,7 +68,7 @@ def notes(rows):
     ]
 
 
-@drawn
+@study_figure
 def designs_figure(rows):
     """The designs: black is solid; the left edge is the middle of the whole beam, where the load stands."""
     found = pick(rows)
@@ -78,18 +79,18 @@ def designs_figure(rows):
     return picture(made, "mbb_designs")
 
 
-@drawn
+@study_figure
 def history_figure(rows):
     """Compliance over the iterations; dashed is the published one."""
     made, (axis,) = panels(1, width=5.6)
-    for name in each(rows, "mesh"):
+    for name in distinct(rows, "mesh"):
         for row in pick(rows, mesh=name):
             dash = "-" if name == "squares" else "--"
             axis.semilogx(range(SHOWN, row["used"] + 1), row["history"][SHOWN - 1 :], dash, label=f"{name}, {row['element']}")
     axis.axhline(PUBLISHED, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)))
     axis.set(xlabel="iteration", ylabel="compliance, J")
-    legend(made, axis, 3)
-    return curves(made, "mbb_history")
+    legend_above(made, axis, 3)
+    return line_picture(made, "mbb_history")
 
 
 STUDY = Study(

@@ -8,10 +8,10 @@ from mesh_convergence import cases
 from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
-from polyida.show.style import INK
-from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
-from polyida.study.harness import Study
-from polyida.study.rows import column, fitted, last, pick, value, worst
+from polyida.show.style import INK, legend_above, marker_style
+from polyida.study.plotting import line_picture, loglog, panels, study_figure, target_line
+from polyida.study.rows import column, fit_slope, largest, last, pick, value
+from polyida.study.tasks import Study
 
 REFERENCES = {  # what a figure says of what errors are measured against: where that is slender, a plane body is some way from it
     "elastica": "plane body less elastica",
@@ -90,7 +90,7 @@ def rates(rows):
     found = {}
     for member in MEMBERS:
         name, runs = "_".join(member), by_size(rows, case="cantilever", **of_member(member))
-        found[f"cantilever_order_{name}"] = -2 * fitted(column(runs, "dof"), column(runs, "deviation"))
+        found[f"cantilever_order_{name}"] = -2 * fit_slope(column(runs, "dof"), column(runs, "deviation"))
         if row := finest(rows, case="frequencies", **of_member(member)):
             found[f"bending_frequency_error_{name}"] = abs(row["bending_errors"][0])
             found[f"axial_frequency_error_{name}"] = max(map(abs, row["axial_errors"]))
@@ -149,7 +149,7 @@ def joint_notes(rows):
 
 
 def locking_notes(rows):
-    off = worst(
+    off = largest(
         [row for row in (finest(rows, case="elastica", load=load, slenderness=50, kind="triangles") for load in (1, 10)) if row],
         "deviation",
     )
@@ -182,7 +182,7 @@ def band(axis, top):
     return f": {top:.1e}"
 
 
-@drawn
+@study_figure
 def convergence_figure(rows):
     """Deviation from each reference against the number of coordinates; in the shade it is the reference's own, dashed is the aim."""
     cases = {
@@ -199,9 +199,9 @@ def convergence_figure(rows):
             runs = by_size(rows, **of_member(member), **wanted)
             loglog(axis, column(runs, "dof"), column(runs, "deviation"), i, ", ".join(member))
             more = [row for row in runs if row.get("above")]
-            axis.plot(column(more, "dof"), column(more, "deviation"), **look(i) | {"linestyle": "", "markerfacecolor": "white"})
+            axis.plot(column(more, "dof"), column(more, "deviation"), **marker_style(i) | {"linestyle": "", "markerfacecolor": "white"})
         axis.margins(y=0.2)
-        aim_line(axis, 1e-3, "0.1 %")
+        target_line(axis, 1e-3, "0.1 %")
         axis.set(title=title, ylabel="relative error")
         if words := REFERENCES.get(wanted["case"]):
             told = words + (band(axis, left_out(rows, **wanted)) if wanted["case"] != "cantilever" else "")
@@ -209,35 +209,35 @@ def convergence_figure(rows):
     axes[0].plot([], [], "ko", markerfacecolor="white", markersize=3.5, label="hollow: above the reference")
     for axis in axes[-2:]:
         axis.set_xlabel("degrees of freedom")
-    legend(made, axes, 3)
-    return curves(made, "mesh-convergence")
+    legend_above(made, axes, 3)
+    return line_picture(made, "mesh-convergence")
 
 
-@drawn
+@study_figure
 def joint_figure(rows):
     """Compliance against the mesh of a joint at one node and at a whole section."""
     made, axes = panels(1, width=4.2, height=2.6)
     for i, at in enumerate(("node", "section")):
         runs = by_size(rows, case="compliance", at=at)
-        axes[0].semilogx(column(runs, "dof"), column(runs, "compliance"), label=f"pulled at a {at}", **look(i))
+        axes[0].semilogx(column(runs, "dof"), column(runs, "compliance"), label=f"pulled at a {at}", **marker_style(i))
     axes[0].set(xlabel="degrees of freedom", ylabel="compliance over that of the bar")
-    legend(made, axes, 2)
-    return curves(made, "node-against-section")
+    legend_above(made, axes, 2)
+    return line_picture(made, "node-against-section")
 
 
-@drawn
+@study_figure
 def spin_up_figure(rows):
     """Extension and deflection of the spin-up beam's tip against time."""
     runs = by_size(rows, case="spin-up")
     made, axes = panels(2 if runs else 0, height=2.8)
     steady = [(t, 1e3 * u) for t, u in zip(runs[-1]["t"], runs[-1]["u"]) if t > STEADY]
-    axes[0].plot(runs[-1]["t"], runs[-1]["w"], color=look(0)["color"], linewidth=1.0)
-    axes[1].plot(*zip(*steady), color=look(0)["color"], linewidth=1.0, label="tip")
-    axes[1].axhline(1e3 * EXTENSION, color=look(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning")
+    axes[0].plot(runs[-1]["t"], runs[-1]["w"], color=marker_style(0)["color"], linewidth=1.0)
+    axes[1].plot(*zip(*steady), color=marker_style(0)["color"], linewidth=1.0, label="tip")
+    axes[1].axhline(1e3 * EXTENSION, color=marker_style(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning")
     axes[0].set(ylabel="deflection of the tip, m", xlabel="t, s", title="spin-up beam, in the turning frame")
     axes[1].set(ylabel="extension, mm", xlabel="t, s", title=f"its extension from t = {STEADY:g} s")
-    legend(made, axes, 2)
-    return curves(made, "spin-up")
+    legend_above(made, axes, 2)
+    return line_picture(made, "spin-up")
 
 
 COLUMNS = (

@@ -3,9 +3,9 @@
 from peers_table.cells import FOUND, checks_of, run
 from peers_table.rows import PEERS, ROWS
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, panels, picture
-from polyida.study.harness import Study
-from polyida.study.rows import each, pick
+from polyida.study.plotting import panels, picture, study_figure
+from polyida.study.rows import distinct, pick
+from polyida.study.tasks import Study
 
 ALWAYS = ("polyida", "scikit-sundae")  # what an installed polyida has beside it
 
@@ -18,7 +18,7 @@ def tasks(quick):
 def figures(rows):
     """How many cells of each peer were seen."""
     good = [row for row in rows if not row.get("error")]
-    return {f"{peer}_seen": float(len(pick(good, peer=peer, found="seen"))) for peer in each(good, "peer")}
+    return {f"{peer}_seen": float(len(pick(good, peer=peer, found="seen"))) for peer in distinct(good, "peer")}
 
 
 def notes(rows):
@@ -27,12 +27,12 @@ def notes(rows):
     return [f"{peer} is not installed: {PEERS[peer].install}" for peer in PEERS if peer in missing]
 
 
-@drawn
+@study_figure
 def draw(rows):
     """Seen, in whole or in part (squares), not there (crosses), not installed (dots); an empty place has no call here but a source in the guide."""
     from polyida.show.style import PALETTE
 
-    peers, names = each(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
+    peers, names = distinct(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
     made, (axes,) = panels(1 if rows else 0, columns=1, height=0.8 + 0.2 * len(names))
     for k, (found, marker) in enumerate(zip(FOUND, "sx.")):
         places = [(peers.index(row["peer"]), names.index(row["row"])) for row in pick(rows, found=found)]

@@ -3,9 +3,9 @@
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, picture
-from polyida.study.harness import Study
-from polyida.study.rows import each, pick
+from polyida.study.plotting import picture, study_figure
+from polyida.study.rows import distinct, pick
+from polyida.study.tasks import Study
 from skip import savings
 
 
@@ -31,12 +31,12 @@ def notes(rows):
     return list(savings.FIXED)
 
 
-@drawn
+@study_figure
 def draw(rows):
     """A bar for each saving: CPU time without it over CPU time with it."""
     from polyida.show.style import PALETTE, figure
 
-    names, sizes = each(rows, "saving"), each(rows, "cells")
+    names, sizes = distinct(rows, "saving"), distinct(rows, "cells")
     if not pick(rows):
         raise LookupError("no rows to draw")
     made, axes = figure(6.4, 1.0 + 0.26 * len(names))

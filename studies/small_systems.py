@@ -9,9 +9,10 @@ from levels.scenes import at_level
 from polyida.cli.study import main
 from polyida.problems import plates
 from polyida.problems.n_four_bar import n_four_bar
-from polyida.study.drawing import curves, drawn, legend, look, panels
-from polyida.study.harness import Study
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import pick
+from polyida.study.tasks import Study
 from small_systems.in_exudyn import SETTINGS, SPARSE, Bodies
 from small_systems.in_solve_dae import peer_row
 from small_systems.own_models import SPANS, cpu, functions_row, pendulum_row
@@ -190,7 +191,7 @@ def notes(rows):
     return missed + less + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
-@drawn
+@study_figure
 def draw(rows):
     """CPU time of a step against the number of coordinates."""
     scenes = [scene for scene in SCENES if pick(rows, scene=scene, part="step")]
@@ -200,10 +201,10 @@ def draw(rows):
         for i, name in enumerate((*INTEGRATORS, "exudyn")):
             known = [row for row in own if f"{name}_us" in row]
             if known:
-                axis.plot([row["n"] for row in known], [row[f"{name}_us"] for row in known], label=name, **look(i))
+                axis.plot([row["n"] for row in known], [row[f"{name}_us"] for row in known], label=name, **marker_style(i))
         axis.set(xscale="log", yscale="log", xlabel=f"coordinates, {scene}", ylabel="CPU time of a step, us")
-    legend(made, axes)
-    return curves(made, "small-systems")
+    legend_above(made, axes)
+    return line_picture(made, "small-systems")
 
 
 study = Study(

@@ -12,9 +12,9 @@ import numpy as np
 
 import polyida
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, panels, picture
-from polyida.study.harness import Study
-from polyida.study.rows import each, pick
+from polyida.study.plotting import panels, picture, study_figure
+from polyida.study.rows import distinct, pick
+from polyida.study.tasks import Study
 
 IMPORT, BUILD = "import polyida as pi\nfrom polyida.problems.plates import double_plate", "model = double_plate().build()"
 STEP = "pi.solve(model, 1e-3, pi.GeneralizedAlpha(h=1e-3))"
@@ -26,7 +26,7 @@ JOBS = {  # job: its parts in order, executed one after the other
         "run": f"assert {STEP}.success",
     },
     "main job": {
-        "import": "from polyida.study.compare import compare\nfrom polyida.study.chosen import load",
+        "import": "from polyida.study.comparison import compare\nfrom polyida.study.ivp import load",
         "build": 'job = load("double-plate")',
         "run": "assert compare(job).success",
     },
@@ -83,7 +83,7 @@ def of_children():
 def figures(rows):
     """Medians: `cold_alpha_cpu_s`, `warm_alpha_cpu_s` and those of the other jobs."""
     found = {}
-    for job in each(rows, "job"):
+    for job in distinct(rows, "job"):
         for cache in ("cold", "warm"):
             seconds = [row[f"{cache}_cpu_s"] for row in pick(rows, job=job)]
             if seconds:
@@ -103,13 +103,13 @@ def notes(rows):
     ]
 
 
-@drawn
+@study_figure
 def draw(rows):
     """CPU time of a new process, part by part: with the kernels' cache empty (cold) and filled (warm)."""
     from polyida.show.style import PALETTE
 
     made, (axes,) = panels(1, columns=1, height=2.6)
-    jobs = [job for job in each(rows, "job") if pick(rows, job=job)]
+    jobs = [job for job in distinct(rows, "job") if pick(rows, job=job)]
     if not jobs:
         raise LookupError("no rows to draw")
     bars = [(job, cache) for job in jobs for cache in ("cold", "warm")]

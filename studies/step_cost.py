@@ -4,8 +4,8 @@ import numpy as np
 
 from against_peers import peers
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, picture
-from polyida.study.harness import Study
+from polyida.study.plotting import picture, study_figure
+from polyida.study.tasks import Study
 from step_cost import beside_alpha, frames, own_functions, threads, told_cj, waits
 from step_cost import measure as cost
 from step_cost.against import against
@@ -216,10 +216,10 @@ def start_notes(rows):
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
-@drawn
+@study_figure
 def cost_figure(rows):
     """CPU time of a step against the number of coordinates, beside the floors: what the factorizations and solves of one alone take."""
-    from polyida.show.style import figure, line
+    from polyida.show.style import figure, line_style
 
     made, axes = figure(6.4, 4.6)
     alpha = ("generalized-alpha", "alpha")
@@ -238,7 +238,7 @@ def cost_figure(rows):
                 [row[key] for row in found],
                 marker=marker,
                 label=label,
-                **line(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8},
+                **line_style(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8},
             )
     if not axes.lines:
         raise LookupError("no rows to draw")
@@ -247,7 +247,7 @@ def cost_figure(rows):
     return picture(made, "step_cost")
 
 
-@drawn
+@study_figure
 def parts_figure(rows):
     """Shares of the parts of a step in its CPU time, against the number of coordinates."""
     from polyida.show.style import PALETTE, figure

@@ -6,9 +6,10 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.linear.saddle import SCALINGS
-from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
-from polyida.study.harness import Study
-from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
+from polyida.show.style import legend_above
+from polyida.study.plotting import line_picture, loglog, nested_style, panels, slope_line, study_figure
+from polyida.study.rows import column, distinct, farthest, last, number, pick, unfinished_notes, value
+from polyida.study.tasks import Study
 from step_size_sensitivity import radau, slopes
 from step_size_sensitivity.errors import decades, order_errors, reference_floor, tiny_steps
 from step_size_sensitivity.slopes import PARTS, SOLVES, WAYS, runs_of
@@ -91,11 +92,11 @@ def order_notes(rows):
 def range_notes(rows):
     """Where the steps end, and where there is no stall level."""
     tiny = pick(rows, part="tiny")
-    lines = [f"h runs from {min(each(tiny, 'h')):g} to {max(each(tiny, 'h')):g} s"] if tiny else []
+    lines = [f"h runs from {min(distinct(tiny, 'h')):g} to {max(distinct(tiny, 'h')):g} s"] if tiny else []
     blind = [row for row in tiny if row["outcome"] == "done" and not np.isfinite(value(row, "stall_q"))]
     for scene, h in dict.fromkeys((row["scene"], row["h"]) for row in blind):
         lines.append(f"{scene}, h = {h:g} s: no stall level, as the iteration with the matrix of the step's begin runs away")
-    return lines + stopped(tiny, "scene", "phi", "solve", "h", length=120)
+    return lines + unfinished_notes(tiny, "scene", "phi", "solve", "h", length=120)
 
 
 def scaling_notes(rows):
@@ -115,7 +116,7 @@ def scaling_notes(rows):
     ]
 
 
-@drawn
+@study_figure
 def order_figure(rows):
     """Largest relative error over smooth motion against the step, and a line of slope 2."""
     made, axes = panels(2, height=3.0, sharey=True)
@@ -127,11 +128,11 @@ def order_figure(rows):
         loglog(axis, column(plain, "h"), column(plain, "error_a"), 4, "a, plain start")
         if runs:
             lowest = np.nanmin([value(runs[0], f"error_{part}") for part in PARTS]) / 3
-            slope_line(axis, 2, [runs[0]["h"], runs[-1]["h"]], lowest, "slope 2", beside=(-1, -20))
+            slope_line(axis, 2, [runs[0]["h"], runs[-1]["h"]], lowest, "slope 2", offset=(-1, -20))
         axis.set(xlabel="step h, s", title=f"smooth {kind}")
     axes[0].set_ylabel("largest relative error")
-    legend(made, axes, 5)
-    return curves(made, "order")
+    legend_above(made, axes, 5)
+    return line_picture(made, "order")
 
 
 def nest(axis, rows, scene, solves, name):
@@ -140,7 +141,7 @@ def nest(axis, rows, scene, solves, name):
         for ring, solve in enumerate(solves):
             runs = runs_of(rows, part="tiny", scene=scene, phi=phi, solve=solve)
             good = [row for row in runs if value(row, name) > 0]
-            look = nested(colour, ring, len(solves), "-" if phi == "carried" else (0, (4, 2)))
+            look = nested_style(colour, ring, len(solves), "-" if phi == "carried" else (0, (4, 2)))
             axis.plot(column(good, "h"), column(good, name), label=f"phi {phi}, {solve}", **look)
 
 
@@ -151,9 +152,9 @@ def theory_lines(axis, rows, scene, part):
         return number(rows, f"error_{part}", part="tiny", scene=scene, phi=phi, solve="physical", h=h)
 
     if np.isfinite(at("carried", 1e-4)):
-        slope_line(axis, slopes.METHOD[part], [1e-4, 1e-2], 20 * at("carried", 1e-4), beside=(-3, 2))
+        slope_line(axis, slopes.METHOD[part], [1e-4, 1e-2], 20 * at("carried", 1e-4), offset=(-3, 2))
     if np.isfinite(at("from positions", 1e-6)):
-        slope_line(axis, slopes.ROUND_OFF[part], [1e-6, 1e-8], 20 * at("from positions", 1e-6), beside=(3, 2))
+        slope_line(axis, slopes.ROUND_OFF[part], [1e-6, 1e-8], 20 * at("from positions", 1e-6), offset=(3, 2))
 
 
 def tiny_figure(rows, scene):
@@ -162,23 +163,23 @@ def tiny_figure(rows, scene):
         nest(axis, rows, scene, SOLVES, f"error_{part}")
         axis.set(title=f"{part}, {scene}", xlabel="step h, s", ylabel="relative error", xscale="log", yscale="log")
         theory_lines(axis, rows, scene, part)
-    legend(made, axes, 2)
-    return curves(made, f"tiny-steps-{scene.replace(' ', '-')}")
+    legend_above(made, axes, 2)
+    return line_picture(made, f"tiny-steps-{scene.replace(' ', '-')}")
 
 
-@drawn
+@study_figure
 def tiny_scene_2_figure(rows):
     """Relative errors after four steps on scene 2 against the step, with phi carried and from positions; theory's slopes dashed."""
     return tiny_figure(rows, "scene 2")
 
 
-@drawn
+@study_figure
 def tiny_smooth_figure(rows):
     """Relative errors after four steps on smooth motors against the step, with phi carried and from positions; theory's slopes dashed."""
     return tiny_figure(rows, "smooth motors")
 
 
-@drawn
+@study_figure
 def newton_figure(rows):
     """Where Newton's iteration stalls, and its iterations, against the step."""
     made, axes = panels(2, height=2.8)
@@ -188,9 +189,9 @@ def newton_figure(rows):
     axes[1].set(xscale="log", title="Newton's work, scene 2", ylabel="iterations a step", xlabel="step h, s", ylim=(0, None))
     level = number(rows, "stall_q", part="tiny", scene="scene 2", phi="from positions", solve="physical", h=1e-6)
     if np.isfinite(level):
-        slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, beside=(3, 2))
-    legend(made, axes, 2)
-    return curves(made, "newton")
+        slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, offset=(3, 2))
+    legend_above(made, axes, 2)
+    return line_picture(made, "newton")
 
 
 COLUMNS = ("part", "scene", "form", "phi", "solve", "h", "error_q", "error_v", "error_a", "error_lam", "iterations", "stall_q", "error")

@@ -4,8 +4,8 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.show.style import figure
-from polyida.study.drawing import drawn, picture
-from polyida.study.harness import Study
+from polyida.study.plotting import picture, study_figure
+from polyida.study.tasks import Study
 from stress.axes import meanings, run, tasks
 from stress.outcome import OUTCOMES, figures, limits, outcome_in
 
@@ -20,7 +20,7 @@ COLOURS = {
 }
 
 
-@drawn
+@study_figure
 def draw(rows):
     """One row an axis, one column an integrator: a square a value, from benign on the left to harsh, coloured by the outcome."""
     axes = list(dict.fromkeys(row["axis"] for row in rows))

@@ -5,10 +5,10 @@ from functools import partial
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.show.style import INK
-from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.harness import Study
-from polyida.study.rows import column, each, least, pick, stopped
+from polyida.show.style import INK, legend_above
+from polyida.study.plotting import line_picture, loglog, panels, study_figure
+from polyida.study.rows import column, distinct, pick, smallest, unfinished_notes
+from polyida.study.tasks import Study
 from work_precision import radau_accuracy, tip_accuracy
 from work_precision.cases import measure
 from work_precision.integrators import FIXED, IDA_FORMS, RADAU, cheapest
@@ -46,14 +46,14 @@ def errors(rows, problem, prefix, part="q"):
 
 def best_errors(rows):
     return {
-        "andrews_alpha_best_error": least(errors(rows, "andrews", "alpha")),
-        "andrews_ida_best_error": least(errors(rows, "andrews", "IDA")),
-        "andrews_alpha_plain_best_error": least(column(pick(rows, problem="andrews", integrator="alpha"), "error_q")),
-        "car_axis_ida_error_q": least(errors(rows, "car-axis", "IDA")),
-        "car_axis_ida_error_lam": least(errors(rows, "car-axis", "IDA", "lam")),
-        "car_axis_alpha_error_q": least(errors(rows, "car-axis", "alpha")),
-        "pendulum_ida_error_q": least(errors(rows, "pendulum", "IDA")),
-        "pendulum_alpha_error_q": least(errors(rows, "pendulum", "alpha")),
+        "andrews_alpha_best_error": smallest(errors(rows, "andrews", "alpha")),
+        "andrews_ida_best_error": smallest(errors(rows, "andrews", "IDA")),
+        "andrews_alpha_plain_best_error": smallest(column(pick(rows, problem="andrews", integrator="alpha"), "error_q")),
+        "car_axis_ida_error_q": smallest(errors(rows, "car-axis", "IDA")),
+        "car_axis_ida_error_lam": smallest(errors(rows, "car-axis", "IDA", "lam")),
+        "car_axis_alpha_error_q": smallest(errors(rows, "car-axis", "alpha")),
+        "pendulum_ida_error_q": smallest(errors(rows, "pendulum", "IDA")),
+        "pendulum_alpha_error_q": smallest(errors(rows, "pendulum", "alpha")),
     }
 
 
@@ -70,7 +70,7 @@ def stops(rows):
 def ratios(rows, level=1e-5):
     """CPU of IDA over that of generalized-alpha at equal errors of q, m."""
     found = {}
-    for problem in each([row for row in rows if row["problem"] in ("double-plate", "double-plate-motors")], "problem"):
+    for problem in distinct([row for row in rows if row["problem"] in ("double-plate", "double-plate-motors")], "problem"):
         alpha, ida = (cheapest(pick(rows, problem=problem, integrator=name), "error_q", level) for name in ("alpha", "IDA ggl2"))
         found[f"{problem}_ida_over_alpha_cpu".replace("-", "_")] = ida / alpha
     return found
@@ -84,7 +84,7 @@ def adaptivity(rows):
 
 
 def stop_notes(rows):
-    return stopped(rows, "problem", "integrator", "x")
+    return unfinished_notes(rows, "problem", "integrator", "x")
 
 
 def reference_notes(rows):
@@ -153,7 +153,7 @@ def mark_known(axis, rows, problem, part):
 
 
 def problems_of(rows, family):
-    return each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
+    return distinct([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
 
 
 def cpu_figure(family, part, rows):
@@ -163,9 +163,9 @@ def cpu_figure(family, part, rows):
         draw_family(axis, rows, problem, family, f"error_{part}", "cpu_s")
         mark_known(axis, rows, problem, part)
         axis.set(title=problem, xlabel=f"error in {part}, {unit(problem, part)}", ylabel="" if k % 3 else "CPU seconds")
-    legend(made, axes, 3)
+    legend_above(made, axes, 3)
     told = f"{NAMES[family]}: CPU time against the error in {part} at the end, problem by problem; grey are others for comparison."
-    return curves(made, f"work-precision-{family}-{part}", told)
+    return line_picture(made, f"work-precision-{family}-{part}", told)
 
 
 def counts_figure(family, rows):
@@ -176,16 +176,16 @@ def counts_figure(family, rows):
             draw_family(axis, rows, problem, family, "error_q", work)
             mark_known(axis, rows, problem, "q")
             axis.set(title=problem, xlabel=f"error in q, {unit(problem, 'q')}", ylabel=work)
-    legend(made, axes, 4)
+    legend_above(made, axes, 4)
     told = f"{NAMES[family]}: residuals and factorizations against the error in q at the end, problem by problem; grey are others for comparison."
-    return curves(made, f"work-counts-{family}", told)
+    return line_picture(made, f"work-counts-{family}", told)
 
 
 def figure_of(function, *settings):
     """A figure of the study with its settings, under its own name."""
     made = partial(function, *settings)
     made.__name__ = "_".join((function.__name__, *settings))
-    return drawn(made)
+    return study_figure(made)
 
 
 DRAW = tuple(figure_of(cpu_figure, family, part) for family in FAMILIES for part in ("q", "v", "lam"))

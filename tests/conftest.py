@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import polyida as pi
-from polyida.cli.screen import prepare
+from polyida.cli.output import prepare
 from polyida.run import run as running
 
 settings.register_profile("same every time", derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))

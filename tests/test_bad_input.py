@@ -12,9 +12,9 @@ import polyida as pi
 from polyida.adjoint.parameters import parameters_of
 from polyida.mesh import Circle, Intersection, Rectangle, polygonize
 from polyida.show import plates
-from polyida.show.animation import animation
-from polyida.study.chosen import load
-from polyida.study.compare import compare
+from polyida.show.animations import animation
+from polyida.study.comparison import compare
+from polyida.study.ivp import load
 
 MATERIAL = pi.Material(50e6, 0.3, 1100.0)
 MESH = pi.mesh.rectangle(1.0, 0.1, cells=20, seed=1)

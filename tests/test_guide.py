@@ -42,7 +42,7 @@ def test_what_a_text_names_exists(name):
 
 @pytest.mark.parametrize("name", TEXTS)
 def test_commands_of_a_text_exist(name):
-    from polyida.cli.main import app
+    from polyida.cli.commands import app
 
     known = {command.name or command.callback.__name__ for command in app.registered_commands}
     assert set(re.findall(r"(?:^ +|`)polyida ([a-z]\w*)", TEXTS[name], re.MULTILINE)) <= known

@@ -18,7 +18,7 @@ def test_program_runs(program, tmp_path, monkeypatch):
 
 
 def test_every_command_of_the_readme_exists():
-    from polyida.cli.main import app
+    from polyida.cli.commands import app
 
     known = {command.name or command.callback.__name__ for command in app.registered_commands}
     assert set(re.findall(r"^ +polyida (\w+)", README.read_text(encoding="utf-8"), re.MULTILINE)) <= known

@@ -14,9 +14,9 @@ import pytest
 
 from polyida.cli import study as cli_study
 from polyida.errors import InputError
-from polyida.study import harness
-from polyida.study.harness import Study, key_of, results
-from polyida.study.isolation import Worker
+from polyida.study import tasks as study_tasks
+from polyida.study.executors import Worker
+from polyida.study.tasks import Study, run_tasks, task_key
 from stress.kills import killed_sweeps
 
 CALLS = []
@@ -49,16 +49,16 @@ def study(numbers=range(3), **options):
 
 @pytest.mark.parametrize("content", ["", "{", "[1]", "null", '{"row": 3, "code": ""}', '{"number": 1}', "\0" * 100])
 def test_a_file_that_is_not_whole_is_run_again(tmp_path, content):
-    rows = results(study(), True, tmp_path)
-    (tmp_path / f"{key_of(study(), {'number': 1})}.json").write_text(content)
+    rows = run_tasks(study(), True, tmp_path)
+    (tmp_path / f"{task_key(study(), {'number': 1})}.json").write_text(content)
     CALLS.clear()
-    assert results(study(), True, tmp_path) == rows and CALLS == [1]
+    assert run_tasks(study(), True, tmp_path) == rows and CALLS == [1]
 
 
 @pytest.mark.parametrize("fresh", [True, False])
 def test_isolated_tasks_that_crash_are_rows(tmp_path, fresh):
     numbers = (2, 4, 5) if fresh else (2, 3, 4, 5, 6, 8)
-    found = results(study(numbers, isolated=True, limit=600.0, fresh=fresh), True, tmp_path)
+    found = run_tasks(study(numbers, isolated=True, limit=600.0, fresh=fresh), True, tmp_path)
     rows = dict(zip(numbers, found))
     assert [row.get("square") for row in found] == [None if k in (3, 5, 6) else k**2 for k in numbers]
     assert rows[5]["outcome"] == "crash" and rows[5]["error"] == "crash: signal SIGSEGV" and os.getpid() != rows[2]["where"]
@@ -69,7 +69,7 @@ def test_isolated_tasks_that_crash_are_rows(tmp_path, fresh):
 
 
 def test_an_isolated_task_that_hangs_is_a_row(tmp_path):
-    (row,) = results(study([7], isolated=True, limit=0.1), True, tmp_path)
+    (row,) = run_tasks(study([7], isolated=True, limit=0.1), True, tmp_path)
     assert (row["outcome"], row["error"]) == ("hang", "hang: no end within 0.1 s")
 
 
@@ -85,7 +85,7 @@ def test_a_worker_takes_call_after_call_and_one_that_hangs_is_replaced():
 
 ORPHAN = """
 import os, signal, sys, time
-import polyida.study.isolation as isolation
+import polyida.study.executors as isolation
 isolation.GRACE = 0.5
 def long(place):
     open(place, "w").write(str(os.getpid()))
@@ -102,7 +102,7 @@ def test_a_worker_left_alone_ends_itself(tmp_path):
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, tmp_path / "orphan.py", tmp_path / "pid"], env=paths).returncode == -signal.SIGKILL
     number = int((tmp_path / "pid").read_text())
-    _wait_for(lambda: not harness._lives(number) or _is_zombie(number) or None)
+    _wait_for(lambda: not study_tasks.process_exists(number) or _is_zombie(number) or None)
 
 
 def _wait_for(question):
@@ -128,7 +128,7 @@ def test_the_litter_of_killed_processes_is_removed(tmp_path):
     done.wait()
     (tmp_path / f".x.json.{done.pid}.part").write_text("half")
     (tmp_path / f".y.json.{os.getpid()}.part").write_text("half")
-    results(study(), True, tmp_path)
+    run_tasks(study(), True, tmp_path)
     assert [path.name for path in tmp_path.glob(".*")] == [f".y.json.{os.getpid()}.part"]
 
 
@@ -160,7 +160,7 @@ def test_figures_are_strict_json(tmp_path, capsys):
 def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monkeypatch):
     command(tmp_path / "out")
     assert "earlier state of the code" not in capsys.readouterr().out
-    monkeypatch.setattr(harness, "code_mark", lambda study: "another")
+    monkeypatch.setattr(study_tasks, "code_hash", lambda study: "another")
     command(tmp_path / "out")
     assert "4 of 4 results are of an earlier state of the code; --fresh" in capsys.readouterr().out
     CALLS.clear()
@@ -198,10 +198,10 @@ def test_what_lies_beside_a_study_is_in_the_mark_of_its_code(tmp_path, monkeypat
     for place in (None, "marked_parts/run.py", "other.py", "../elsewhere.py"):
         if place:
             (own / place).write_text("changed = 1\n")
-        harness._mark.cache_clear()
-        marks.append(harness.code_mark(marked))
+        study_tasks.package_hash.cache_clear()
+        marks.append(study_tasks.code_hash(marked))
     assert len(set(marks)) == 3 and marks[2] == marks[3]
-    harness._mark.cache_clear()
+    study_tasks.package_hash.cache_clear()
 
 
 def test_an_option_of_its_own_makes_another_study(tmp_path, monkeypatch, capsys):

@@ -1,187 +1,132 @@
-"""The command line of studies: those in studies/, and functions of a user's that return a Result. Progress, table, figures.json, the report."""
+"""The command line of studies: a `Study`, as the scripts in studies/ define it, and functions that return a Result of pi.study."""
 
 import argparse
 import inspect
 import json
-import re
+import runpy
 import sys
+from contextlib import nullcontext
 from contextvars import ContextVar
 from pathlib import Path
 
-from polyida.cli import screen
-from polyida.cli.running import free
-from polyida.cli.screen import Parts, bars, document, lines, prepare, writable
-from polyida.environment import machine_info
+from polyida.cli.options import study_scripts
+from polyida.cli.output import TaskProgress, document, file_errors, prepare, print_result, progress_display
 from polyida.errors import InputError
-from polyida.show.report import finite
-from polyida.study.chosen import users_code
-from polyida.study.harness import of_other_code, plain, results, write_whole
-from polyida.study.report import columns_of, findings, shortened, write_page
-from polyida.study.result import Result, cell
+from polyida.show.figure_files import FigureWriter
+from polyida.study.result import Result, StudyResult
+from polyida.study.tasks import count_outdated, run_tasks
+from polyida.study.user_files import user_errors
 
-PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
-MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
+PROGRAM = ContextVar("PROGRAM", default="")  # the command that started a study's script; empty: Python
+FEW_PICTURES = 4  # a second process that renders is faster for more pictures
 
 
 def main(study, arguments=None, command=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no
-    script.
+    """Run a Study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`, and the study's own options.
 
-    Prints the table, writes figures.json and report.html with its pictures. Failed tasks are rows and lines; figures that need them are
-    null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
-    kept.
+    It prints the table and writes figures.json and report.html. Failed tasks are rows; figures that need them are null. command: shown in the
+    report, of a study that is no script. Exit code 2: invalid input; 1: stopped, or the disk is full. Finished rows stay in both cases.
     """
     prepare()
-    options = parser(study).parse_args(arguments)
-    out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))
+    program = PROGRAM.get() or f"python studies/{study.name}.py"
+    parser = _parser(program, study.title, "a small selection, under a minute", f"folder of the report (default {study.name})")
+    parser.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
+    for name, (meaning, _) in study.options.items():
+        parser.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
+    options = parser.parse_args(arguments)
+    values = {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
+    out = Path(options.out or "-".join([study.name, *values, *["quick"] * options.quick]))
     tasks = out / "tasks"
     try:
-        study, typed = _meant(study, options)
-        with bars() as tell:
-            rows = _results(study, options, out, Parts(study.name, tell))
-        found = findings(study, rows)
-        found.notes += shortened(study) if options.quick else []
-        data = _write_figures(study, command or typed, rows, found, out)
-        page = write_page(study, rows, found, data, out)
+        name = study.name
+        for key, value in values.items():
+            study = study.options[key][1](value)
+        if not command:
+            command = " ".join([program, *["--quick"] * options.quick, *(f"--{key} {value}" for key, value in values.items())])
+        _require_folder(out, study.name)
+        if options.fresh and tasks.is_dir():
+            for path in tasks.glob("*.json"):
+                path.unlink()
+        with progress_display() as display:
+            rows = run_tasks(study, options.quick, tasks, TaskProgress(name, display))
+        result = StudyResult(study, rows, options.quick)
+        with FigureWriter() if len(result.report_pictures()) > FEW_PICTURES else nullcontext() as writer:
+            data = result.write(out, command, writer)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(f"stopped; what is done is in {tasks}, the same command goes on from there")
-    except OSError as error:
-        sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
-    other = of_other_code(study, options.quick, tasks)
+    except (KeyboardInterrupt, OSError) as error:
+        reason = "stopped" if isinstance(error, KeyboardInterrupt) else f"error: {error}"
+        sys.exit(f"{reason}; finished rows are in {tasks}, the same command continues from there")
     try:
-        with writable(), document(options.json) as answer:
-            answer(data)
-            written = [out / "figures.json", page]
-            console = screen.console_of(sys.stdout)
-            columns = list(columns_of(study, rows))
-            varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
-            details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
-            grid = screen.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
-            screen.show(study.title, grid, whole=str(written[-1]))
-            for name, value in found.figures.items():
-                console.print(f"{name}: {value:.6g}", highlight=False)
-            console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
-            for line in found.notes:
-                console.print(f"  {line}", highlight=False, markup=False)
-            for path in written:
-                console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-            if other:
-                print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
+        with file_errors(), document(options.json) as set_document:
+            set_document(data)
+            print_result(result, [out / "report.html", out / "figures.json"])
+            if count := count_outdated(study, options.quick, tasks):
+                print(f"{count} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
         print(f"error: {error}; the figures are in {out}", file=sys.stderr)
         sys.exit(2)
     return data
 
 
-def _given(study, options):
-    """{name: value} of the study's own options that are there."""
-    return {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
+def _parser(program, title, quick, out):
+    parser = argparse.ArgumentParser(prog=program, description=title)
+    parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, help=out)
+    parser.add_argument("--json", action="store_true", help="print figures.json on standard output, and nothing else there")
+    return parser
 
 
-def _program(study):
-    """What starts the study, as it is typed."""
-    return PROGRAM.get() or f"python studies/{study.name}.py"
-
-
-def _meant(study, options):
-    """(Study that its own options make of this one, the command)."""
-    command, meant = f"{_program(study)}{' --quick' if options.quick else ''}", study
-    for name, value in _given(study, options).items():
-        meant, command = study.options[name][1](value), f"{command} --{name} {value}"
-    return meant, command
-
-
-def _results(study, options, out, progress):
-    tasks = out / "tasks"
+def _require_folder(out, name):
+    """Raise InputError if the folder is a file or contains anything but an earlier result of this study."""
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give a folder with --out")
-    if out.exists() and any(out.iterdir()) and not any((out / kept).exists() for kept in ("tasks", "figures.json")):
+    if out.exists() and any(out.iterdir()) and not any((out / known).exists() for known in ("tasks", "figures.json")):
         raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
-    if (made := _study_of(out, study.name)) != study.name:
-        raise InputError(f"{out}: has the figures of the study {made}; give another folder with --out")
-    if options.fresh and tasks.is_dir():
-        for path in tasks.glob("*.json"):
-            path.unlink()
-    return results(study, options.quick, tasks, progress)
-
-
-def _study_of(out, mine):
-    """The name of the study whose figures are in a folder; mine where none says so."""
     try:
-        return json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", mine)
+        other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", name)
     except (OSError, ValueError, AttributeError):
-        return mine
+        return
+    if other != name:
+        raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
 
 
-def _write_figures(study, command, rows, found, out):
-    """figures.json, and what it holds: strict JSON, so that what is not finite is null there."""
-    kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
-    data = {
-        "study": study.name,
-        "figures": found.figures,
-        "notes": found.notes,
-        "rows": kept,
-        "machine": machine_info(),
-        "command": command,
-    }
-    text = json.dumps(finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
-    write_whole(out / "figures.json", text)
-    return json.loads(text)
+def run_script(name, arguments):
+    """Run a study's script as `python studies/NAME.py ...` does. Raises SystemExit if the script does."""
+    script, before = study_scripts()[name], (sys.argv, sys.path)
+    program = PROGRAM.set(f"polyida study {name}")
+    sys.argv, sys.path = [str(script), *arguments], [str(script.parent), *sys.path]  # its processes inherit them
+    try:
+        runpy.run_path(str(script), run_name="__main__")
+    finally:
+        sys.argv, sys.path = before
+        PROGRAM.reset(program)
 
 
-def parser(study):
-    """The command line of a study."""
-    made = argparse.ArgumentParser(prog=_program(study), description=study.title)
-    made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
-    made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
-    made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
-    made.add_argument("--json", action="store_true", help="what figures.json holds on standard output, and nothing else there")
-    for name, (meaning, _) in study.options.items():
-        made.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
-    return made
+def run_function(spec, function, arguments, command, free_path):
+    """Call the function of `my_study.py:NAME` and write the report of its Result.
 
-
-def shown(value):
-    """A table's cell."""
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "" if value is None else " ".join(str(value).split())
-
-
-def run_function(spec, function, arguments, command):
-    """Call the function that `my_study.py:mine` names and write the report of what it returns.
-
-    `quick` and `progress` are given to functions that take them. Raises InputError where that is no Result of pi.study, and for --quick
-    of a function that does not take it.
+    A function with arguments `quick` and `progress` gets them. free_path: as in polyida.cli.commands. Raises InputError if the function
+    returns no Result, and for --quick if it has no such argument.
     """
-    made = argparse.ArgumentParser(prog=f"polyida study {spec}", description="A study of a file of yours.")
-    made.add_argument("--quick", action="store_true", help="given to the function as quick=True")
-    made.add_argument("--out", type=Path, help="folder of the report (default: the function's name)")
-    made.add_argument("--overwrite", "--fresh", action="store_true", help="replace what is in the folder")
-    made.add_argument("--json", action="store_true", help="one JSON document on standard output")
-    options, taken = made.parse_args(arguments), inspect.signature(function).parameters
-    if options.quick and "quick" not in taken:
+    parser = _parser(
+        f"polyida study {spec}", "A study of a user's file.", "call the function with quick=True", "folder of the report (default: NAME)"
+    )
+    parser.add_argument("--overwrite", "--fresh", action="store_true", help="replace an earlier report")
+    options, accepted = parser.parse_args(arguments), inspect.signature(function).parameters
+    if options.quick and "quick" not in accepted:
         raise InputError(f"{spec} takes no option --quick: its function has no argument of that name")
     file, name = Path(spec.rpartition(":")[0]), spec.rpartition(":")[2]
-    folder = free(options.out, Path("-".join([name, *["quick"] * options.quick])), options.overwrite, lines)
-    with document(options.json) as answer:
-        with bars() as tell, users_code(file):
-            given = {
-                "quick": options.quick,
-                "progress": lambda done, total, what: tell(name, done / max(total, 1), f"{done}/{total} {what}"),
-            }
-            found = function(**{key: value for key, value in given.items() if key in taken})
-        if not isinstance(found, Result):
-            raise InputError(
-                f"{spec}: its function returned {type(found).__name__}; a result of pi.study is needed, as work_precision gives"
-            )
-        written = found.report(folder, overwrite=True, command=command)
-        answer(found.as_dict() | {"command": command})
-        columns = found.shown_columns()
-        grid = [[cell(row.get(key), form) for key, (_, form) in columns.items()] for row in found.rows]
-        screen.show(found.title, screen.Grid([heading for heading, _ in columns.values()], grid), whole="the report")
-        lines(*(f"{figure}: {value:.6g}" for figure, value in found.figures.items()), found.lead, *found.notes)
-        lines(f"Report: {written / 'report.html'}")
+    folder = free_path(options.out, Path("-".join([name, *["quick"] * options.quick])), options.overwrite)
+    with document(options.json) as set_document:
+        with progress_display() as display, user_errors(file):
+            progress = lambda done, total, text: display(name, done / max(total, 1), f"{done}/{total} {text}")  # noqa: E731
+            values = {"quick": options.quick, "progress": progress}
+            result = function(**{key: value for key, value in values.items() if key in accepted})
+        if not isinstance(result, Result):
+            wanted = "a result of pi.study is needed, as work_precision gives"
+            raise InputError(f"{spec}: its function returned {type(result).__name__}; {wanted}")
+        result.report(folder, overwrite=True, command=command)
+        set_document(result.as_dict() | {"command": command})
+        print_result(result, [folder / "report.html"])

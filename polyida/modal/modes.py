@@ -126,7 +126,7 @@ class Modes:
         Figure
             Not to scale.
         """
-        from polyida.show.small_motions import draw, shapes
+        from polyida.show.mode_plots import draw, shapes
 
         wanted = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
         if not wanted or not all(is_whole(k, 0, len(self.roots) - 1) for k in wanted):

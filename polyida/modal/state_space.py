@@ -326,7 +326,7 @@ class FrequencyResponse:
 
     def plot(self) -> Any:
         """Return a matplotlib Figure of amplitude and phase of each output against frequency."""
-        from polyida.show.small_motions import response
+        from polyida.show.mode_plots import response
 
         return response(self.frequencies, self.values, self.input, self.outputs)
 

@@ -1,4 +1,4 @@
-"""Geometry and stress of a run's plates, frame by frame: what pictures and exports are drawn from."""
+"""Geometry and stress of a run's bodies in each frame, from which pictures and exports are drawn. Positions are in m."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from polyida.validation import is_flag, is_whole
 
 
 def require_run(part, run, overwrite):
-    """Raise InputError, in the name of `part`, unless it is a run with frames, and overwrite True or False."""
+    """Raise InputError in the name of `part` unless `run` is a run with frames and `overwrite` is True or False."""
     if not hasattr(run, "model") or not hasattr(run, "node_positions"):
         raise InputError(f"{part}: {type(run).__name__} is no run; give what solve or load returns")
     if run.model is None:
@@ -19,29 +19,29 @@ def require_run(part, run, overwrite):
 
 
 def bodies(model):
-    """The plates of a scene's model, reduced and rigid ones too; raises InputError for a model that has nothing to draw."""
+    """The plates of a scene's model, also reduced and rigid ones. Raises InputError for a model without anything to draw."""
     if not drawable(model):
         raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene has")
     return model.drawn
 
 
 def drawable(model):
-    """Whether a model has anything to draw."""
+    """True if a model has anything to draw."""
     return model is not None and bool(model.drawn or len(model.sticks(np.zeros(model.n))))
 
 
 def sticks(run, k):
-    """Segments (segments, 2, 2), m, of the bodies without a mesh in frame k."""
+    """Segments (segments, 2, 2) of the bodies without a mesh in frame k."""
     return run.model.sticks(np.asarray(run.q[k], float))
 
 
 def places(run, k):
-    """All places that are drawn in frame k, (points, 2), m."""
+    """All points that are drawn in frame k, (points, 2)."""
     return np.concatenate([run.node_positions(k), sticks(run, k).reshape(-1, 2)])
 
 
 def connectivity(model):
-    """All cells of all plates in order: corner nodes numbered over all plates, and offsets (cells + 1,)."""
+    """Corner nodes of the cells of all plates, with common node numbers, and offsets (cells + 1,) of the cells."""
     nodes, offsets, last = [np.zeros(0, int)], [np.zeros(1, int)], 0
     for body in bodies(model):
         nodes.append(body.mesh.nodes.astype(int) + body.nodes.start)
@@ -51,29 +51,29 @@ def connectivity(model):
 
 
 def polygons(model, positions):
-    """Corner positions of every cell, a list of (corners, 2), m, at the given node positions (nodes, 2)."""
+    """Corners (corners, 2) of every cell as a list, at node positions (nodes, 2)."""
     nodes, offsets = connectivity(model)
     return np.split(positions[nodes], offsets[1:-1]) if len(nodes) else []
 
 
 def outlines(model, positions):
-    """Boundary edges of all plates as segments (edges, 2, 2), m."""
+    """Boundary edges of all plates as segments (edges, 2, 2)."""
     return positions[edges(model)]
 
 
 def edges(model):
-    """Nodes at both ends of the boundary edges of all plates, (edges, 2), numbered over all plates."""
+    """Nodes of the boundary edges of all plates, (edges, 2)."""
     return np.concatenate([np.zeros((0, 2), int), *(body.mesh.boundary_edges + body.nodes.start for body in bodies(model))])
 
 
 def closed(model):
-    """As `connectivity`, the first corner of every cell once more after its last."""
+    """As `connectivity`, with the first corner of every cell repeated after its last."""
     nodes, offsets = connectivity(model)
     return np.insert(nodes, offsets[1:], nodes[offsets[:-1]]), offsets + np.arange(len(offsets))
 
 
 def frames_at(run, times):
-    """Index of the frame nearest to each time, (times,); the first of those that are."""
+    """Index of the frame nearest to each time, (times,); of equally near frames the first."""
     times, t = np.asarray(times, float), run.t
     after = np.clip(np.searchsorted(t, times), 1, max(1, len(t) - 1)).clip(max=len(t) - 1)
     before = np.maximum(after - 1, 0)
@@ -81,7 +81,7 @@ def frames_at(run, times):
 
 
 def spread(run, count):
-    """At most `count` frames evenly spread in time, first and last included, each once."""
+    """At most `count` different frames evenly spread in time, the first and the last among them."""
     if not is_whole(count):
         raise InputError(f"frames = {count!r} must be a whole number, at least 1")
     return np.unique(frames_at(run, np.linspace(run.t[0], run.t[-1], count)))

@@ -1,70 +1,60 @@
-"""Look of all figures: fonts, the colour-blind-safe colours of Okabe and Ito, and how a figure is made and saved."""
+"""Style of all figures: fonts, colours, line styles, layout and files. The colours are those of Okabe and Ito, safe for colour-blind readers."""
 
-from contextlib import contextmanager
+import re
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-INK, STICK = "#222222", "#8C5A2B"  # of lines and text, and of bodies without a mesh
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+STYLE_FILE = Path(__file__).parent / "templates" / "polyida.mplstyle"
+INK, STICK = "#222222", "#8C5A2B"  # lines and text; bodies without a mesh
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
-UPRIGHT = 2.4  # inches of a figure's side, below which the label of a colorbar would not fit along it in one line
-SAVED = {"pdf": {"metadata": {"CreationDate": None}, "dpi": 400}, "svg": {"metadata": {"Date": None}}}  # dpi: of what is an image in a PDF
-SETTINGS = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "legend.fontsize": 8,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "font.family": "DejaVu Sans",
-    "mathtext.fontset": "dejavusans",
-    "pdf.fonttype": 42,
-    "ps.fonttype": 42,  # matplotlib 3.11 splits a PDF's fonts by this one: the minus sign would be embedded as a second font
-    "svg.fonttype": "none",  # text stays text
-    "svg.hashsalt": "polyida",
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "axes.formatter.limits": (-3, 4),
-    "axes.formatter.use_mathtext": True,
-    "figure.autolayout": False,
-    "figure.constrained_layout.use": False,
-    "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
-    "figure.dpi": 100,
-}
+LOW_FIGURE = 2.4  # inches: the label of a colorbar does not fit along a shorter side
+SAVE_OPTIONS: dict[str, dict[str, Any]] = {
+    "pdf": {"metadata": {"CreationDate": None}, "dpi": 400},
+    "svg": {"metadata": {"Date": None}},
+}  # dpi of images in a PDF
 
 
-def settings():
-    """Context in which figures of this package are made and saved; nothing is left changed in matplotlib afterwards."""
+def settings() -> AbstractContextManager:
+    """Context with the matplotlib settings of this package; matplotlib's own settings are restored at its end."""
     from matplotlib import rc_context
 
-    return rc_context(SETTINGS)
+    return rc_context(fname=STYLE_FILE)
 
 
-def figure(width=6.4, height=3.6, **layout):
-    """An empty Figure of this size in inches, belonging to no window and no global list, and its axes."""
+def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> "tuple[Figure, Any]":
+    """A new Figure without a window, and its axes.
+
+    Parameters
+    ----------
+    width, height : float, inch
+    **layout
+        Arguments of `Figure.subplots`, such as nrows and ncols.
+
+    Returns
+    -------
+    figure : Figure
+    axes : Axes or array of Axes
+    """
     from matplotlib.figure import Figure
 
-    made = Figure(figsize=(width, height), layout="constrained")
-    return made, made.subplots(**layout)
+    new = Figure(figsize=(width, height), layout="constrained")
+    return new, new.subplots(**layout)
 
 
 @contextmanager
-def on_axes(axes=None):
-    """matplotlib axes to draw on: those that are given, or new ones of pyplot, in the look of this package."""
+def on_axes(axes: "Axes | None" = None) -> "Iterator[Axes]":
+    """Context that gives the axes to draw on: `axes`, or new pyplot axes in the style of this package if `axes` is None."""
     if axes is not None:
         yield axes
         return
@@ -74,13 +64,24 @@ def on_axes(axes=None):
         yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
 
 
-def line(i):
-    """Colour and dash of the i-th of several lines, so that they differ in print without colour as well."""
+def line_style(i: int) -> dict:
+    """Colour and dash of the i-th line; lines also differ in print without colour."""
     return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i % len(DASHES)]}
 
 
-def hollow(i, count):
-    """Hollow markers of the i-th of `count` lines that may lie on each other: the first the widest, so that every one is seen."""
+def marker_style(i: int) -> dict:
+    """Colour, dash and marker of the i-th line through measured points."""
+    return {
+        "color": PALETTE[i % len(PALETTE)],
+        "linestyle": DASHES[i // len(PALETTE) % len(DASHES)],
+        "marker": MARKERS[i % len(MARKERS)],
+        "markersize": 3.5,
+        "linewidth": 1.0,
+    }
+
+
+def hollow_markers(i: int, count: int) -> dict:
+    """Hollow markers for the i-th of `count` lines that may coincide: the first markers are the largest, so all lines stay visible."""
     return {
         "marker": MARKERS[i % len(MARKERS)],
         "markersize": 2.5 + min(2.2, 8 / count) * (count - 1 - i),
@@ -90,77 +91,111 @@ def hollow(i, count):
     }
 
 
-def save(figure, path):
-    """Write a figure to a file, its format given by the suffix; returns the path. Equal figures give equal files."""
+def save(figure: "Figure", path: str | Path) -> Path:
+    """Write a figure to a file.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : str or Path
+        The suffix is the format: .png, .pdf or .svg. Equal figures give equal files.
+
+    Returns
+    -------
+    path : Path
+    """
     path = Path(path)
     path.write_bytes(rendered(figure, path.suffix[1:]))
     return path
 
 
-def rendered(figure, kind):
-    """The bytes of a figure's file of a kind, "png", "pdf" or "svg".
-
-    What is laid out the first time stays so: the same figure of another kind has the same places.
-    """
+def rendered(figure: "Figure", kind: str) -> bytes:
+    """The content of a figure's file of kind "png", "pdf" or "svg". The first call fixes the layout for all kinds."""
     file = BytesIO()
     with settings():
-        lay_out(figure)
-        figure.savefig(file, format=kind, **SAVED.get(kind, {}))
+        finish_layout(figure)
+        figure.savefig(file, format=kind, **SAVE_OPTIONS.get(kind, {}))
     return file.getvalue()
 
 
-def lay_out(figure):
-    """Settle the places of a figure's axes for good, its numbers in letters."""
-    from polyida.show.labels import lettered
+def finish_layout(figure):
+    """Compute the layout once and fix it. Tick labels become unicode text: matplotlib needs 40 % of the drawing time to parse formulas."""
+    from matplotlib.ticker import LogFormatterSciNotation, ScalarFormatter
 
-    lettered(figure)
+    class UnicodeText:
+        def __call__(self, x, pos=None):
+            return unicode_number(super().__call__(x, pos))
+
+        def get_offset(self):
+            return unicode_number(super().get_offset())
+
+    for axis in [axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)]:
+        for formatter in (axis.get_major_formatter(), axis.get_minor_formatter()):
+            if type(formatter) in (ScalarFormatter, LogFormatterSciNotation):
+                formatter.__class__ = type("Unicode", (UnicodeText, type(formatter)), {})
     if engine := figure.get_layout_engine():
         to_scale = any(axes.get_aspect() != "auto" for axes in figure.axes)
-        for _ in range(2 if to_scale else 1):  # where axes to scale come to lie shows only when the others have their place
+        for _ in range(2 if to_scale else 1):  # axes to scale move when the other axes have their place
             engine.execute(figure)
         figure.set_layout_engine(None)  # not "none": with that each drawing is made twice
 
 
-def box(points):
+def unicode_number(formula):
+    """A tick label of matplotlib as unicode text: r"$\\mathdefault{2\\times10^{-5}}$" gives "2×10⁻⁵"."""
+    if not formula.startswith("$"):
+        return formula
+    superscripts = str.maketrans("0123456789-−", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻")
+    text = re.sub(r"\^\{([-−]?\d+)\}", lambda power: power[1].translate(superscripts), formula)
+    return text.replace(r"\mathdefault", "").replace(r"\times", "×").translate(str.maketrans("-", "−", "${}"))
+
+
+def literal(text: object) -> str:
+    """A label that matplotlib shows unchanged: a dollar sign starts no formula."""
+    return str(text).replace("$", r"\$")
+
+
+def bounds(points):
     """Lower left and upper right corner of points (n, 2)."""
     return points.min(axis=0), points.max(axis=0)
 
 
-def height_for(low, high, width, rest):
-    """Height in inches of a figure whose axes, `width` inches wide, show a box to scale; `rest` is for labels."""
-    return float(np.clip(width * (high - low)[1] / max((high - low)[0], 1e-300) + rest, 1.4, 1.05 * width))
+def height_to_scale(low, high, width, margin):
+    """Height of a figure in inches whose axes show a box to scale. width: of the axes; margin: height of labels, both in inches."""
+    return float(np.clip(width * (high - low)[1] / max((high - low)[0], 1e-300) + margin, 1.4, 1.05 * width))
 
 
-def scaled(low, high, width, keyed):
-    """As `figure`, so wide and as high as a box to scale is, and where its colours are explained: "right", or "bottom" if it is too low for
-    the label of a colorbar. keyed: whether there is one at all.
-    """
-    height = height_for(low, high, 0.82 * width, 0.6)
-    side = "right" if height > UPRIGHT else "bottom"
-    return *figure(width, height + 0.7 * (keyed and side == "bottom")), side
+def figure_to_scale(low, high, width, colorbar):
+    """(figure, axes, side of the colorbar) for a box to scale; the colorbar is at the bottom of low figures, else on the right."""
+    height = height_to_scale(low, high, 0.82 * width, 0.6)
+    side = "right" if height > LOW_FIGURE else "bottom"
+    return *figure(width, height + 0.7 * (colorbar and side == "bottom")), side
 
 
-def stress_key(made, axes, drawn, side):
-    """A colorbar of von Mises stress on a side of the axes."""
-    look = {"shrink": 0.8, "pad": 0.02} if side == "right" else {"shrink": 0.9, "pad": 0.04, "aspect": 30}
-    label = "von Mises stress, kPa" if made.get_figwidth() > UPRIGHT else "von Mises\nstress, kPa"
-    made.colorbar(drawn, ax=axes, location=side, extend="max", **look).set_label(label)
+def stress_colorbar(figure, axes, cells, side):
+    """Add the colorbar of von Mises stress on a side of the axes."""
+    options = {"shrink": 0.8, "pad": 0.02} if side == "right" else {"shrink": 0.9, "pad": 0.04, "aspect": 30}
+    label = "von Mises stress, kPa" if figure.get_figwidth() > LOW_FIGURE else "von Mises\nstress, kPa"
+    figure.colorbar(cells, ax=axes, location=side, extend="max", **options).set_label(label)
 
 
-def equal(axes, low, high, margin=0.04):
-    """Show a box to scale, with a margin relative to its longer side and without a grid."""
+def show_to_scale(axes, low, high, margin=0.04):
+    """Show a box to scale without a grid; margin: relative to the longer side."""
     margin = margin * (high - low).max()
     low, high = low - margin, high + margin
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
     axes.grid(False)
 
 
-def colour_top(values):
-    """Upper end of a colour scale over several arrays: one element at a corner must not darken all others."""
-    found = np.concatenate(values)
-    return max(float(np.quantile(found, 0.995)) if found.size else 0.0, 1e-12)
+def colour_limit(values):
+    """Upper end of the colour scale of several arrays: their 99.5 % quantile, so that one element at a corner does not darken all others."""
+    values = np.concatenate(values)
+    return max(float(np.quantile(values, 0.995)) if values.size else 0.0, 1e-12)
 
 
-def plain(text):
-    """A name as matplotlib is to write it letter by letter: a dollar begins no formula."""
-    return str(text).replace("$", r"\$")
+def legend_above(figure, axes, columns=None):
+    """One legend above all panels of the labelled lines of `axes`, each label once; columns: as many as fit if None."""
+    known = {label: handle for axis in np.ravel(axes) for handle, label in zip(*axis.get_legend_handles_labels())}
+    if not known:
+        raise LookupError("no rows to draw")
+    fitting = int(100 * figure.get_figwidth() / 6.4) // (max(map(len, known)) + 8)  # 100 characters in 6.4 inches, 8 for each line
+    figure.legend(known.values(), known, loc="outside upper center", ncols=columns or max(1, min(len(known), fitting)))

@@ -1,31 +1,31 @@
-"""Studies as a library: models, scenes and problems in every integrator, as rows, figures, plots and reports.
+"""`pi.study`: studies of models, scenes and problems with every integrator; each returns a `Result` with rows, figures, plots and a report.
 
-`work_precision` and `step_sizes` measure errors against a reference that two families of methods agree on, `conditioning` the iteration
-matrices, `energy` and `drift` what is kept over a run, `sweep` a function of one's own over cases. Each gives a `Result`.
+`work_precision` and `step_sizes` measure errors against a reference on which two families of methods agree, `conditioning` iteration
+matrices, `energy` and `drift` conserved quantities; `sweep` runs a user's function over cases. A `Study` is a script with tasks.
 """
 
 from importlib import import_module
 
-_PLACES = {
+_MODULES = {
     "work_precision": "precision",
     "step_sizes": "precision",
     "conditioning": "conditions",
-    "energy": "kept",
-    "drift": "kept",
+    "energy": "invariants",
+    "drift": "invariants",
     "sweep": "sweeps",
     "Sweep": "sweeps",
-    "Isolated": "isolation",
+    "Isolated": "executors",
     "Result": "result",
-    "Study": "harness",
+    "Study": "tasks",
 }
-__all__ = list(_PLACES)
+__all__ = list(_MODULES)
 
 
 def __getattr__(name):
-    """Names are imported when they are first used."""
-    if name not in _PLACES:
+    """Import a name when it is first used."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'polyida.study' has no attribute {name!r}")
-    return getattr(import_module(f"polyida.study.{_PLACES[name]}"), name)
+    return getattr(import_module(f"polyida.study.{_MODULES[name]}"), name)
 
 
 def __dir__():

@@ -1,10 +1,9 @@
-"""Errors against what they cost, and against the step: runs of integrators, one after the other, measured against one reference.
-
-Two methods that agree may both have stepped over what is short and announced by no kink: such doubts are told.
-"""
+"""`work_precision` and `step_sizes`: errors of integrators against their cost and against the step, relative to one reference."""
 
 from collections.abc import Callable
 from inspect import signature
+from statistics import median
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,181 +11,22 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.integrate.state import declared
 from polyida.progress import teller
-from polyida.show.style import INK, on_axes, plain
-from polyida.study.drawing import look, slope_line
-from polyida.study.references import agreed, given
+from polyida.show.style import INK, literal, marker_style, on_axes
+from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
+from polyida.study.plotting import slope_line
+from polyida.study.references import make_reference, user_reference
 from polyida.study.result import Result
-from polyida.study.rows import NAN, errors, fitted, measured, smallest_errors
-from polyida.study.subject import PARTS, kind_of, members, setting, steps_of, subject
+from polyida.study.rows import NAN, fit_slope
 from polyida.validation import is_one_of, is_whole, named_keywords
 
-FINER = 1.5  # times the steps: of two runs that tell how far one moves
-STANDS = 10.0  # times nearer to each other than to the reference, and beyond what is known of it: two runs that do not come to it
-ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
-UNKNOWN = "#88888822"  # what lies below what is known of the reference
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-
-def short(reference):
-    """The line on what is too short for a reference, of a model with forces that no kink announces; else none."""
-    if "looked_at" not in reference:
-        return []
-    return [
-        f"what acts for less than {reference['looked_at']:.1e} s between the steps of the reference is not seen, as far as no kink of the model "
-        "announces it: known_to does not hold it"
-    ]
-
-
-def doubts(rows, runs, reference):
-    """Lines on integrators whose ends stand still with finer steps, away from the reference. rows, runs: of all settings; with errors."""
-    found = []
-    for label in dict.fromkeys(row["integrator"] for row in rows):
-        pairs = [(row, run) for row, run in zip(rows, runs) if row["integrator"] == label and run.success]
-        found += _standing(label, sorted(pairs, key=lambda pair: pair[0]["steps"]), reference)
-    return found
-
-
-def _standing(label, pairs, reference):
-    """The line of one integrator, or none."""
-    finest, finest_run = pairs[-1] if pairs else ({}, None)
-    before = [(row, run) for row, run in pairs if 0 < FINER * row["steps"] <= finest["steps"]]
-    for part in ("q", "v") if before and "q" in reference else ():
-        row, run = before[-1]
-        error, moved = finest[f"error_{part}"], float(np.abs(getattr(finest_run, part)[-1] - getattr(run, part)[-1]).max())
-        if error > STANDS * max(moved, reference["known_to"].get(part, 0.0)):
-            return [
-                f"{label}: from {row['steps']} to {finest['steps']} steps its {part} at the end moves by {moved:.1e}, and stands {error:.1e} from "
-                "the reference: it follows another motion, or the reference has stepped over something short that no kink of the model announces"
-            ]
-    return []
-
-
-class Precision(Result):
-    """Rows of runs with their errors at the end, in q, v and lam, against `reference`.
-
-    reference: {"q", "v", "lam": at t_end, "made_by": [by what], "known_to": {part: how far it may be off}}.
-    """
-
-    def __init__(self, rows, notes, reference):
-        super().__init__(rows, notes)
-        self.reference = reference
-        self.notes += self._below()
-        known = ", ".join(f"{part} {value:.1e}" for part, value in self.known_to.items() if value == value)
-        told = f"known to {known}" if known else "how far it is known is not said"
-        self.lead = f"Reference: {'; '.join(reference['made_by'])}; {told}." if "q" in reference else ""
-
-    @property
-    def known_to(self) -> dict[str, float]:
-        """{part: how far the reference may be off}; an error below it is not known.
-
-        NaN where that is not said, and of a part without numbers.
-        """
-        known = self.reference.get("known_to", {})
-        return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
-
-    @property
-    def orders(self) -> dict[str, dict[str, float]]:
-        """{label: {part: fitted order}}: slope of the error over the length of a step on logarithmic axes.
-
-        The length is t / steps, or h where no steps are counted; the runs are those whose error is ten times above what is known.
-        NaN where fewer than two are, and of integrators that choose their steps.
-        """
-        return {label: {part: self._order(label, part) for part in PARTS} for label in self.labels}
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """known_to and orders, by names such as "known_to_q" and "order_q RATTLE"."""
-        found = {f"known_to_{part}": value for part, value in self.known_to.items()}
-        orders = {f"order_{part} {label}": value for label, parts in self.orders.items() for part, value in parts.items()}
-        return found | {name: value for name, value in orders.items() if value == value}
-
-    def known(self, row, part):
-        """Whether the error of a row is above what is known of the reference."""
-        return row[f"error_{part}"] > self._floor(part)
-
-    def of(self, label):
-        """The rows of an integrator that came to their end."""
-        return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
-
-    def fitted(self, label, part):
-        """The rows of an integrator that its order is fitted over."""
-        return [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
-
-    def _order(self, label, part):
-        rows = self.fitted(label, part)
-        return fitted([self._length(row) for row in rows], [row[f"error_{part}"] for row in rows])
-
-    def _length(self, row):
-        """What the order is over; an integrator of a user's own may count no steps."""
-        return row["t"] / row["steps"] if row["steps"] else row["h"]
-
-    def _below(self):
-        """Lines on errors that are not known."""
-        counts = {part: sum(row[f"error_{part}"] <= self._floor(part) for row in self.rows) for part in PARTS}
-        return [
-            f"{count} of {len(self.rows)} errors in {part} are below what is known of the reference, {self.known_to[part]:.1e}"
-            for part, count in counts.items()
-            if count and self.known_to[part] > 0
-        ]
-
-    def _floor(self, part):
-        known = self.known_to[part]
-        return known if known == known else 0.0
-
-
-def against_reference(study, given_subject, members, reference, repeats, tell):
-    """(rows, notes, reference): every integrator's runs, one after the other, then the reference, made where None is given."""
-    reference = given(study, given_subject, reference) if reference is not None else given_subject.published
-    reference = given(study, given_subject, reference) if reference else None
-    rows, runs, warm, total = [], [], set(), sum(map(len, members.values()))
-    for label, settings in members.items():
-        for integrator in settings:
-            if (kind := kind_of(integrator)) not in warm:
-                given_subject.warm_up(integrator)
-                warm.add(kind)
-            words = setting(integrator, settings)
-            tell(len(rows), total + 1, f"{label}, {words}")
-            row, run = measured(given_subject, integrator, repeats)
-            h = declared(integrator).fixed_step() or None
-            rows.append({"integrator": label, "setting": words, "h": h} | row)
-            runs.append(run)
-    reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
-    rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
-    tell(total + 1, total + 1, "")
-    notes = [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
-    if "q" not in reference:
-        notes += ["no reference, so no errors: no two methods came to the end", *dict.fromkeys(reference["failed"])]
-    return rows, [*notes, *short(reference), *doubts(rows, runs, reference)], reference
-
-
-def _line(axis, study, part, i, label, rows, point):
-    """A line of an integrator's rows; points that are not known are hollow, at what is, and those at zero have no place."""
-    floor = study.known_to[part]
-    rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and floor > 0]
-    if not rows:
-        return
-    floored = [row | {f"error_{part}": max(row[f"error_{part}"], floor if floor > 0 else 0.0)} for row in rows]
-    axis.plot(*np.transpose([point(row) for row in floored]), label=plain(label), **look(i))
-    if below := [row for row, true in zip(floored, rows) if not study.known(true, part)]:
-        style = look(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
-        axis.plot(*np.transpose([point(row) for row in below]), label="_below", **style)
-
-
-def _mark_known(axis, known, direction):
-    """Grey where errors are below what is known of the reference, where the axis comes there."""
-    axis.set(xscale="log", yscale="log")
-    low, high = axis.get_xlim() if direction == "x" else axis.get_ylim()
-    if known > low:
-        span, line = (axis.axvspan, axis.axvline) if direction == "x" else (axis.axhspan, axis.axhline)
-        span(low, known, color=UNKNOWN, zorder=0, linewidth=0)
-        line(known, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="what is known of the reference")
-        (axis.set_xlim if direction == "x" else axis.set_ylim)(low, high)
-
-
-def _legend(axis):
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(loc="best")
-
-
+COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
+FINER = 1.5  # ratio of steps of two runs whose ends are compared
+STAGNATION = 10.0  # runs stagnate if their distance to the reference is this multiple of their mutual distance and of the accuracy
+FITTED = 10.0  # times the accuracy of the reference: smaller errors are not used to fit an order
+UNRESOLVED = "#88888822"  # colour of the errors below the accuracy of the reference
 WORK = {"cpu_s": "CPU seconds", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
 COLUMNS = {
     "integrator": ("integrator", "{}"),
@@ -202,8 +42,167 @@ COLUMNS = {
 }
 
 
+def error_at_end(run, part, reference):
+    """Largest absolute error of a part at the end; NaN if the run failed, if there is no reference, or if the part is empty."""
+    if not run.success or not np.size(reference.get(part, ())):
+        return NAN
+    return float(np.abs(getattr(run, part)[-1] - reference[part]).max())
+
+
+def unresolved_pulse_notes(reference):
+    """A note on the time resolution of the reference, if the model has forces without announced discontinuities."""
+    if "sampling" not in reference:
+        return []
+    return [
+        f"a force that acts for less than {reference['sampling']:.1e} s between the steps of the reference is not seen, unless the model "
+        "announces it as a kink: known_to does not contain it"
+    ]
+
+
+def stagnation_notes(rows, runs, reference):
+    """Notes on integrators whose end does not change with finer steps and yet differs from the reference. rows: with their errors."""
+    notes = []
+    for label in dict.fromkeys(row["integrator"] for row in rows):
+        pairs = [(row, run) for row, run in zip(rows, runs) if row["integrator"] == label and run.success]
+        pairs.sort(key=lambda pair: pair[0]["steps"])
+        coarser = [pair for pair in pairs if 0 < FINER * pair[0]["steps"] <= pairs[-1][0]["steps"]]
+        for part in ("q", "v") if coarser and "q" in reference else ():
+            (finest, finest_run), (row, run) = pairs[-1], coarser[-1]
+            change = float(np.abs(getattr(finest_run, part)[-1] - getattr(run, part)[-1]).max())
+            if finest[f"error_{part}"] > STAGNATION * max(change, reference["known_to"].get(part, 0.0)):
+                notes.append(
+                    f"{label}: from {row['steps']} to {finest['steps']} steps {part} at the end changes by {change:.1e}, but differs by "
+                    f"{finest[f'error_{part}']:.1e} from the reference: it follows another motion, or the reference missed a short pulse "
+                    "that the model does not announce as a kink"
+                )
+                break
+    return notes
+
+
+class Precision(Result):
+    """Runs with their errors in q, v and lam at the end.
+
+    Attributes
+    ----------
+    reference : dict
+        {"q", "v", "lam": values at t_end, "made_by": [methods], "known_to": {part: accuracy}}.
+    """
+
+    def __init__(self, rows, notes, reference):
+        super().__init__(rows, notes)
+        self.reference = reference
+        for part in PARTS:
+            count = sum(row[f"error_{part}"] <= self._accuracy(part) for row in self.rows)
+            if count and self.known_to[part] > 0:
+                self.notes.append(
+                    f"{count} of {len(self.rows)} errors in {part} are below the reference's accuracy, {self.known_to[part]:.1e}"
+                )
+        known = ", ".join(f"{part} {value:.1e}" for part, value in self.known_to.items() if value == value)
+        accuracy = f"its accuracy: {known}" if known else "its accuracy is unknown"
+        self.lead = f"Reference: {'; '.join(reference['made_by'])}; {accuracy}." if "q" in reference else ""
+
+    @property
+    def known_to(self) -> dict[str, float]:
+        """{part: accuracy of the reference}. Errors below it cannot be resolved. NaN if it is unknown or the part is empty."""
+        known = self.reference.get("known_to", {})
+        return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
+
+    @property
+    def orders(self) -> dict[str, dict[str, float]]:
+        """{label: {part: order}}: slope of the error over the mean step on logarithmic axes.
+
+        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them and for error control.
+        """
+        return {label: {part: self._order(label, part) for part in PARTS} for label in self.labels}
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Accuracy and orders, with names such as "known_to_q" and "order_q RATTLE"."""
+        numbers = {f"known_to_{part}": value for part, value in self.known_to.items()}
+        orders = {f"order_{part} {label}": value for label, parts in self.orders.items() for part, value in parts.items()}
+        return numbers | {name: value for name, value in orders.items() if value == value}
+
+    def _accuracy(self, part):
+        known = self.known_to[part]
+        return known if known == known else 0.0
+
+    def _finished(self, label):
+        return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
+
+    def _fitted(self, label, part):
+        return [row for row in self._finished(label) if row["h"] is not None and row[f"error_{part}"] > FITTED * self._accuracy(part)]
+
+    def _order(self, label, part):
+        rows = self._fitted(label, part)
+        return fit_slope([self._step(row) for row in rows], [row[f"error_{part}"] for row in rows])
+
+    def _step(self, row):
+        """Mean step of a run; a user's integrator may count no steps."""
+        return row["t"] / row["steps"] if row["steps"] else row["h"]
+
+    def _draw_line(self, axis, part, i, label, rows, point):
+        """A line of an integrator's rows; point(row, error) -> (x, y). Unresolved errors are hollow markers at the reference's accuracy."""
+        accuracy = self._accuracy(part)
+        rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and accuracy > 0]
+        if not rows:
+            return
+        points = [point(row, max(row[f"error_{part}"], accuracy)) for row in rows]
+        axis.plot(*np.transpose(points), label=literal(label), **marker_style(i))
+        if below := [xy for xy, row in zip(points, rows) if row[f"error_{part}"] <= accuracy]:
+            style = marker_style(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
+            axis.plot(*np.transpose(below), label="_below", **style)
+
+    def _finish(self, axis, part, direction, **labels):
+        """Logarithmic axes, a grey area below the reference's accuracy, labels and legend."""
+        axis.set(xscale="log", yscale="log")
+        accuracy, (low, high) = self.known_to[part], axis.get_xlim() if direction == "x" else axis.get_ylim()
+        if accuracy > low:
+            area, line = (axis.axvspan, axis.axvline) if direction == "x" else (axis.axhspan, axis.axhline)
+            area(low, accuracy, color=UNRESOLVED, zorder=0, linewidth=0)
+            line(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
+            (axis.set_xlim if direction == "x" else axis.set_ylim)(low, high)
+        axis.set(title=literal(self.title), **labels)
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(loc="best")
+        return axis
+
+
+def measure_errors(study, ivp, integrators, reference, repeats, progress):
+    """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None."""
+    if reference is not None:
+        reference = user_reference(study, ivp, reference)
+    elif "known_to" in ivp.published:
+        reference = user_reference(study, ivp, ivp.published)
+    rows, runs, warm, total = [], [], set(), sum(map(len, integrators.values()))
+    for label, settings in integrators.items():
+        for integrator in settings:
+            if (kind := kind_of(integrator)) not in warm:
+                ivp.warm_up(integrator)
+                warm.add(kind)
+            text = settings_text(integrator, settings)
+            progress(len(rows), total + 1, f"{label}, {text}")
+            repeated = [ivp.run(integrator, every=10**9) for _ in range(repeats)]
+            run, h = repeated[0], declared(integrator).fixed_step() or None
+            row = {"integrator": label, "setting": text, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
+            row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
+            rows.append(row)
+            runs.append(run)
+
+    def smallest_errors(reference):
+        errors = {part: [error_at_end(run, part, reference) for run in runs] for part in PARTS}
+        return {part: min((e for e in values if e > 0), default=0.0) for part, values in errors.items()}
+
+    reference = reference or make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
+    rows = [row | {f"error_{part}": error_at_end(run, part, reference) for part in PARTS} for row, run in zip(rows, runs)]
+    progress(total + 1, total + 1, "")
+    notes = [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
+    if "q" not in reference:
+        notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
+    return rows, [*notes, *unresolved_pulse_notes(reference), *stagnation_notes(rows, runs, reference)], reference
+
+
 class WorkPrecision(Precision):
-    """What `work_precision` found: a row a run, the reference, orders, and error against cost as a picture."""
+    """Result of `work_precision`: a row for each run, `reference`, `known_to` and `orders`."""
 
     columns = COLUMNS
 
@@ -211,30 +210,42 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
-    def plot(self, part: str = "q", axes=None, work: str = "cpu_s"):
-        """Draw work against the error in `part` ("q", "v", "lam") at the end, a line an integrator; returns the axes.
+    def plot(self, part: str = "q", axes: "Axes | None" = None, work: str = "cpu_s") -> "Axes":
+        """Draw work against the error at the end, a line for each integrator.
 
-        work: "cpu_s", "steps", "residuals", "factorizations" or "solves". Points whose error is below what is known of the reference
-        are hollow and stand at that, in the grey: how far below they are nobody knows. Raises InputError for another name.
+        Parameters
+        ----------
+        part : {"q", "v", "lam"}
+        axes : Axes, optional
+            New pyplot axes if None.
+        work : {"cpu_s", "steps", "residuals", "factorizations", "solves"}
+
+        Returns
+        -------
+        axes : Axes
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+
+        Raises
+        ------
+        InputError
+            For another part or work.
         """
         for name, value, known in (("part", part, PARTS), ("work", work, tuple(WORK))):
             if not is_one_of(value, known):
                 raise InputError(f"plot: {name} = {value!r} must be one of {', '.join(known)}")
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                rows = [row for row in self.of(label) if row[work] > 0]
-                _line(axis, self, part, i, label, rows, lambda row: (row[f"error_{part}"], row[work]))
-            _mark_known(axis, self.known_to[part], "x")
-            axis.set(xscale="log", yscale="log", xlabel=f"error in {part} at the end", ylabel=WORK[work], title=plain(self.title))
-            _legend(axis)
-            return axis
+                rows = [row for row in self._finished(label) if row[work] > 0]
+                self._draw_line(axis, part, i, label, rows, lambda row, error: (error, row[work]))
+            return self._finish(axis, part, "x", xlabel=f"error in {part} at the end", ylabel=WORK[work])
 
     def pictures(self) -> dict:
-        """CPU time against the error in q, v and lam, and residuals against that in q."""
-        drawn = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in PARTS}
-        drawn["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
+        """CPU time against the errors in q, v and lam, and residuals against the error in q."""
+        pictures = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in PARTS}
+        pictures["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
         return {
-            name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work)) for name, (caption, part, work) in drawn.items()
+            name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
+            for name, (caption, part, work) in pictures.items()
         }
 
 
@@ -250,26 +261,51 @@ def work_precision(
     repeats: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> WorkPrecision:
-    """Run every setting of every integrator from (q0, v0) to t_end, one after the other, and measure errors there, in q, v and lam.
+    """Run every setting of every integrator and compare errors at the end with CPU time and work.
 
-    model: a Model, a Scene, a Problem or the name of one, whose own start and end are taken where none are given. integrators:
-    {label: [settings]}, a user's own too. reference: None: the digits of a published problem, or else what Radau IIA and a method of
-    another family agree on, refined until they do to a tenth of the smallest error; or {"q", "v", "lam"} at t_end, a run or a state there.
-    repeats: of each run; CPU seconds are their median. progress: function of (done, total, what), or True: a bar.
+    Parameters
+    ----------
+    model : Model, Scene, Problem or str
+        A string is the name of a problem.
+    t_end : float, s, optional
+        Default: that of the problem.
+    q0, v0 : (n,) float, optional
+        State at t = 0. Default: that of the problem, or zero.
+    integrators : {label: [integrators]}
+        Several settings of each integrator, also of a user's own.
+    reference : {"q", "v", "lam"}, Trajectory or State at t_end, optional
+        Default: the published digits of the problem, or else Radau IIA, refined until a method of another family agrees with it to a tenth
+        of the smallest error.
+    repeats : int
+        Runs of each setting; the CPU time is their median.
+    progress : callable or bool, optional
+        Function of (done, total, text); True: a bar.
 
-    Errors are the largest absolute deviations, in the units of q, v and lam. Runs are timed, so nothing else should go on meanwhile. A run
-    that fails is a row with its status and message. Raises InputError before the first run.
+    Returns
+    -------
+    result : WorkPrecision
+        A row for each run. Errors are the largest absolute deviations, in the units of q, v and lam. A failed run is a row with its status
+        and message.
+
+    Raises
+    ------
+    InputError
+        For invalid arguments, before the first run.
+
+    Notes
+    -----
+    The runs follow one another, because their CPU time is measured; other work on the machine distorts it.
     """
-    given = subject("work_precision", model, t_end, q0, v0)
-    known = members("work_precision", given, integrators)
+    ivp = initial_value_problem("work_precision", model, t_end, q0, v0)
+    lists = integrator_lists("work_precision", ivp, integrators)
     if not is_whole(repeats):
         raise InputError(f"work_precision: repeats = {repeats!r} must be a whole number of at least 1")
-    with teller("work_precision", progress) as tell:
-        return WorkPrecision(given.name, *against_reference("work_precision", given, known, reference, repeats, tell))
+    with teller("work_precision", progress) as report:
+        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report))
 
 
 class StepSizes(Precision):
-    """What `step_sizes` found: a row a run, the reference, orders, and errors against the step as a picture."""
+    """Result of `step_sizes`: a row for each run, `reference`, `known_to` and `orders`."""
 
     columns = {name: COLUMNS[name] for name in ("integrator", "setting")} | {"h": ("h, s", "{:.3g}")} | COLUMNS
 
@@ -277,32 +313,41 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
-    def _length(self, row):
+    def _step(self, row):
         return row["h"]
 
-    def plot(self, part: str = "q", axes=None):
-        """Draw the error in `part` ("q", "v", "lam") at the end against h, with lines of the fitted orders, rounded; returns the axes.
+    def plot(self, part: str = "q", axes: "Axes | None" = None) -> "Axes":
+        """Draw the error at the end against h, with lines of the rounded orders.
 
-        Points below what is known of the reference are hollow. Raises InputError for another name.
+        Parameters
+        ----------
+        part : {"q", "v", "lam"}
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+
+        Raises
+        ------
+        InputError
+            For another part.
         """
         if not is_one_of(part, PARTS):
             raise InputError(f"plot: part = {part!r} must be one of {', '.join(PARTS)}")
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                rows = self.of(label)
-                _line(axis, self, part, i, label, rows, lambda row: (row["h"], row[f"error_{part}"]))
-                order = self.orders[label][part]
+                self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (row["h"], error))
+                order, rows = self.orders[label][part], self._fitted(label, part)
                 if np.isfinite(order):
-                    fitted = self.fitted(label, part)
-                    h = [max(row["h"] for row in fitted), min(row["h"] for row in fitted)]
-                    slope_line(axis, round(order), h, 0.5 * max(row[f"error_{part}"] for row in fitted))
-            _mark_known(axis, self.known_to[part], "y")
-            axis.set(xscale="log", yscale="log", xlabel="step h, s", ylabel=f"error in {part} at the end", title=plain(self.title))
-            _legend(axis)
-            return axis
+                    steps = [row["h"] for row in rows]
+                    slope_line(axis, round(order), [max(steps), min(steps)], 0.5 * max(row[f"error_{part}"] for row in rows))
+            return self._finish(axis, part, "y", xlabel="step h, s", ylabel=f"error in {part} at the end")
 
     def pictures(self) -> dict:
-        """The errors in q, v and lam."""
+        """The errors in q, v and lam against the step."""
         return {
             f"error-{part}": (f"Error in {part} at the end against the step.", lambda axes, part=part: self.plot(part, axes))
             for part in PARTS
@@ -321,35 +366,46 @@ def step_sizes(
     reference: object = None,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> StepSizes:
-    """Run every integrator with every step h, s, from (q0, v0) to t_end, and measure errors there, in q, v and lam.
+    """Run every integrator with every step and measure errors at the end and their orders.
 
-    integrators: {label: class that takes `h=`, or function of h, that gives an integrator}; orders are over this h, also of one that
-    chooses its steps by what the function makes of it. The rest is as `work_precision` takes it. Raises InputError before the first run.
+    Parameters
+    ----------
+    model, t_end, q0, v0, reference, progress
+        As in `work_precision`.
+    integrators : {label: class or function}
+        A class with an argument h, or a function of h that returns an integrator.
+    h : (k,) float, s
+        The steps.
+
+    Returns
+    -------
+    result : StepSizes
+        A row for each run.
+
+    Raises
+    ------
+    InputError
+        For invalid arguments, before the first run.
     """
-    given = subject("step_sizes", model, t_end, q0, v0)
-    steps = steps_of("step_sizes", h)
-    known = members("step_sizes", given, _made(integrators, steps))
-    with teller("step_sizes", progress) as tell:
-        rows, notes, reference = against_reference("step_sizes", given, known, reference, 1, tell)
-    for row, step in zip(rows, np.tile(steps, len(known))):
+    ivp = initial_value_problem("step_sizes", model, t_end, q0, v0)
+    steps = step_list("step_sizes", h)
+    if isinstance(integrators, dict):
+        integrators = {label: [_with_step(label, make, h) for h in steps] for label, make in integrators.items()}
+    lists = integrator_lists("step_sizes", ivp, integrators)
+    with teller("step_sizes", progress) as report:
+        rows, notes, reference = measure_errors("step_sizes", ivp, lists, reference, 1, report)
+    for row, step in zip(rows, np.tile(steps, len(lists))):
         row["h"] = float(step)
-    return StepSizes(given.name, rows, notes, reference)
+    return StepSizes(ivp.name, rows, notes, reference)
 
 
-def _made(integrators, steps):
-    if not isinstance(integrators, dict):
-        return integrators
-    for label, make in integrators.items():
-        if not callable(make):
-            raise InputError(f"step_sizes: integrators[{label!r}] = {make!r} must be a class or a function of h")
-    return {label: [_of_step(label, make, h) for h in steps] for label, make in integrators.items()}
-
-
-def _of_step(label, make, h):
-    told = f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h"
+def _with_step(label, make, h):
+    if not callable(make):
+        raise InputError(f"step_sizes: integrators[{label!r}] = {make!r} must be a class or a function of h")
+    message = f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h"
     if isinstance(make, type) and "h" not in signature(make).parameters:
-        raise InputError(f"{told}: the class takes no h; give a function of h")
+        raise InputError(f"{message}: the class takes no h; give a function of h")
     try:
         return make(h=h) if isinstance(make, type) else make(h)
     except TypeError as error:
-        raise InputError(f"{told}: {error}") from error
+        raise InputError(f"{message}: {error}") from error

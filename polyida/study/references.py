@@ -1,266 +1,348 @@
-"""The end of a motion by two families of methods that agree, refined until they agree well enough for what is measured against it.
+"""References: the end of a motion by two methods of unlike families, refined until they agree.
 
-The values are those of Radau IIA; they are known as well as a method of another family agrees with them. A pair is refined until it is
-known to a tenth of the smallest error that is measured, or as long as that brings the two nearer to each other. The other method is the
-first that comes below that error: DOP853 on the index-1 equations, and BDF by IDA, where they do not take too many steps; the
-energy-momentum method and generalized-alpha, extrapolated.
+A reference holds the values of Radau IIA; its accuracy is the distance to another family: DOP853 on the index-1 equations, BDF (IDA), or
+the energy-momentum method and generalized-alpha with extrapolation. They share the model and its consistent accelerations, and no formula
+of a step. The pair is refined until its distance is a tenth of the smallest measured error, or as long as refinement reduces it.
 
-What the steps of a run did not see of forces that no kink announces is looked for between the steps:
-a method sees a force at the stages of its steps alone. Here the forces are taken at many times of each step, on the quintic through q, v
-and a of its ends. Where they leave the cubic through the values at the stages of Radau IIA, the impulse that a step missed is `J = int g dt
-- h sum b_i g_i`, which changes v by that of `M dv + B^T mu = -J`, `B dv = 0`.
+A method sees a force only at the stages of its steps, so that both methods may miss a short pulse. For forces without announced
+discontinuities, `missed_impulse` samples the force at many times of each step, on the quintic through q, v and a of its ends, and compares
+it with the cubic through the stages of Radau IIA. The missed impulse `J = int g dt - h sum b_i g_i` changes v by dv from `M dv + B^T mu =
+-J`, `B dv = 0`.
 """
 
 from contextlib import suppress
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 
+from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.start import consistent_acceleration, consistent_state, restarted
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.model.guarded import guard
-from polyida.study.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated, last_state, whole
+from polyida.run.solve import solve
+from polyida.study.ivp import PARTS
 from polyida.validation import is_number
 
-TIMES = 4000  # of a run at which forces are looked at, or more
-LEAST = 2  # of a step
-AWAY = 1e-3  # of the largest force: what it leaves the cubic by in a step that did not see all of it
-FINE = 400  # times of such a step at which the impulse is integrated
+LEGS = 32  # parts of an explicit run; without projection between them, angle motors drift by 2e-10 rad in 1 s
+MAX_EVALUATIONS = 3e7  # times (coordinates + SMALL_MODEL): limit of an explicit run, about fifteen seconds
+SMALL_MODEL = 200
+MAX_BDF_STEPS = 300_000
+COUNTS_BEFORE_PROJECTION = 2000  # evaluations or steps before the total is estimated
+
+
+class TooStiff(Exception):
+    """A run would take too many steps or evaluations."""
+
+
+class WorkLimit:
+    """Counts steps or evaluations at increasing t and raises TooStiff if the projected total exceeds `limit`."""
+
+    def __init__(self, name, what, limit, t_end, t0=0.0):
+        self.name, self.what, self.limit, self.t_end, self.t0, self.count = name, what, limit, t_end, t0, 0
+
+    def __call__(self, t):
+        self.count += 1
+        if self.count % COUNTS_BEFORE_PROJECTION == 0 and t > self.t0:
+            total = self.count * (self.t_end - self.t0) / (t - self.t0)
+            if total > self.limit:
+                raise TooStiff(f"{self.name}: it would take {total:.1g} {self.what}, for the motion is stiff")
+
+
+def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, limited=False):
+    """[(q, v, a, lam)] at increasing `times` (default: t_end) by DOP853 on (q, v)' = (v, a), with a from the index-1 equations.
+
+    Integration restarts at the kinks of loads and motors. legs: equal parts of the time, after which q and v are projected onto the
+    constraints. limited: raise TooStiff for long runs.
+    """
+    from scipy.integrate import solve_ivp
+
+    state, wanted, found = consistent_state(model, t0, q0, v0), np.atleast_1d(t_end if times is None else times), []
+    n, y, t = model.n, np.concatenate([state.q, state.v]), t0
+    projections = np.linspace(t0, wanted[-1], legs + 1)[1:-1]
+    count = WorkLimit("DOP853", "evaluations", MAX_EVALUATIONS / (n + SMALL_MODEL) if limited else np.inf, wanted[-1], t0)
+
+    def rate(t, y):
+        count(t)
+        return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
+
+    with one_blas_thread():
+        for end in sorted({*model.kinks(t0, wanted[-1]), *projections, wanted[-1]}):
+            within = wanted[(wanted > t) & (wanted <= end) | (wanted == t0) & (t == t0)]
+            at, options = np.union1d(within, [end]), {"rtol": rtol, "atol": rtol * 1e-3, "first_step": min(1e-6, end - t)}
+            run = solve_ivp(rate, (t, end), y, method="DOP853", t_eval=at, **options)
+            if not run.success:
+                raise RuntimeError(f"DOP853: {run.message}")
+            known = dict(zip(at, run.y.T))
+            found += [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in within]
+            y, t = run.y[:, -1], end
+            if end in projections:
+                state = restarted(model, SimpleNamespace(t=end, q=y[:n], v=y[n:]))
+                y = np.concatenate([state.q, state.v])
+    return found
+
+
+def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False):
+    """{"q", "v", "lam"} at t_end by `explicit`."""
+    q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS, limited=limited)[0]
+    return {"q": q, "v": v, "lam": lam}
+
+
+def by_radau(model, t_end, rtol, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by Radau IIA of order 5 with error control. Raises RuntimeError if the run fails."""
+    return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0)
+
+
+def by_bdf(model, t_end, rtol, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by BDF (IDA). Raises RuntimeError if the run fails, TooStiff if it would take too long."""
+    limit = WorkLimit("IDA", "steps", MAX_BDF_STEPS, t_end)
+    return end_state(model, t_end, IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS), q0, v0, progress=limit)
+
+
+def extrapolated(model, t_end, method, h, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by `(4 x(h/2) - x(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
+    coarse, fine = (end_state(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
+    return {part: (4 * fine[part] - coarse[part]) / 3 for part in PARTS}
+
+
+def end_state(model, t_end, integrator, q0=None, v0=None, progress=None):
+    """{"q", "v", "lam"} at t_end by an integrator. Raises RuntimeError if the run fails."""
+    return _end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
+
+
+def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, every=1):
+    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=every, progress=progress)
+    if run.status == "interrupted":
+        raise KeyboardInterrupt
+    if not run.success:
+        raise RuntimeError(f"reference by {integrator}: {run.message}")
+    return run
+
+
+def _end_of(run):
+    return {"q": run.q[-1], "v": run.v[-1], "lam": run.lam[-1]}
+
+
+def distance(one, other):
+    """{part: largest absolute difference} of the parts that both have."""
+    return {part: float(np.abs(one[part] - other[part]).max(initial=0.0)) for part in one if part in other}
+
+
+SAMPLES, SAMPLES_PER_STEP = 4000, 2  # times of a run, and at least of each step, at which forces are sampled
+DEVIATION = 1e-3  # of the largest force: deviation from the cubic of a step that missed a pulse
+IMPULSE_SAMPLES = 400  # times of such a step at which the impulse is integrated
 STAGES = np.array([0.0, 0.4 - np.sqrt(0.06), 0.4 + np.sqrt(0.06), 1.0])
 WEIGHTS = np.array([0.0, (16 - np.sqrt(6)) / 36, (16 + np.sqrt(6)) / 36, 1 / 9])
 CUBIC = np.linalg.inv(np.vander(STAGES, increasing=True))
 
 
-def announces(model):
-    """Whether all forces of a model are smooth between its kinks and switches, as far as is known: where all force elements give gaps, or an own
-    model does."""
-    return all(own.switches for own in model.own_forces.each) if model.is_scene else model.switching
+def has_known_discontinuities(model):
+    """True if all discontinuities of the forces are announced: all own force elements give gaps, or an own model does."""
+    return all(force.switches for force in model.own_forces.each) if model.is_scene else model.switching
 
 
-def missed(run):
-    """{"q", "v", "lam": by how much the end of a run, all of whose steps are frames, may be off by what its steps did not see}."""
-    model, found = guard(run.model), {"q": 0.0, "v": 0.0, "lam": 0.0}
-    steps = [_Step(model, run, k) for k in range(len(run) - 1) if run.t[k + 1] > run.t[k]]
-    seen = [(step, *step.look(max(LEAST, int(np.ceil(TIMES * step.h / (run.t[-1] - run.t[0])))))) for step in steps]
-    largest = max((size for _, size, _ in seen), default=0.0)
+def missed_impulse(run):
+    """{"q", "v", "lam": possible error at the end from pulses between the stages}; all steps of the run must be frames."""
+    model, error = guard(run.model), {"q": 0.0, "v": 0.0, "lam": 0.0}
+    steps = [_StepForces(model, run, k) for k in range(len(run) - 1) if run.t[k + 1] > run.t[k]]
+    sampled = [(step, *step.deviation(max(SAMPLES_PER_STEP, int(np.ceil(SAMPLES * step.h / (run.t[-1] - run.t[0])))))) for step in steps]
+    largest_force = max((size for _, size, _ in sampled), default=0.0)
     fastest = max(np.abs(run.v).max(initial=0.0), 1e-300)
-    for step, _, away in seen:
-        if away > AWAY * largest:
-            dv, mu = step.blow()
-            found["v"] += dv
-            found["q"] += dv * max(step.h, run.t[-1] - step.t)
-            found["lam"] += max(mu / step.h, np.abs(run.lam[-1]).max(initial=0.0) * dv / fastest)
-    return found
+    for step, _, deviation in sampled:
+        if deviation > DEVIATION * largest_force:
+            dv, mu = step.impulse()
+            error["v"] += dv
+            error["q"] += dv * max(step.h, run.t[-1] - step.t)
+            error["lam"] += max(mu / step.h, np.abs(run.lam[-1]).max(initial=0.0) * dv / fastest)
+    return error
 
 
-class _Step:
-    """Step k of a run: its forces over s in [0, 1]."""
+class _StepForces:
+    """The forces of step k of a run as a function of s in [0, 1], on the quintic through q, v and a of both ends."""
 
     def __init__(self, model, run, k):
         self.model, self.t, self.h = model, float(run.t[k]), float(run.t[k + 1] - run.t[k])
-        self.ends = [np.array([x[k], x[k + 1]], float) for x in (run.q, run.v, run.a)]
+        self.ends = np.array([[x[i] for x in (run.q, run.v, run.a)] for i in (k, k + 1)], float)  # q, v and a at both ends
         self.seed = k
 
-    def look(self, count):
-        """(size of the force, by how much it leaves the cubic), at a random time in each of `count` parts."""
-        at = (np.arange(count) + np.random.default_rng(self.seed).random(count)) / count
-        stages = CUBIC @ self.forces(STAGES)
-        values = self.forces(at)
-        away = np.abs(values - np.vander(at, 4, increasing=True) @ stages)
-        return max(float(np.abs(x).max(initial=0.0)) for x in (values, stages)), float(away.max(initial=0.0))
+    def deviation(self, count):
+        """(largest force, largest deviation from the cubic), at a random time in each of `count` parts."""
+        s = (np.arange(count) + np.random.default_rng(self.seed).random(count)) / count
+        coefficients = CUBIC @ self.forces(STAGES)
+        values = self.forces(s)
+        deviation = np.abs(values - np.vander(s, 4, increasing=True) @ coefficients)
+        return max(float(np.abs(x).max(initial=0.0)) for x in (values, coefficients)), float(deviation.max(initial=0.0))
 
-    def blow(self):
-        """(largest |dv|, largest |mu|) of the impulse that the step missed."""
-        at = np.linspace(0.0, 1.0, FINE + 1)
-        J = self.h * (np.trapezoid(self.forces(at), at, axis=0) - WEIGHTS @ self.forces(STAGES))
-        q = self.ends[0][1]
+    def impulse(self):
+        """(largest |dv|, largest |mu|) of the missed impulse."""
+        s = np.linspace(0.0, 1.0, IMPULSE_SAMPLES + 1)
+        J = self.h * (np.trapezoid(self.forces(s), s, axis=0) - WEIGHTS @ self.forces(STAGES))
+        q = self.ends[1, 0]
         try:
             dv, mu = KKT(self.model.mass(q), self.model.phi_q(self.t + self.h, q), 1.0).solve(J, np.zeros(self.model.m))
         except SingularSystem:
             return np.inf, np.inf
         return float(np.abs(dv).max(initial=0.0)), float(np.abs(mu).max(initial=0.0))
 
-    def forces(self, at):
-        """g of what no kink announces at s = at (k,), (k, n)."""
-        found = np.empty((len(at), self.model.n))
-        for row, s in zip(found, at.tolist()):
-            t, (q, v) = self.t + s * self.h, self._state(s)
+    def forces(self, points):
+        """g of the forces without announced discontinuities at s = points (k,), (k, n)."""
+        from scipy.interpolate import BPoly
+
+        quintic = BPoly.from_derivatives([0.0, self.h], self.ends)
+        forces, states = np.zeros((len(points), self.model.n)), (quintic(points * self.h), quintic.derivative()(points * self.h))
+        for row, s, q, v in zip(forces, points.tolist(), *states):
             if self.model.is_scene:
-                row[:] = 0.0
-                self.model.own_forces.take_from(row, t, q, v)
+                self.model.own_forces.take_from(row, self.t + s * self.h, q, v)
             else:
-                row[:] = self.model.force(t, q, v)
-        return found
-
-    def _state(self, s):
-        """q and v of the quintic through q, v and a of both ends."""
-        (q0, q1), (v0, v1), (a0, a1) = self.ends
-        h = self.h
-        c0, c1, c2 = (q1 - q0) / h**2 - v0 / h - a0 / 2, (v1 - v0) / h - a0, a1 - a0
-        b3, b4, b5 = 10 * c0 - 4 * c1 + c2 / 2, -15 * c0 + 7 * c1 - c2, 6 * c0 - 3 * c1 + c2 / 2
-        gain = s**2 * (a0 / 2 + s * (b3 + s * (b4 + s * b5)))
-        rate = s * (a0 + s * (3 * b3 + s * (4 * b4 + s * 5 * b5)))
-        return q0 + h * (s * v0 + h * gain), v0 + h * rate
+                row[:] = self.model.force(self.t + s * self.h, q, v)
+        return forces
 
 
-RADAU = (1e-9, 1e-11, 1e-13)  # rtol, level by level
-EXPLICIT = (1e-11, 1e-13, 2.3e-14)  # finer: two of one size err in one direction now and then, and would seem to agree
-LOOSE, COARSE = 1e-7, -1  # rtol of a run before the first level, and its number
-LEFT = 0.1  # of what a run moved by with an rtol a hundredth: what it may still be off by, where the error falls as the root of rtol
+RADAU_RTOL = (1e-9, 1e-11, 1e-13)  # of each level
+EXPLICIT_RTOL = (1e-11, 1e-13, 2.3e-14)  # finer than Radau's: two methods with errors of one size sometimes agree by chance
 FINEST = 2
-SHARE = 0.1  # of the smallest error that is measured: what a reference should be off by
-BELOW = 1.0  # the same: more than that, and another family is asked
-ROUND = 1e-14  # of a part's size: round-off of a run, which two that agree may share
-ENOUGH = 1e-12  # of a part's size: nearer than that two methods need not come
-BETTER = 0.5  # of the distance before: what a level must come to for the next to be tried
-STEPS = (500, 2000, 8000)  # of extrapolated methods, level by level
+LOOSE_RTOL, LOOSE_LEVEL = 1e-7, -1  # of a Radau run before the first level
+REMAINING = 0.1  # remaining error after rtol / 100, relative to the change: holds also if the error falls only as the root of rtol
+WANTED_ACCURACY = 0.1  # of the smallest measured error
+REQUIRED_ACCURACY = 1.0  # of the smallest measured error; otherwise the next family is tried
+ROUND_OFF = 1e-14  # relative: round-off that two methods may share
+SUFFICIENT = 1e-12  # relative: two methods need not agree better
+IMPROVEMENT = 0.5  # a level must reduce the distance by this factor, otherwise refinement ends
+EXTRAPOLATION_STEPS = (500, 2000, 8000)  # of each level
 
 
-def _explicit(subject, level):
-    rtol = EXPLICIT[level]
-    found = by_explicit(subject.model, subject.t_end, rtol, subject.q0, subject.v0, spare=True)
-    return f"DOP853 on the index-1 equations, rtol {rtol:g}", found
+def _by_explicit_at(ivp, level):
+    rtol = EXPLICIT_RTOL[level]
+    return f"DOP853 on the index-1 equations, rtol {rtol:g}", by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True)
 
 
-def _bdf(subject, level):
+def _by_bdf_at(ivp, level):
     rtol = (1e-8, 1e-10, 1e-12)[level]
-    return f"IDA (BDF), rtol {rtol:g}", by_bdf(subject.model, subject.t_end, rtol, subject.q0, subject.v0)
+    return f"IDA (BDF), rtol {rtol:g}", by_bdf(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0)
 
 
-def _extrapolated(subject, level, name, method):
-    if subject.model.switching:  # steps are cut there, and the error is no power of h
+def _extrapolated_at(ivp, level, name, method):
+    if ivp.model.switching:  # steps end at the switches, so that the error is no power of h
         raise RuntimeError(f"{name} cannot be extrapolated: its steps end where forces of the model switch")
-    h = subject.t_end / STEPS[level]
-    found = extrapolated(subject.model, subject.t_end, method, h, subject.q0, subject.v0)
-    return f"{name}, h = {h:g} s and half of it, extrapolated", found
+    h = ivp.t_end / EXTRAPOLATION_STEPS[level]
+    values = extrapolated(ivp.model, ivp.t_end, method, h, ivp.q0, ivp.v0)
+    return f"{name}, h = {h:g} s and half of it, extrapolated", values
 
 
-BY_EXPLICIT, BY_BDF = _explicit, _bdf
-BY_ENERGY_MOMENTUM = partial(_extrapolated, name="energy-momentum", method=EnergyMomentum)
-BY_ALPHA = partial(_extrapolated, name="generalized-alpha", method=partial(GeneralizedAlpha, tolerance=1e-11))
-OTHERS = (BY_EXPLICIT, BY_BDF, BY_ENERGY_MOMENTUM, BY_ALPHA)
+BY_EXPLICIT, BY_BDF = _by_explicit_at, _by_bdf_at
+BY_ENERGY_MOMENTUM = partial(_extrapolated_at, name="energy-momentum", method=EnergyMomentum)
+BY_ALPHA = partial(_extrapolated_at, name="generalized-alpha", method=partial(GeneralizedAlpha, tolerance=1e-11))
+OTHER_FAMILIES = (BY_EXPLICIT, BY_BDF, BY_ENERGY_MOMENTUM, BY_ALPHA)
 
 
-def _radau(subject, level):
-    """(what it is, {part: value at the end}, {part: how far that may be off by what its steps did not see})."""
-    made, motion = f"Radau IIA, rtol {RADAU[level]:g}", (subject.model, subject.t_end)
-    if announces(subject.model):
-        return made, by_radau(*motion, RADAU[level], subject.q0, subject.v0), {}
-    run = whole(*motion, RadauIIA(rtol=RADAU[level]), subject.q0, subject.v0)
-    return made, vars(last_state(run)), missed(run)
+def _by_radau_at(ivp, level):
+    """(description, {part: value at the end}, {part: possible error from missed pulses})."""
+    name, motion = f"Radau IIA, rtol {RADAU_RTOL[level]:g}", (ivp.model, ivp.t_end)
+    if has_known_discontinuities(ivp.model):
+        return name, by_radau(*motion, RADAU_RTOL[level], ivp.q0, ivp.v0), {}
+    run = _full_run(*motion, RadauIIA(rtol=RADAU_RTOL[level]), ivp.q0, ivp.v0)
+    return name, _end_of(run), missed_impulse(run)
 
 
-def agreed(subject, errors=lambda values: {}, tell=lambda what: None, others=OTHERS, first=0):
-    """A reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: their distance}, "failed": [what did not come there]}.
+def make_reference(ivp, smallest_errors=lambda values: {}, progress=lambda text: None, others=OTHER_FAMILIES, first=0):
+    """The reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: accuracy}, "failed": [messages]}.
 
-    "looked_at", s, of a model with forces that no kink announces: from one time to the next at which these were looked at between the
-    steps. errors(values): {part: the smallest error, above zero, that is measured against these values}; the reference is refined until it
-    is known to a tenth of that, or to 1e-12 of the part's size, or as long as the two come nearer to each other. others: the families
-    beside Radau IIA, in the order in which they are tried; first: the level to begin with. Without two that come there it has "failed"
-    alone.
+    "sampling", s, is the time between two samples of forces without announced discontinuities. smallest_errors(values): {part: smallest
+    measured error above zero against these values}; the accuracy is to be a tenth of it, or 1e-12 relative. others: families beside Radau
+    IIA in the order of trial. first: first level of refinement. The result has only "failed" if no two methods reach the end.
     """
-    mine, failed, best = {}, [], {}
-    for make in others:
-        pair = _refined(subject, make, range(first, len(RADAU)), mine, failed, errors, tell)
-        best = pair if pair and (not best or _off(pair, best) < 1) else best
-        stepped_over = any(any(unseen.values()) for _, _, unseen in mine.values())  # no other family would make these values better known
-        if best and (stepped_over or _enough(best, errors, BELOW)):
+    radau, failed, best = {}, [], {}
+    for method in others:
+        pair = _refine(ivp, method, range(first, len(RADAU_RTOL)), radau, failed, smallest_errors, progress)
+        best = pair if pair and (not best or _relative_distance(pair, best) < 1) else best
+        missed = any(any(error.values()) for _, _, error in radau.values())  # no other family improves these values
+        if best and (missed or not _inaccurate(best, smallest_errors, REQUIRED_ACCURACY)):
             break
-    seen = {} if announces(subject.model) else {"looked_at": subject.t_end / TIMES}
-    return best | (seen if best else {}) | {"failed": failed}
+    sampling = {} if has_known_discontinuities(ivp.model) or not best else {"sampling": ivp.t_end / SAMPLES}
+    return best | sampling | {"failed": failed}
 
 
-def _refined(subject, make, levels, mine, failed, errors, tell):
-    """The best pair of Radau IIA and another family over the levels, {} where one of both does not come there."""
+def _refine(ivp, method, levels, radau, failed, smallest_errors, progress):
+    """The best pair of Radau IIA and another family over the levels; {} if one of them fails. radau: results by level, extended here."""
     best = {}
     for level in levels:
         try:
-            tell(f"reference, level {level + 1}")
-            if level not in mine:
-                mine[level] = _radau(subject, level)
-            other = make(subject, level)
+            progress(f"reference, level {level + 1}")
+            if level not in radau:
+                radau[level] = _by_radau_at(ivp, level)
+            name, other = method(ivp, level)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # noqa: BLE001, whatever a user's functions answer where nobody led them: what was measured must come out
+        except BaseException as error:  # noqa: BLE001, a user's functions may raise anything; the measured rows must survive
             failed.append(str(error) or type(error).__name__)
             return best
-        made, values, unseen = mine[level]
-        least = {part: max(ROUND * np.abs(values[part]).max(initial=0.0), far) for part, far in _left(subject, level, mine).items()}
-        known = {part: max(least[part], far) + unseen.get(part, 0.0) for part, far in distance(values, other[1]).items()}
-        pair, lacking = values | {"made_by": [made, other[0]], "known_to": known}, _lacking(best, errors) if best else PARTS
-        nearer = not best or any(known[part] < BETTER * best["known_to"][part] for part in lacking)
-        best = _better(best, pair)
-        if not nearer or _enough(best, errors):
+        radau_name, values, missed = radau[level]
+        least = {part: max(ROUND_OFF * np.abs(values[part]).max(initial=0.0), far) for part, far in _remaining(ivp, level, radau).items()}
+        known = {part: max(least[part], far) + missed.get(part, 0.0) for part, far in distance(values, other).items()}
+        wanted = _inaccurate(best, smallest_errors) if best else PARTS
+        improved = not best or any(known[part] < IMPROVEMENT * best["known_to"][part] for part in wanted)
+        if better := [part for part in PARTS if not best or known[part] < best["known_to"][part]]:
+            known_to = best.get("known_to", {}) | {part: known[part] for part in better}
+            best = best | {part: values[part] for part in better} | {"made_by": [radau_name, name], "known_to": known_to}
+        if not improved or not _inaccurate(best, smallest_errors):
             break
     return best
 
 
-def _left(subject, level, mine):
-    """{part: what Radau IIA may still be off by, from how far the level before was}: two methods may err alike, behind kinks above all."""
-    with suppress(Exception):  # a looser run that does not come there says nothing
-        if level == 0 and COARSE not in mine:
-            mine[COARSE] = ("", by_radau(subject.model, subject.t_end, LOOSE, subject.q0, subject.v0), {})
-    before = mine.get(level - 1)
-    return {part: LEFT * far for part, far in distance(before[1], mine[level][1]).items()} if before else dict.fromkeys(PARTS, 0.0)
+def _remaining(ivp, level, radau):
+    """{part: estimated error of Radau IIA} from the level before: two methods may have equal errors, mainly behind kinks."""
+    with suppress(Exception):  # a failed loose run gives no estimate
+        if level == 0 and LOOSE_LEVEL not in radau:
+            radau[LOOSE_LEVEL] = ("", by_radau(ivp.model, ivp.t_end, LOOSE_RTOL, ivp.q0, ivp.v0), {})
+    before = radau.get(level - 1)
+    return {part: REMAINING * far for part, far in distance(before[1], radau[level][1]).items()} if before else dict.fromkeys(PARTS, 0.0)
 
 
-def _better(best, pair):
-    """The best pair with those parts of another one that are known better there."""
-    parts = [part for part in PARTS if not best or pair["known_to"][part] < best["known_to"][part]]
-    if not parts:
-        return best
-    known = best.get("known_to", {}) | {part: pair["known_to"][part] for part in parts}
-    return best | {part: pair[part] for part in parts} | {"made_by": pair["made_by"], "known_to": known}
-
-
-def _off(pair, other):
-    """How much farther apart a pair is than another one, at the part where it is worst off of those that are not at round-off."""
-    sizes = {part: ENOUGH * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in PARTS}
+def _relative_distance(pair, other):
+    """Accuracy of a pair relative to another one, of the worst part; parts at round-off count as equal."""
+    sizes = {part: SUFFICIENT * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in PARTS}
     return max(max(pair["known_to"][part], sizes[part]) / max(other["known_to"][part], sizes[part]) for part in PARTS)
 
 
-def _enough(pair, errors, share=SHARE):
-    return not _lacking(pair, errors, share)
-
-
-def _lacking(pair, errors, share=SHARE):
-    """The parts that are not known well enough."""
-    smallest = errors(pair)
+def _inaccurate(pair, smallest_errors, share=WANTED_ACCURACY):
+    """The parts whose accuracy is worse than this share of the smallest error."""
+    smallest = smallest_errors(pair)
     return [
         part
         for part, known in pair["known_to"].items()
-        if known > max(share * smallest.get(part, 0.0), ENOUGH * np.abs(pair[part]).max(initial=0))
+        if known > max(share * smallest.get(part, 0.0), SUFFICIENT * np.abs(pair[part]).max(initial=0))
     ]
 
 
-def given(study, subject, reference):
-    """The reference that a user gives: {"q", "v", "lam"} at t_end, with "made_by" and "known_to" where these are known (as the
-    `reference` of another study is), or a run or state there. Raises InputError for another form, time or shape.
+def user_reference(study, ivp, reference):
+    """The reference of a user: {"q", "v", "lam"} at t_end with optional "made_by" and "known_to", or a run or state at t_end.
+
+    Raises InputError for another form, time or shape.
     """
     if not isinstance(reference, dict):
         state = getattr(reference, "state", reference)
         if not all(hasattr(state, part) for part in ("t", *PARTS)):
             wanted = "must be a dictionary of q, v and lam, a run, a State, or None"
             raise InputError(f"{study}: reference = {type(reference).__name__} {wanted}")
-        if abs(state.t - subject.t_end) > 1e-9 * subject.t_end:
-            raise InputError(f"{study}: the reference ends at t = {state.t:g} s, the study at t_end = {subject.t_end:g} s")
+        if abs(state.t - ivp.t_end) > 1e-9 * ivp.t_end:
+            raise InputError(f"{study}: the reference ends at t = {state.t:g} s, the study at t_end = {ivp.t_end:g} s")
         reference = {part: getattr(state, part) for part in PARTS} | {"made_by": [repr(getattr(reference, "integrator", "a state"))]}
-    n, m = subject.model.n, subject.model.m
-    found = dict(reference)
-    for part, size in zip(PARTS, (n, n, m)):
-        value = np.asarray(found.get(part, np.nan), float)
+    result = dict(reference)
+    for part, size in zip(PARTS, (ivp.model.n, ivp.model.n, ivp.model.m)):
+        value = np.asarray(result.get(part, np.nan), float)
         if value.shape != (size,) or not np.isfinite(value).all():
-            raise InputError(f"{study}: reference[{part!r}] must be {size} finite numbers, at t = {subject.t_end:g} s")
-        found[part] = value
-    made_by = found.get("made_by", "given")
-    known = found.get("known_to", {})
+            raise InputError(f"{study}: reference[{part!r}] must be {size} finite numbers, at t = {ivp.t_end:g} s")
+        result[part] = value
+    made_by, known = result.get("made_by", "the user's values"), result.get("known_to", {})
     if not isinstance(known, dict):
         raise InputError(f"{study}: reference['known_to'] = {known!r} must be a dictionary {{'q': ..., 'v': ..., 'lam': ...}}")
     for part, value in known.items():
         if part in PARTS and not (is_number(value) and value >= 0):
             raise InputError(f"{study}: reference['known_to'][{part!r}] = {value!r} must be a number of at least 0")
-    return found | {"made_by": [made_by] if isinstance(made_by, str) else list(made_by), "known_to": dict(known), "failed": []}
+    return result | {"made_by": [made_by] if isinstance(made_by, str) else list(made_by), "known_to": dict(known), "failed": []}

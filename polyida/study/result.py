@@ -1,6 +1,9 @@
-"""What every study gives: rows, figures made of them, notes; as a table, a data frame, a plot, a report."""
+"""`Result`: what every study returns, as a table, data frame, plot, figures.json and report."""
 
 import json
+import math
+import shlex
+import sys
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path
@@ -11,140 +14,310 @@ import numpy as np
 from polyida.environment import machine_info
 from polyida.errors import InputError
 from polyida.reprs import cut, table
-from polyida.show.html import shown
-from polyida.show.report import finite
-from polyida.study.isolation import plain
+from polyida.show import html
+from polyida.show.style import figure, settings
+from polyida.study.executors import to_json
+from polyida.study.tasks import write_atomically
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-CELL = 34  # characters of a cell of the printed table
-KEPT = ("status", "error")  # columns that are shown only where something failed
+MAX_CELL = 34  # characters of a cell of the printed table
+ONLY_FAILED = ("status", "error")  # columns that tables show only if a run failed
+NUMBERS = {"name": ("figure", "{}"), "value": ("value", "{:.6g}")}
 
 
 class Result:
-    """Rows of plain values, and what follows from them.
+    """Result of a study.
 
-    rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean. title: of
-    the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left
-    out. histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
+    Parameters
+    ----------
+    rows : iterable of dict
+        A dictionary of plain values for each run or case.
+    notes : iterable of str
+        Lines on failures and on the meaning of numbers.
+    histories : {label: {"t": (frames,) float, name: (frames,) float}}, optional
+
+    Attributes
+    ----------
+    title, lead : str
+        Title of the report, and the paragraph below it.
+    columns : {name: (heading, format)}
+        Columns of tables in their order; columns that no row has are left out.
     """
 
     title, lead = "study", ""
     columns: dict = {}
+    minor_columns: tuple = ()  # that a narrow terminal leaves out first
 
     def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
         self.rows, self.notes, self.histories = list(rows), list(notes), histories or {}
 
     @property
     def labels(self) -> list[str]:
-        """The labels of the integrators that rows are of."""
+        """The labels of the integrators of the rows."""
         return list(dict.fromkeys(row["integrator"] for row in self.rows if "integrator" in row))
 
     @property
     def figures(self) -> dict[str, float]:
-        """{name: number}: what the rows come to."""
+        """{name: number}: the key numbers of the study."""
         return {}
 
     def to_dataframe(self) -> "DataFrame":
-        """The rows as a pandas.DataFrame."""
+        """The rows as a pandas.DataFrame.
+
+        Returns
+        -------
+        frame : pandas.DataFrame
+        """
         from pandas import DataFrame
 
         return DataFrame(self.rows, columns=self._names() or None)
 
     def to_xarray(self) -> "Dataset":
-        """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are
-        none.
+        """The histories over (run, frame), padded with NaN; without histories the rows over row.
 
-        Raises InputError where xarray is not installed.
+        Returns
+        -------
+        dataset : xarray.Dataset
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
         """
-        return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
+        try:
+            from xarray import Dataset
+        except ImportError:
+            raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
+        if not self.histories:
+            return self.to_dataframe().rename_axis("row").to_xarray()
+        names = dict.fromkeys(name for history in self.histories.values() for name in history)
+        data = np.full((len(names), len(self.histories), max(len(history["t"]) for history in self.histories.values())), np.nan)
+        for i, name in enumerate(names):
+            for k, history in enumerate(self.histories.values()):
+                data[i, k, : len(history.get(name, ()))] = history.get(name, ())
+        columns = {name: (["run", "frame"], values) for name, values in zip(names, data)}
+        return Dataset(columns, coords={"run": list(self.histories)}).set_coords("t")
 
     def plot(self, *what: Any, **options: Any) -> Any:
-        """Draw the main figure into matplotlib axes, new ones where none are given; returns the axes."""
+        """Draw the main figure into matplotlib axes, new ones if None, and return the axes."""
         raise InputError(f"{type(self).__name__} has no picture of its own; draw its rows")
 
     def pictures(self) -> dict:
-        """{name: (caption, function of axes that draws it)} of the report."""
+        """{name: (caption, function of axes that draws the picture)} of the report."""
         return {}
 
     def report(self, folder: str | Path, overwrite: bool = False, command: str = "") -> Path:
-        """Write report.html, figures.json, and each picture as PNG, PDF and CSV into a folder; returns the folder.
+        """Write report.html, figures.json, and each picture as PNG, PDF and CSV.
 
-        command: what made it, by default the script that runs. Raises InputError where the folder has something in it, unless `overwrite`.
+        Parameters
+        ----------
+        folder : str or Path
+            A new or an empty folder, unless `overwrite`.
+        overwrite : bool
+            Replace the files of an earlier report.
+        command : str
+            Shown in the report; default: the running script.
+
+        Returns
+        -------
+        folder : Path
+
+        Raises
+        ------
+        InputError
+            If the folder is not empty or cannot be created.
         """
-        from polyida.study.report import write
+        if not isinstance(folder, (str, Path)) or not str(folder) or "\0" in str(folder):
+            raise InputError(f"report: folder = {folder!r:.100} must be the path of a folder")
+        folder = Path(folder)
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"report: {folder} is a file; give a folder")
+        if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+            raise InputError(f"report: {folder} has something in it: choose another folder, or say overwrite=True")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"report: the folder {folder} cannot be made: {error.strerror}") from error
+        self.write(folder, command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"))
+        return folder
 
-        return write(self, folder, overwrite, command)
+    def write(self, folder, command, writer=None):
+        """Write figures.json and the page into an existing folder; returns the data of figures.json. writer: a FigureWriter."""
+        data = finite(json.loads(json.dumps(self.as_dict() | {"command": command}, default=to_json)))
+        write_atomically(folder / "figures.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
+        html.write(folder, self.title, self.page(), command, data["machine"], self.lead, writer)
+        return data
+
+    def page(self):
+        """The blocks of the report's page."""
+        pictures = self.report_pictures()
+        numbers = [{"name": name, "value": value} for name, value in self.figures.items()]
+        blocks = [html.Notes(self.notes)]
+        blocks += [html.Heading("Figures"), *pictures] if pictures else []
+        blocks += [html.Heading("Numbers"), html.Table(NUMBERS, numbers)] if numbers else []
+        return [*blocks, html.Heading("Rows"), *self.report_tables()]
+
+    def report_pictures(self):
+        """The pictures as blocks of the page."""
+        blocks = []
+        for name, (caption, draw) in self.pictures().items():
+            with settings():
+                new, axes = figure(6.4, 3.8)
+                draw(axes)
+            blocks.append(html.Picture(name, caption, new))
+        return blocks
+
+    def report_tables(self):
+        """The rows as blocks of the page; of lists and dictionaries, which figures.json holds, only the size."""
+        return [html.Table(self.shown_columns(), [without_lists(row) for row in self.rows])]
 
     def as_dict(self) -> dict:
-        """Rows, figures, notes and machine as figures.json holds them: what is not finite is None."""
-        data = {
-            "title": self.title,
-            "lead": self.lead,
-            "figures": self.figures,
-            "notes": self.notes,
-            "rows": self.rows,
-            "machine": machine_info(),
-        }
-        return finite(json.loads(json.dumps(data, default=plain)))
+        """The content of figures.json.
+
+        Returns
+        -------
+        data : dict
+            "title", "lead", "figures", "notes", "rows" and "machine" as plain values; numbers that are not finite are None.
+        """
+        names = ("title", "lead", "figures", "notes", "rows")
+        return finite(json.loads(json.dumps({name: getattr(self, name) for name in names} | {"machine": machine_info()}, default=to_json)))
 
     def _names(self):
-        """The columns that rows have: those of `columns` first, in their order."""
-        there = list(dict.fromkeys(name for row in self.rows for name in row))
-        return [name for name in self.columns if name in there] + [name for name in there if name not in self.columns]
+        """The columns of the rows, those of `columns` first."""
+        present = list(dict.fromkeys(name for row in self.rows for name in row))
+        return [name for name in self.columns if name in present] + [name for name in present if name not in self.columns]
 
     def shown_columns(self) -> dict:
         """{name: (heading, format)} of the columns that a table shows."""
         failed = any(row.get("error") or row.get("status", "done") != "done" for row in self.rows)
-        wanted = {name: column for name, column in self.columns.items() if name not in KEPT or failed}
-        there = {name for row in self.rows for name in row}
-        return {name: column for name, column in wanted.items() if name in there} or {name: (name, "{}") for name in self._names()}
+        present = {name for row in self.rows for name in row}
+        shown = {name: column for name, column in self.columns.items() if name in present and (failed or name not in ONLY_FAILED)}
+        return shown or {name: (name, "{}") for name in self._names()}
+
+    def text_table(self):
+        """(headings, rows of text) of the table."""
+        columns = self.shown_columns()
+        rows = [[" ".join(html.format_value(row.get(name), form, "-").split()) for name, (_, form) in columns.items()] for row in self.rows]
+        return [heading for heading, _ in columns.values()], rows
 
     def __repr__(self):
         return f"<{type(self).__name__}: {self.title}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
 
     def __str__(self):
-        columns = self.shown_columns()
-        lines = [[heading for heading, _ in columns.values()]]
-        lines += [[cell(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(columns))]
+        headings, rows = self.text_table()
+        lines = [headings, *([cut(text, MAX_CELL) for text in row] for row in rows)]
+        widths = [max(map(len, column)) for column in zip(*lines)]
         aligned = [(text.rjust(width) if k else text.ljust(width) for k, (text, width) in enumerate(zip(line, widths))) for line in lines]
         figures = [f"{name}: {value:.4g}" for name, value in self.figures.items()]
         return "\n".join([self.title, *("  ".join(line).rstrip() for line in aligned), *figures, *filter(None, [self.lead]), *self.notes])
 
     def _repr_html_(self):
-        columns = self.shown_columns()
-        rows = [[cell(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
+        headings, rows = self.text_table()
         notes = "".join(f"<p>{escape(note)}</p>" for note in [self.lead, *self.notes] if note)
-        return table(self.title, [heading for heading, _ in columns.values()], rows) + notes
+        return table(self.title, headings, [[cut(text, MAX_CELL) for text in row] for row in rows]) + notes
 
 
-def cell(value, form="{}"):
-    """A value as a cell of a printed table: a dash for what is missing or not finite, long texts cut."""
-    return cut(shown(value, form, "-"), CELL)
+def without_lists(row):
+    """A row with the size of its lists and dictionaries in their place."""
+    return {name: f"{len(value)} values" if isinstance(value, (list, dict)) else value for name, value in row.items()}
 
 
-def dataset(histories):
-    """{label: {"t": (frames,), name: (frames,)}} as an xarray.Dataset over (run, frame), t a coordinate, NaN behind a run's last frame.
+def finite(value):
+    """Plain data with None in place of numbers that are not finite, which JSON cannot hold."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
-    Raises InputError where xarray is not installed.
+
+class StudyResult(Result):
+    """Result of a `Study`: its rows, and the figures, notes and pictures that follow from them.
+
+    A part that raises becomes a note and affects no other part. quick: True for the small selection of tasks.
     """
-    try:
-        from xarray import Dataset
-    except ImportError:
-        raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
-    names = list(dict.fromkeys(name for found in histories.values() for name in found if name != "t"))
-    count = max(len(found["t"]) for found in histories.values())
-    columns = {
-        name: (["run", "frame"], np.array([_padded(found.get(name), count) for found in histories.values()])) for name in ["t", *names]
-    }
-    return Dataset(columns, coords={"run": list(histories)}).set_coords("t")
+
+    def __init__(self, study, rows, quick=False):
+        self.study, self.title, self.lead = study, study.name.replace("_", " "), study.title
+        self._figures, self._pictures, failures = dict.fromkeys(study.headline, math.nan), None, []
+        for figures in self._call(study.figures, rows, failures):
+            self._figures |= {name: float(value) for name, value in figures.items()}
+        notes = [line for lines in self._call(study.notes, rows, failures) for line in lines]
+        self._pictures = [picture for pictures in self._call(study.draw, rows, failures) for picture in pictures]
+        missing = [name for name, value in self._figures.items() if not math.isfinite(value)]
+        notes += [f"no value, no successful run gives one: {', '.join(missing)}"] if missing else []
+        tasks = study.tasks(False) + study.tasks(True)
+        varied = {name for task in tasks for name in task}
+        for row in rows:
+            if row.get("error"):
+                failures.append(f"failed: {', '.join(f'{name} {row[name]}' for name in row if name in varied)[:100]}: {row['error']}")
+        notes += failures + (_quick_note(study) if quick else [])
+        super().__init__([{name: value for name, value in row.items() if name != "traceback"} for row in rows], notes)
+        names = study.columns or tuple(name for name in dict.fromkeys(name for row in self.rows for name in row) if name != "error")
+        self.columns = self._column_formats(names, self.rows)
+        self.minor_columns = tuple(name for name in names if name not in varied and name not in ("error", "cpu_s", "outcome"))
+
+    @staticmethod
+    def _call(functions, rows, failures):
+        """The results of one or several functions of the rows; each exception is a line in `failures`."""
+        for function in functions if isinstance(functions, tuple) else (functions,):
+            try:
+                yield function(rows)
+            except Exception as error:  # noqa: BLE001, rows may lack anything
+                reason = str(error) if isinstance(error, LookupError) and " " in str(error) else f"{type(error).__name__}: {error}"
+                failures.append(f"not computed: {function.__name__.strip('_')}: {reason}")
+
+    @staticmethod
+    def _column_formats(names, rows):
+        """{name: (heading, format)} of the columns that have a value."""
+        values = {name: [row[name] for row in rows if row.get(name) != "" and not html.is_missing(row.get(name))] for name in names}
+        return {name: (name, "{}" if all(isinstance(x, int) for x in found) else "{:.4g}") for name, found in values.items() if found}
+
+    @property
+    def figures(self):
+        return self._figures
+
+    def shown_columns(self):
+        return self.columns
+
+    def as_dict(self):
+        return super().as_dict() | {"study": self.study.name}
+
+    def report_pictures(self):
+        return self._pictures
+
+    def report_tables(self):
+        """A table for each kind of task, with the columns that it has; values that all its tasks share are in the caption."""
+        kinds = {}
+        for row in self.rows:
+            names = list(row)
+            kinds.setdefault(tuple(names[: names.index("error")] if "error" in names else names), []).append(without_lists(row))
+        tables = []
+        for kind, rows in kinds.items():
+            columns = self._column_formats(self.study.columns or self.columns, rows)
+            values = {name: [row.get(name) for row in rows] for name in columns if name in kind}
+            shared = {name: found[0] for name, found in values.items() if 1 < len(rows) == found.count(found[0])}
+            caption = ", ".join(f"{name}: {html.format_value(value)}" for name, value in shared.items())
+            tables.append(html.Table({name: column for name, column in columns.items() if name not in shared}, rows, caption))
+        return tables
 
 
-def _padded(values, count):
-    full = np.full(count, np.nan)
-    if values is not None:
-        full[: len(values)] = values
-    return full
+def _quick_note(study):
+    """A note on the values of tasks that the quick selection leaves out."""
+    quick, full = study.tasks(True), study.tasks(False)
+
+    def values(tasks, name):
+        entries = [task.get(name) for task in tasks]
+        return dict.fromkeys(value for value in entries if isinstance(value, (str, int, float)) and not isinstance(value, bool))
+
+    missing = []
+    for name in dict.fromkeys(name for task in full for name in task):
+        absent = [value for value in values(full, name) if value not in values(quick, name)]
+        texts = [value if isinstance(value, str) else f"{value:g}" for value in absent]
+        if texts:
+            named = len(texts) <= 8 or any(isinstance(value, str) for value in values(full, name))
+            missing.append(f"{name} {', '.join(texts) if named else f'of {len(texts)} values'}")
+    return [f"the quick selection has {len(quick)} runs, the full one {len(full)}; missing values: {'; '.join(missing)}"] if missing else []

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from against_peers import gain
-from polyida.study.harness import Study
+from polyida.study.tasks import Study
 from step_cost.against import Side, exported, whole_name
 from step_cost.side import cells_for
 

@@ -15,8 +15,9 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
-from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.families import explicit
+from polyida.show.style import legend_above
+from polyida.study.plotting import line_picture, loglog, panels, study_figure
+from polyida.study.references import explicit
 from step_cost.measure import model_of
 from step_cost.side import cells_for
 from work_precision.integrators import cheapest
@@ -143,7 +144,7 @@ def notes(rows):
     return lines
 
 
-@drawn
+@study_figure
 def figure(rows):
     """Work-precision of generalized-alpha and Radau IIA alone."""
     found, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
@@ -154,5 +155,5 @@ def figure(rows):
             if points:
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{row['scene']}, {row['n']} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
-    legend(made, axes, 3)
-    return curves(made, "radau_gain")
+    legend_above(made, axes, 3)
+    return line_picture(made, "radau_gain")

@@ -13,8 +13,8 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates
 from polyida.run.solve import solve
-from polyida.study.chosen import Job
-from polyida.study.compare import watch
+from polyida.study.comparison import watched_quantity
+from polyida.study.ivp import InitialValueProblem
 
 
 @lru_cache(maxsize=8)
@@ -24,8 +24,8 @@ def damped(cells, time, viscosity):
     """
     rubber = plates.RUBBER
     material = Material(E=rubber.E, nu=rubber.nu, rho=rubber.rho, viscosity=viscosity)
-    job = Job("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
-    coarse, fine = (watch(job)(solve(job.model, time, GeneralizedAlpha(h=h), every=10**9).q[-1]) for h in (1e-4, 5e-5))
+    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
+    coarse, fine = (watched_quantity(job)(solve(job.model, time, GeneralizedAlpha(h=h), every=10**9).q[-1]) for h in (1e-4, 5e-5))
     return job, (4 * fine - coarse) / 3
 
 
@@ -42,8 +42,8 @@ def run_order(cells, time, viscosity, max_order, rtol=1e-5, cap=60_000):
 def stiff(cells, time, modulus):
     """(Job, tip at the end) of the double plate with Young's modulus in Pa; the tip from Radau IIA."""
     material = replace(plates.RUBBER, E=modulus)
-    job = Job("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
-    return job, watch(job)(solve(job.model, time, RadauIIA(rtol=1e-8), every=10**9).q[-1])
+    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
+    return job, watched_quantity(job)(solve(job.model, time, RadauIIA(rtol=1e-8), every=10**9).q[-1])
 
 
 def run_tested(cells, time, modulus, tested, rtol, cap):
@@ -65,6 +65,6 @@ def _row(job, tip, run):
         "residuals": run.counts.residuals,
         "factorizations": run.counts.factorizations,
         "cpu_s": run.cpu_seconds,
-        "tip_error": float(np.linalg.norm(watch(job)(run.q[-1]) - tip)) if run.success else float("nan"),
+        "tip_error": float(np.linalg.norm(watched_quantity(job)(run.q[-1]) - tip)) if run.success else float("nan"),
         "steps_per_s": run.counts.steps / float(run.t[-1]),
     }

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.joint.joints import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.kept import energy
+from polyida.study.invariants import energy
 from work_precision.integrators import by_tolerance, integrator
 
 WEIGHTS_FALL = 9.81 * (

@@ -14,8 +14,8 @@ import numpy as np
 
 import polyida
 from polyida.errors import InputError
-from polyida.study.harness import Study
 from polyida.study.rows import pick
+from polyida.study.tasks import Study
 from step_cost.side import cells_for
 
 CLONE, SIDE = Path(__file__).parents[2], Path(__file__).with_name("side.py")

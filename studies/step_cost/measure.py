@@ -24,7 +24,7 @@ from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.problems import plates
 from polyida.run.solve import solve
-from polyida.study.isolation import run_isolated
+from polyida.study.executors import run_isolated
 from step_cost.side import NO_FRAMES, between, cells_for, cpu
 
 H, RADAU_H = 1e-3, 5e-3  # steps of generalized-alpha and Radau IIA, s

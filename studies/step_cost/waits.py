@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import polyida
-from polyida.show.style import save
-from polyida.study.drawing import curves, legend, loglog, panels
+from polyida.show.style import legend_above, save
+from polyida.study.plotting import line_picture, loglog, panels
 from polyida.study.rows import number
 
-COMMAND = "import sys; from polyida.cli.main import main; sys.exit(main(sys.argv[1:]))"
+COMMAND = "import sys; from polyida.cli.commands import main; sys.exit(main(sys.argv[1:]))"
 AIMS = {"compare_wall_s": (5.0, True), "animation_100_s": (4.0, True), "figure_s_max": (2.0, True)}  # most, s
 PANELS = 14  # of the largest figure of all studies, work-counts-alpha
 
@@ -58,8 +58,8 @@ def panels_written(folder):
         for i in range(5):
             loglog(axis, x, x ** (0.5 + 0.1 * i), i, f"line {i}")
         axis.set(title=f"panel {k}", xlabel="error, m", ylabel="work")
-    legend(made, axes)
-    (sheet,) = curves(made, "panels")
+    legend_above(made, axes)
+    (sheet,) = line_picture(made, "panels")
     return [save(sheet.figure, folder / f"panels.{kind}") for kind in ("png", "pdf")]
 
 

@@ -1,6 +1,6 @@
 """What the step does to an integrator: order on smooth motion from the first step on, and round-off at tiny steps.
 
-The reference is DOP853 on the index-1 equations (families.explicit), which shares no formula of a step with the
+The reference is DOP853 on the index-1 equations (references.explicit), which shares no formula of a step with the
 integrator.
 """
 
@@ -17,7 +17,7 @@ from polyida.integrate.start import consistent_state, start_values
 from polyida.linear.saddle import KKT, scaling_size
 from polyida.problems import plates
 from polyida.run.solve import solve
-from polyida.study.families import explicit
+from polyida.study.references import explicit
 
 PARTS = ("q", "v", "a", "lam")
 STEPS = 4  # of each h at tiny steps

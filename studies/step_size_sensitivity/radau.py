@@ -3,8 +3,9 @@
 import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.study.drawing import curves, drawn, legend, nested, panels, slope_line
-from polyida.study.rows import column, fitted, last, value
+from polyida.show.style import legend_above
+from polyida.study.plotting import line_picture, nested_style, panels, slope_line, study_figure
+from polyida.study.rows import column, fit_slope, last, value
 from step_size_sensitivity.errors import after_steps, decades, order_errors, reference_floor
 from step_size_sensitivity.slopes import PARTS, above_floor, runs_of
 
@@ -51,13 +52,13 @@ def figures(rows):
         for kind in KINDS:
             for part in PARTS:
                 runs = above_floor(runs_of(rows, part=ORDER, scene=kind, form=form), part)
-                found[f"radau_{name}_order_{part}_{kind}"] = fitted(column(runs, "h"), column(runs, f"error_{part}"))
+                found[f"radau_{name}_order_{part}_{kind}"] = fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
         for part in ("lam", "a"):
             found[f"radau_{name}_{part}_error_h1e-9"] = value(last(rows, part=TINY, form=form, h=1e-9), f"error_{part}")
     return {name: x for name, x in found.items() if np.isfinite(x)}
 
 
-@drawn
+@study_figure
 def figure(rows):
     """Errors of q, v and lam against the step: on smooth motion driven by motors, and after four tiny steps."""
     made, axes = panels(6, width=7.4, height=2.6, columns=3)
@@ -66,13 +67,13 @@ def figure(rows):
             for i, form in enumerate(FORMS):
                 runs = runs_of(rows, part=part, scene=scene, form=form)
                 good = [row for row in runs if value(row, f"error_{name}") > 0]
-                axis.plot(column(good, "h"), column(good, f"error_{name}"), label=form, **nested(i, i, len(FORMS)))
+                axis.plot(column(good, "h"), column(good, f"error_{name}"), label=form, **nested_style(i, i, len(FORMS)))
             finest = runs_of(rows, part=ORDER, scene=scene, form="ggl")
             if len(finest) > 1:
-                slope_line(axis, 5, [finest[0]["h"], finest[-1]["h"]], value(finest[0], f"error_{name}"), beside=(-3, 2))
+                slope_line(axis, 5, [finest[0]["h"], finest[-1]["h"]], value(finest[0], f"error_{name}"), offset=(-3, 2))
             axis.set(title=f"{name}, {title}", xlabel="step h, s")
             if any(len(line.get_xdata()) for line in axis.get_lines()):
                 axis.set(xscale="log", yscale="log")
         axes[3 * row].set_ylabel("largest relative error")
-    legend(made, axes, 3)
-    return curves(made, "radau")
+    legend_above(made, axes, 3)
+    return line_picture(made, "radau")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.linear.saddle import SCALINGS
-from polyida.study.rows import column, fitted, pick, value
+from polyida.study.rows import column, fit_slope, pick, value
 
 PARTS = ("q", "v", "a", "lam")
 METHOD = {"q": 3, "v": 2, "a": 2, "lam": 2}  # theory, after a few steps
@@ -34,13 +34,13 @@ def above_floor(runs, part):
 def order(rows, scene, part, form="index3"):
     """Fitted order of a part in h, above the reference's floor."""
     runs = above_floor(runs_of(rows, part="order", scene=scene, form=form), part)
-    return fitted(column(runs, "h"), column(runs, f"error_{part}"))
+    return fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
 
 
 def method(rows, scene, part, solve):
     """Slope of an error after a few steps with carried phi, h from 1e-4 to 1e-2 s."""
     runs = [row for row in runs_of(rows, part="tiny", scene=scene, phi="carried", solve=solve) if 0.99e-4 < row["h"] < 1.01e-2]
-    return fitted(column(runs, "h"), column(runs, f"error_{part}"))
+    return fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
 
 
 def round_off(rows, scene, part, solve):
@@ -52,14 +52,14 @@ def round_off(rows, scene, part, solve):
         runs = [row for row in runs if row["h"] < 1.01e-7]
     else:
         runs = [row for row in runs if value(row, f"error_{part}") > ABOVE * clean.get(row["h"], np.nan)]
-    return fitted(column(runs, "h"), column(runs, f"error_{part}"))
+    return fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
 
 
 def stall(rows, scene, phi, solve):
     """Slope of Newton's stall level, h up to 1e-5 s, where it is linear."""
     runs = [row for row in runs_of(rows, part="tiny", scene=scene, phi=phi, solve=solve) if row["h"] < 1.01e-5]
     runs = [row for row in runs if value(row, "stall_q") < LINEAR]
-    return fitted(column(runs, "h"), column(runs, "stall_q"))
+    return fit_slope(column(runs, "h"), column(runs, "stall_q"))
 
 
 def table(rows):

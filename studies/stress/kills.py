@@ -17,7 +17,7 @@ from polyida.io.load import load
 from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
-from polyida.study.harness import Study, results
+from polyida.study.tasks import Study, run_tasks
 from polyida.system import INSTANTS
 from stress.outcome import Check, integrator
 
@@ -131,7 +131,7 @@ def killed_sweeps(kills, name="any", seed=0, tasks=12):
             place = Path(folder) / str(number)
             place.mkdir(exist_ok=True)
             study = Study("sweep", "", lambda quick: [{"number": k, "folder": str(place)} for k in range(tasks)], short_run, dict)
-            return place, lambda: [row["end"] for row in results(study, True, place / "tasks")]
+            return place, lambda: [row["end"] for row in run_tasks(study, True, place / "tasks")]
 
         sweep("warm")[1]()
         begin = time.process_time()

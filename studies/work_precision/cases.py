@@ -12,9 +12,9 @@ import numpy as np
 from polyida import problems, profile
 from polyida.force.loads import PointLoad
 from polyida.problems import plates
+from polyida.study.ivp import InitialValueProblem, initial_value_problem
 from polyida.study.precision import work_precision
-from polyida.study.references import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, agreed, given
-from polyida.study.subject import Subject, subject
+from polyida.study.references import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, make_reference, user_reference
 from work_precision.integrators import integrator
 
 SHOWN = {"q": 1e-10, "v": 1e-6, "lam": 1e-4}  # the smallest errors that the study is to show of plates: a tenth of them is to be known
@@ -29,7 +29,7 @@ class Case:
     show in the errors studied.
     """
 
-    subject: Subject
+    ivp: InitialValueProblem
     reference: dict
     sizes: tuple = (1e-2, 10.0)
     newton: float | None = None
@@ -37,14 +37,14 @@ class Case:
 
 def published(name, sizes, newton=1e-9):
     """The Case of a problem with digits of q, v and lam."""
-    motion = subject("work_precision", name, None)
-    return Case(motion, given("work_precision", motion, motion.published), sizes, newton)
+    motion = initial_value_problem("work_precision", name, None)
+    return Case(motion, user_reference("work_precision", motion, motion.published), sizes, newton)
 
 
 def by_two(name, model, t_end, other=BY_EXPLICIT, sizes=(1e-2, 10.0), first=FINEST, shown=SHOWN):
     """The Case of a model whose end is what Radau IIA and another family agree on, from a level of refinement on."""
-    motion = Subject(name, model, t_end)
-    reference = agreed(motion, lambda values: shown, others=(other,), first=first)
+    motion = InitialValueProblem(name, model, t_end)
+    reference = make_reference(motion, lambda values: shown, others=(other,), first=first)
     if "q" not in reference:
         raise RuntimeError(f"reference of {name}: {'; '.join(reference['failed'])}")
     return Case(motion, reference, sizes)
@@ -103,7 +103,7 @@ def case(name, quick):
 def measure(name, member, x, quick):
     """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
     chosen = case(name, quick)
-    motion, made = chosen.subject, integrator(member, x, chosen.sizes, chosen.subject.t_end / 20, chosen.newton)
+    motion, made = chosen.ivp, integrator(member, x, chosen.sizes, chosen.ivp.t_end / 20, chosen.newton)
     start = {"q0": motion.q0, "v0": motion.v0}
     (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: made}, reference=chosen.reference).rows
     told = {

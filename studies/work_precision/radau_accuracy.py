@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.study.rows import column, farthest, fitted, number, pick
+from polyida.study.rows import column, farthest, fit_slope, number, pick
 from work_precision import tip_accuracy
 
 FIXED = "radau, fixed"
@@ -30,7 +30,7 @@ def fitted_rows(rows, problem, part):
 def order(rows, problem, part):
     """Fitted order of a part at t_end in the steps that were taken, which divide the time evenly."""
     runs = fitted_rows(rows, problem, part)
-    return -fitted(column(runs, "steps"), column(runs, f"error_{part}"))
+    return -fit_slope(column(runs, "steps"), column(runs, f"error_{part}"))
 
 
 def orders(rows):

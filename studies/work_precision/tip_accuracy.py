@@ -13,7 +13,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.run.solve import solve
-from polyida.study.rows import column, fitted
+from polyida.study.rows import column, fit_slope
 
 SCENES = {"scene 1, 1 s": "double-plate", "scene 2, 1 s": "double-plate-motors"}  # in the table: problem
 ALPHA, IDA_DEFAULT, RADAU_DEFAULT = "alpha, as it comes", "IDA, as it comes", "radau, as it comes"
@@ -79,7 +79,7 @@ def ida_error_slope(rows):
     runs = of_integrator(rows, IDA_DEFAULT)
     rtol, error, known = (column(runs, name) for name in ("x", "error_tip", "known_tip"))
     whole = len(runs) and np.isfinite(error).all()
-    return {"ida_error_slope": fitted(rtol[error > known], error[error > known]) if whole else float("nan")}
+    return {"ida_error_slope": fit_slope(rtol[error > known], error[error > known]) if whole else float("nan")}
 
 
 def notes(rows):

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import polyida as pi
-from polyida.cli import names, options
-from polyida.cli.main import app, main
+from polyida.cli import options
+from polyida.cli.commands import app, main
 from polyida.cli.study import PROGRAM
-from polyida.study.chosen import KNOWN
+from polyida.study.user_files import KNOWN
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
 
@@ -24,7 +24,7 @@ Further lines say more.
 
 from parts.square import square
 from polyida.cli.study import main
-from polyida.study.harness import Study
+from polyida.study.tasks import Study
 
 STUDY = Study("some_squares", "squares", lambda quick: [{"number": k} for k in range(2 if quick else 5)], square,
               lambda rows: {"largest": rows[-1]["square"]}, isolated=True, fresh=False)
@@ -51,7 +51,7 @@ def installed(tmp_path, monkeypatch):
     (place / "some_squares.py").write_text(SCRIPT)
     here.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setattr(names, "folder", lambda: place)
+    monkeypatch.setattr(options, "study_folder", lambda: place)
     yield here
     for name in [name for name in sys.modules if name == "parts" or name.startswith("parts.")]:
         del sys.modules[name]
@@ -66,10 +66,10 @@ def answer(capsys, *args, code=0):
 
 def test_the_studies_of_a_clone_are_found_and_told_in_a_line():
     package = Path(pi.__file__).parent
-    assert names.folder() in (package.parent / "studies", package / "studies")
-    found = names.scripts()
+    assert options.study_folder() in (package.parent / "studies", package / "studies")
+    found = options.study_scripts()
     assert {"work-precision", "bdf-order", "digits"} <= set(found)
-    assert all(names.title(path) and "\n" not in names.title(path) for path in found.values())
+    assert all(options.script_title(path) and "\n" not in options.script_title(path) for path in found.values())
 
 
 @pytest.mark.parametrize("name", ["some-squares", "some_squares"])
@@ -142,15 +142,18 @@ def test_names_and_files_are_completed():
     Path("mine.py").write_text("")
     Path("my folder").mkdir()
     Path("my folder/deep.py").write_text("")
-    assert options.scenes("double") == ["double-plate", "double-plate-motors"] and options.scenes("m") == ["mine.py", "my folder/"]
-    assert options.scenes("my folder/") == ["my folder/deep.py"]
-    assert options.integrators("alpha,i") == ["alpha,ida"] and "alpha,mine.py" in options.integrators("alpha,")
-    assert options.studies("work_p") == ["work-precision"]
-    assert set(options.ALIASES) == set(KNOWN)
+    assert options.complete_scene("double") == ["double-plate", "double-plate-motors"] and options.complete_scene("m") == [
+        "mine.py",
+        "my folder/",
+    ]
+    assert options.complete_scene("my folder/") == ["my folder/deep.py"]
+    assert options.complete_integrators("alpha,i") == ["alpha,ida"] and "alpha,mine.py" in options.complete_integrators("alpha,")
+    assert options.complete_study("work_p") == ["work-precision"]
+    assert set(options.INTEGRATOR_NAMES) == set(KNOWN)
 
 
 def test_the_shell_is_told_names_without_a_heavy_import():
-    said = "import sys; from polyida.cli.main import main\ntry: main([])\nfinally: print([n for n in ('numpy', 'rich.table') if n in sys.modules])"
+    said = "import sys; from polyida.cli.commands import main\ntry: main([])\nfinally: print([n for n in ('numpy', 'rich.table') if n in sys.modules])"
     shell = {"_POLYIDA_COMPLETE": "complete_bash", "COMP_WORDS": "polyida compare double", "COMP_CWORD": "2"}
     ended = subprocess.run([sys.executable, "-c", said], env=os.environ | shell, capture_output=True, text=True, check=True)
     assert ended.stdout.split("\n")[:3] == ["double-plate", "double-plate-motors", "[]"]

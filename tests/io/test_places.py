@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.cli.main import main
+from polyida.cli.commands import main
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")

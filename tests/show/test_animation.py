@@ -6,7 +6,7 @@ from PIL import Image
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.animation import Picture, animation
+from polyida.show.animations import FramePicture, animation
 
 
 def test_gif_has_the_frames_and_lasts_as_long_as_asked(run, tmp_path):
@@ -23,9 +23,9 @@ def test_mp4_has_the_frames_at_the_rate_asked_for(run, tmp_path):
     about, *images = film.read_frames(str(path))
     assert about["codec"] == "h264" and about["fps"] == pytest.approx(12) and len(images) == 6 and about["duration"] == pytest.approx(0.5)
     first, last = (np.frombuffer(image, np.uint8).reshape(*about["size"][::-1], 3).astype(int) for image in (images[0], images[-1]))
-    picture = Picture(run, plates.spread(run, 6), 3.01)
+    picture = FramePicture(run, plates.spread(run, 6), 3.01)
     for k, shown in ((0, first), (len(run.t) - 1, last)):
-        meant = np.asarray(picture.at(k))[: len(shown), : len(shown[0])].astype(int)
+        meant = np.asarray(picture.image(k))[: len(shown), : len(shown[0])].astype(int)
         assert np.abs(shown - meant).mean() < 4
     assert list(tmp_path.iterdir()) == [path]
 
@@ -41,9 +41,9 @@ def test_mp4_names_the_extra_where_its_package_is_missing_and_files_are_kept(run
 
 
 def test_a_frame_has_the_plates_where_the_run_has_them_on_one_scale(run):
-    picture = Picture(run, [0, 10, 20], 3.0)
+    picture = FramePicture(run, [0, 10, 20], 3.0)
     for k in (0, 20):
-        picture.at(k)
+        picture.image(k)
         corners = np.concatenate([path.vertices[:-1] for path in picture.cells.get_paths()])
         assert corners == pytest.approx(run.node_positions(k)[plates.connectivity(run.model)[0]])
         assert np.asarray(picture.cells.get_array()) == pytest.approx(run.von_mises(k) / 1e3)

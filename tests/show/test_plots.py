@@ -6,7 +6,7 @@ import polyida as pi
 from polyida.errors import InputError
 from polyida.model import Model
 from polyida.show import plates, plots
-from polyida.show.press import csv
+from polyida.show.figure_files import csv
 from polyida.show.style import save
 
 
@@ -52,7 +52,7 @@ def test_one_run_alone_shows_its_coordinates(run):
 def test_drift_is_the_largest_of_each_interval(runs):
     for axis, kind in zip(plots.drift(runs).axes, ("drift", "velocity_drift")):
         for line, run in zip(axis.lines, runs.values(), strict=True):
-            size, (t, drawn) = np.maximum(getattr(run, kind), plots.LEAST), line.get_data()
+            size, (t, drawn) = np.maximum(getattr(run, kind), plots.SMALLEST_DRIFT), line.get_data()
             ends = np.linspace(0, run.t[-1] * (1 + 1e-12), plots.INTERVALS + 1)
             parts = [size[(run.t >= low) & (run.t < high)] for low, high in zip(ends, ends[1:])]
             assert drawn == pytest.approx([part.max() for part in parts if len(part)]) and set(t) <= set(run.t)

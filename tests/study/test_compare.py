@@ -13,9 +13,8 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.solve import solve
-from polyida.show.report import gap
-from polyida.study.chosen import Job, load
-from polyida.study.compare import compare, integrators, refine
+from polyida.study.comparison import compare, named_integrators, reference_run
+from polyida.study.ivp import InitialValueProblem, load
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +30,15 @@ def test_rows_are_the_runs_and_the_refined_run(found):
 
 def test_the_refined_run_is_what_another_family_comes_to(found):
     """Generalized-alpha at 24 times the steps has 1/576 of its error left."""
-    finer = solve(found.job.model, 0.05, GeneralizedAlpha(h=1e-3 / 24)).position("tip")[-1]
-    own = refine(found.job, None, np.array([0.0, 0.03, 0.05]), lambda *seen: None)
+    finer = solve(found.ivp.model, 0.05, GeneralizedAlpha(h=1e-3 / 24)).position("tip")[-1]
+    own = reference_run(found.ivp, None, np.array([0.0, 0.03, 0.05]), lambda *seen: None)
     assert own.t[-1] == 0.05 and np.linalg.norm(own.watched[-1] - finer) < 5e-3 * found.rows[0]["error_end"]
 
 
 def test_errors_are_those_between_the_steps_of_the_refined_run(found):
     """Its polynomial is as exact as its steps are."""
     run = found.runs["generalized-alpha"]
-    exact = solve(found.job.model, 0.05, RadauIIA(rtol=1e-11), output=run.t).position("tip")
+    exact = solve(found.ivp.model, 0.05, RadauIIA(rtol=1e-11), output=run.t).position("tip")
     distance = np.linalg.norm(run.position("tip") - exact, axis=1)
     assert found.distances["generalized-alpha"][1] == pytest.approx(distance, abs=1e-3 * distance.max())
 
@@ -59,20 +58,20 @@ def test_energy_gained_is_the_work_of_the_motors():
 def test_a_failed_run_is_a_note_and_the_others_are_kept():
     soft = plates.Material(E=2e5, nu=0.3, rho=1100.0)
     model = plates.double_plate_motors(cells=8, material=soft).build()
-    found = compare(Job("soft", model, time=0.5, step=5e-3, point="tip"))
+    found = compare(InitialValueProblem("soft", model, t_end=0.5, step=5e-3, point="tip"))
     assert not found.success and found.notes
     assert all(len(run.t) > 1 for run in found.runs.values())
 
 
 def test_members_of_a_user_s_own_are_what_is_compared():
     members = {"two": pi.EnergyMomentum(h=1e-3), "IDA": pi.IDA(rtol=1e-8)}
-    found = compare(load("double-plate", cells=8, time=0.01), members=members)
+    found = compare(load("double-plate", cells=8, time=0.01), integrators=members)
     assert [row["run"] for row in found.rows] == ["two", "IDA", "refined run"] and found.success
     ends = [run.position("tip")[-1] for run in found.runs.values()]
     assert found.gap == pytest.approx(np.linalg.norm(ends[0] - ends[1]), rel=1e-9)
     assert {"two_error_end", "ida_error_end", "refined_steps"} <= set(found.figures) and "alpha_error_end" not in found.figures
     fine = float(re.search(r"rtol=([\d.e-]+)", found.rows[-1]["settings"])[1])
-    assert fine == pytest.approx(1e-11) and "two integrators" in gap(found)
+    assert fine == pytest.approx(1e-11) and "two integrators" in found.gap_text()
 
 
 OWN = """
@@ -112,22 +111,22 @@ def own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("own.py", "other.py"):
         (tmp_path / name).write_text(OWN)
-    yield Job("job", plates.double_plate(cells=4).build(), step=1e-2)
+    yield InitialValueProblem("job", plates.double_plate(cells=4).build(), step=1e-2)
     for name in ("own", "other"):
         sys.modules.pop(name, None)
 
 
 def test_classes_functions_of_a_step_and_objects_of_a_file_are_integrators(own):
     names = ["energy", "own.py:Mine", "own.py:halved", "own.py:made", "own.py:Tight", "IDA"]
-    found = integrators(own, names, step=own.step, rtol=1e-3)
+    found = named_integrators(own, names, step=own.step, rtol=1e-3)
     assert list(found) == ["energy-momentum", "Mine", "halved", "made", "Tight", "IDA"]
     assert [getattr(member, "h", None) for member in found.values()] == [1e-2, 1e-2, 5e-3, 0.125, 0.25, None]
     assert [getattr(member, "rtol", None) for member in found.values()] == [None, None, None, None, 1e-3, 1e-3]
 
 
 def test_what_is_compared_by_default_takes_the_step_and_the_tolerance_that_it_always_took(own):
-    assert list(integrators(own).values()) == [pi.GeneralizedAlpha(h=1e-2), pi.IDA(), pi.RadauIIA()]
-    assert list(integrators(own, step=own.step, rtol=1e-7).values()) == [
+    assert list(named_integrators(own).values()) == [pi.GeneralizedAlpha(h=1e-2), pi.IDA(), pi.RadauIIA()]
+    assert list(named_integrators(own, step=own.step, rtol=1e-7).values()) == [
         pi.GeneralizedAlpha(h=1e-2),
         pi.IDA(rtol=1e-7),
         pi.RadauIIA(rtol=1e-7),
@@ -149,4 +148,4 @@ def test_what_is_compared_by_default_takes_the_step_and_the_tolerance_that_it_al
 )
 def test_an_integrator_that_cannot_be_is_told_with_those_that_can(own, names, settings, said):
     with pytest.raises(InputError, match=re.escape(said)):
-        integrators(own, names, **settings)
+        named_integrators(own, names, **settings)

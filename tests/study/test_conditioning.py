@@ -6,7 +6,7 @@ import pytest
 from conditioning import solve_error
 from conditioning import systems as conditioning
 from polyida.linear.saddle import assemble, scaling_size
-from polyida.study.rows import fitted
+from polyida.study.rows import fit_slope
 
 STEPS = 1e-6 * 10.0 ** -np.arange(4)
 
@@ -27,13 +27,13 @@ def test_condition_is_that_of_singular_values_where_these_can_be_had(soft):
 def test_slopes_of_the_scalings(soft, scaling, slope):
     model, state = soft
     values = [conditioning.alpha_condition(model, state, h, "q", scaling) for h in STEPS]
-    assert fitted(STEPS, values) == pytest.approx(slope, abs=1e-3)
+    assert fit_slope(STEPS, values) == pytest.approx(slope, abs=1e-3)
 
 
 @pytest.mark.parametrize("unknown, slope", conditioning.ALPHA_UNKNOWNS.items())
 def test_slopes_of_the_unknowns(soft, unknown, slope):
     values = [conditioning.alpha_condition(*soft, h, unknown) for h in STEPS]
-    assert fitted(STEPS, values) == pytest.approx(slope, abs=1e-2)
+    assert fit_slope(STEPS, values) == pytest.approx(slope, abs=1e-2)
 
 
 @pytest.mark.parametrize("mode", ["real", "complex"])
@@ -41,7 +41,7 @@ def test_slopes_of_the_unknowns(soft, unknown, slope):
 def test_slopes_of_radaus_forms(soft, form, slope, mode):
     far = 1e-3 / conditioning.fastest(*soft) ** 2 * 10.0 ** -np.arange(3)
     raw, flat = ([conditioning.radau_condition(*soft, h, form, mode, scaling) for h in far] for scaling in ("none", "physical"))
-    assert fitted(far, raw) == pytest.approx(slope, abs=0.02) and fitted(far, flat) == pytest.approx(0, abs=1e-3)
+    assert fit_slope(far, raw) == pytest.approx(slope, abs=0.02) and fit_slope(far, flat) == pytest.approx(0, abs=1e-3)
 
 
 def test_scaling_restores_the_digits_of_weak_back_ends_only(soft):

@@ -105,7 +105,7 @@ def test_the_reference_is_right_as_far_as_it_is_known(study):
 def test_a_run_is_a_reference_of_unknown_precision():
     run = pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())
     study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"alpha": pi.GeneralizedAlpha(h=1e-2)}, reference=run)
-    assert study.rows[0]["error_q"] > 1e-6 and np.isnan(study.known_to["q"]) and "how far it is known is not said" in str(study)
+    assert study.rows[0]["error_q"] > 1e-6 and np.isnan(study.known_to["q"]) and "its accuracy is unknown" in str(study)
 
 
 def test_problems_by_name_have_their_own_start_end_and_digits():
@@ -126,7 +126,7 @@ def test_points_below_what_is_known_are_hollow_and_stand_at_it(study):
     blunt = type(study)("blunt", study.rows, [], study.reference | {"known_to": {"q": 1e-3, "v": 1e-3, "lam": 1e-3}})
     lines = {line.get_label(): line for line in blunt.plot("q").lines}
     below = [line for line in blunt.plot("q").lines if line.get_label() == "_below"]
-    assert min(lines["radau"].get_xdata()) == 1e-3 and "what is known of the reference" in lines
+    assert min(lines["radau"].get_xdata()) == 1e-3 and "accuracy of the reference" in lines
     assert sum(len(line.get_xdata()) for line in below) == sum(row["error_q"] <= 1e-3 for row in study.rows)
     assert all(line.get_markerfacecolor() == "white" for line in below)
 

@@ -7,9 +7,9 @@ import pytest
 
 import polyida as pi
 from polyida.errors import InputError
-from polyida.show.press import csv
-from polyida.study.references import agreed
-from polyida.study.subject import subject
+from polyida.show.figure_files import csv
+from polyida.study.ivp import initial_value_problem
+from polyida.study.references import make_reference
 
 STEPS = (1e-2, 5e-3)
 
@@ -61,7 +61,7 @@ def test_integrators_that_stand_still_away_from_the_reference_are_told():
     study = pi.study.work_precision(Spring(pulse=0.277), 0.3, q0=[0.0], integrators={"own": settings(Leapfrog, (2e-5, 1e-5))})
     exact = 1e3 * (np.cos(10 * (0.3 - 0.2771)) - np.cos(10 * (0.3 - 0.277)))
     assert study.rows[-1]["error_q"] == pytest.approx(exact, rel=0.1) and study.known_to["q"] < 1e-3 * exact
-    assert any(note.startswith("own: from 15000 to 30000 steps") and "stepped over something short" in note for note in study.notes)
+    assert any(note.startswith("own: from 15000 to 30000 steps") and "missed a short pulse" in note for note in study.notes)
     calm = pi.study.work_precision(Spring(), 0.3, q0=[1.0], integrators={"own": settings(Leapfrog)})
     assert len(calm.notes) == 1 and "is not seen" in calm.notes[0]  # of a force of one's own, that no kink announces
 
@@ -79,7 +79,7 @@ def test_a_function_that_raises_is_a_row_and_the_others_are_kept(error):
 def test_errors_below_what_is_known_are_counted_in_a_note():
     reference = {"q": [np.cos(5.0)], "v": [-10 * np.sin(5.0)], "lam": [], "known_to": {"q": 1.0, "v": 1e-9}}
     study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=reference)
-    assert study.notes == ["2 of 2 errors in q are below what is known of the reference, 1.0e+00"]
+    assert study.notes == ["2 of 2 errors in q are below the reference's accuracy, 1.0e+00"]
     assert np.isnan(study.orders["alpha"]["q"]) and study.orders["alpha"]["v"] == pytest.approx(2, abs=0.1)
 
 
@@ -112,6 +112,6 @@ def test_conditioning_draws_every_state_and_takes_problems_by_name():
 def test_a_reference_is_not_said_to_be_known_better_than_it_is():
     """Over ten swings both methods fall behind: of one tolerance they were thirty times nearer to each other than to the truth."""
     p = pi.problems.get("pendulum")
-    found = agreed(subject("study", p.model, p.t_end, p.q0), lambda values: {"q": 1.0, "v": 1.0, "lam": 1.0})
+    found = make_reference(initial_value_problem("study", p.model, p.t_end, p.q0), lambda values: {"q": 1.0, "v": 1.0, "lam": 1.0})
     for part, known in found["known_to"].items():
         assert known >= 0.9 * np.abs(found[part] - p.reference[part]).max() - p.known_to[part]

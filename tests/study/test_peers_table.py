@@ -8,7 +8,7 @@ import pytest
 from peers_table.cells import checks_of
 from peers_table.cells import run as looked_at
 from peers_table.rows import PEERS, ROWS
-from polyida.study.isolation import Worker
+from polyida.study.executors import Worker
 
 PAGE = Path(__file__).parents[2] / "studies" / "guide" / "peers.md"
 COLUMNS = [*PEERS, "SciML"]

@@ -9,9 +9,9 @@ from polyida import problems
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.model import Model
 from polyida.problems import andrews, plates
-from polyida.study import families, references
-from polyida.study.precision import short
-from polyida.study.subject import Subject
+from polyida.study import references
+from polyida.study.ivp import InitialValueProblem
+from polyida.study.precision import unresolved_pulse_notes
 from step_size_sensitivity.errors import smooth
 from work_precision import cases
 
@@ -20,24 +20,26 @@ CLASSICAL = ("pendulum", "car-axis", "andrews")
 
 def test_explicit_runs_meet_the_closed_solution_of_the_pendulum():
     p = problems.get("pendulum")
-    q, v, _, lam = families.explicit(p.model, p.t_end, 1e-11, q0=p.q0, v0=p.v0)[0]
+    q, v, _, lam = references.explicit(p.model, p.t_end, 1e-11, q0=p.q0, v0=p.v0)[0]
     assert np.abs(q - p.reference["q"]).max() < 1e-8 and np.abs(v - p.reference["v"]).max() < 1e-7
     assert np.abs(lam - p.reference["lam"]).max() < 1e-6
 
 
 def test_explicit_runs_are_put_back_on_the_constraints_that_they_drift_off():
     p = problems.get("pendulum")
-    off = [families.explicit(p.model, p.t_end, 1e-10, q0=p.q0, v0=p.v0, legs=legs)[0][0] - p.reference["q"] for legs in (1, families.LEGS)]
+    off = [
+        references.explicit(p.model, p.t_end, 1e-10, q0=p.q0, v0=p.v0, legs=legs)[0][0] - p.reference["q"] for legs in (1, references.LEGS)
+    ]
     assert np.abs(off[1]).max() < 0.1 * np.abs(off[0]).max()
 
 
 def test_three_families_agree_as_well_as_their_steps_allow():
     """On a smooth motion: extrapolated to fourth order, the distance falls by 16 as the steps are halved; Radau's follows rtol."""
     model = smooth("load", 4)
-    exact = families.by_explicit(model, 0.05, 1e-11)
-    coarse, fine = (families.distance(exact, families.extrapolated(model, 0.05, EnergyMomentum, h))["q"] for h in (2e-3, 1e-3))
+    exact = references.by_explicit(model, 0.05, 1e-11)
+    coarse, fine = (references.distance(exact, references.extrapolated(model, 0.05, EnergyMomentum, h))["q"] for h in (2e-3, 1e-3))
     assert fine < coarse / 8 and fine < 1e-9
-    loose, tight = (families.distance(exact, families.by_radau(model, 0.05, rtol))["q"] for rtol in (1e-10, 1e-12))
+    loose, tight = (references.distance(exact, references.by_radau(model, 0.05, rtol))["q"] for rtol in (1e-10, 1e-12))
     assert tight < loose / 8 and tight < 1e-12
 
 
@@ -51,15 +53,15 @@ def test_radau_and_explicit_runs_agree_on_the_undamped_plates():
 def test_radau_and_explicit_runs_agree_on_the_classical_problems(name):
     p, tolerances = problems.get(name), digits.CLASSICAL[name]
     ends = [
-        family(p.model, 0.05 * p.t_end, rtol, p.q0, p.v0) for family, rtol in zip((families.by_explicit, families.by_radau), tolerances)
+        family(p.model, 0.05 * p.t_end, rtol, p.q0, p.v0) for family, rtol in zip((references.by_explicit, references.by_radau), tolerances)
     ]
-    assert families.distance(*ends)["q"] < 2e-12
+    assert references.distance(*ends)["q"] < 2e-12
 
 
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_explicit_runs_come_as_near_as_the_digits_are_known(name):
     p = problems.get(name)
-    end = digits.parts_of(p, p.t_end, families.by_explicit(p.model, p.t_end, digits.CLASSICAL[name].explicit, p.q0, p.v0))
+    end = digits.parts_of(p, p.t_end, references.by_explicit(p.model, p.t_end, digits.CLASSICAL[name].explicit, p.q0, p.v0))
     assert all(error < p.known_to[part] for part, error in p.errors(**{part: end[part] for part in p.reference}).items())
 
 
@@ -73,29 +75,32 @@ def pair_of(apart):
     """A family that is so far from Radau IIA in every part, level by level."""
     asked = []
 
-    def other(subject, level):
+    def other(ivp, level):
         asked.append(level)
-        return f"other {level}", {part: value + apart[level] for part, value in references._radau(subject, level)[1].items()}
+        return f"other {level}", {part: value + apart[level] for part, value in references._by_radau_at(ivp, level)[1].items()}
 
     return asked, other
 
 
 def swing():
     p = problems.get("pendulum")
-    return Subject("pendulum", p.model, 0.2, p.q0, p.v0)
+    return InitialValueProblem("pendulum", p.model, 0.2, p.q0, p.v0)
 
 
 def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
     """Not as well as it agrees with itself: what both runs of one family share is seen."""
     asked, other = pair_of((1e-3, 1e-3, 1e-3))
-    found = references.agreed(swing(), others=(other,))
-    assert found["known_to"] == {part: pytest.approx(1e-3) for part in families.PARTS} and asked == [0, 1]  # no nearer: no further level
-    assert np.array_equal(found["q"], references._radau(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == ["Radau", "other"]
+    found = references.make_reference(swing(), others=(other,))
+    assert found["known_to"] == {part: pytest.approx(1e-3) for part in references.PARTS} and asked == [0, 1]  # no nearer: no further level
+    assert np.array_equal(found["q"], references._by_radau_at(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == [
+        "Radau",
+        "other",
+    ]
 
 
 def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured():
     asked, other = pair_of((1e-3, 1e-5, 1e-7))
-    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 2e-4), others=(other,))
+    found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 2e-4), others=(other,))
     assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
 
 
@@ -105,32 +110,32 @@ def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
     bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
     scene.add(pi.Revolute(pi.ground, bar.at("left")))
     scene.add(pi.PointLoad(bar.at("right"), (3.0, 5.0), pi.profile.linear(0.0, 1.0, 0.1), name="load"))
-    motion = Subject("kink", scene.build(), 0.1001)
-    found = references.agreed(motion, lambda values: dict.fromkeys(families.PARTS, 1e-3), others=(references._radau,))
-    off = families.distance(found, families.by_explicit(motion.model, motion.t_end, 2.3e-14))
+    motion = InitialValueProblem("kink", scene.build(), 0.1001)
+    found = references.make_reference(motion, lambda values: dict.fromkeys(references.PARTS, 1e-3), others=(references._by_radau_at,))
+    off = references.distance(found, references.by_explicit(motion.model, motion.t_end, 2.3e-14))
     assert all(off[part] <= found["known_to"][part] for part in off) and found["known_to"]["q"] < 1e-9
 
 
 def test_another_family_is_asked_where_one_does_not_come_there_or_near():
-    def broken(subject, level):
+    def broken(ivp, level):
         raise RuntimeError("it broke")
 
     (_, far), (_, near) = pair_of((1e-3,) * 3), pair_of((1e-6,) * 3)
-    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-4), others=(broken, far, near))
+    found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 1e-4), others=(broken, far, near))
     assert found["known_to"]["q"] == pytest.approx(1e-6, rel=1e-3) and found["failed"] == ["it broke"]
-    assert references.agreed(swing(), others=(broken,)) == {"failed": ["it broke"]}
+    assert references.make_reference(swing(), others=(broken,)) == {"failed": ["it broke"]}
 
 
 def test_a_stiff_reference_shares_no_family_with_its_judge():
     given = cases.by_two("pair", smooth("load", 4), 0.02, references.BY_ENERGY_MOMENTUM).reference
-    off = families.distance(given, families.by_explicit(smooth("load", 4), 0.02, 1e-11))
+    off = references.distance(given, references.by_explicit(smooth("load", 4), 0.02, 1e-11))
     assert all(off[part] <= 1.5 * given["known_to"][part] for part in off) and given["made_by"][1].startswith("energy-momentum")
 
 
 def test_explicit_runs_that_would_take_too_long_are_not_made():
     model = plates.double_plate(cells=4, material=plates.Material(E=2e14, nu=0.3, rho=1000.0)).build()
-    with pytest.raises(families.TooStiff, match="evaluations, for the motion is stiff"):
-        families.by_explicit(model, 1.0, 1e-9, spare=True)
+    with pytest.raises(references.TooStiff, match="evaluations, for the motion is stiff"):
+        references.by_explicit(model, 1.0, 1e-9, limited=True)
 
 
 class RunsAway(Model):
@@ -164,12 +169,12 @@ class Bump(Model):
 @pytest.mark.parametrize("push", [200.0, 600.0])
 def test_a_force_that_both_methods_step_over_is_not_known(push):
     """They agree to round-off; the energy says where it ends."""
-    motion = Subject("bump", Bump(push), 1.0, [0.0], [1.0])
-    found = references.agreed(motion)
+    motion = InitialValueProblem("bump", Bump(push), 1.0, [0.0], [1.0])
+    found = references.make_reference(motion)
     work = push * 1e-3 * 16 / 15
     gap = abs(found["v"][0] - (np.sqrt(1.0 - 2.0 * work) if work < 0.5 else -1.0))
-    assert gap <= found["known_to"]["v"] and found["looked_at"] == pytest.approx(1.0 / 4000)
-    assert "is not seen" in short(found)[0]
+    assert gap <= found["known_to"]["v"] and found["sampling"] == pytest.approx(1.0 / 4000)
+    assert "is not seen" in unresolved_pulse_notes(found)[0]
 
 
 def test_a_contact_is_known_as_well_as_two_methods_agree():
@@ -177,11 +182,11 @@ def test_a_contact_is_known_as_well_as_two_methods_agree():
     body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0)))
     scene.add(pi.Contact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
     model = scene.build()
-    found = references.agreed(Subject("contact", model, 1.0), others=(references.BY_BDF,))
+    found = references.make_reference(InitialValueProblem("contact", model, 1.0), others=(references.BY_BDF,))
     assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]
 
 
 def test_a_reference_run_that_stops_is_no_reference():
-    assert families.by_radau(RunsAway(), 0.5, 1e-10, [1.0], [2.0])["q"] == pytest.approx([4.0], rel=1e-7)
+    assert references.by_radau(RunsAway(), 0.5, 1e-10, [1.0], [2.0])["q"] == pytest.approx([4.0], rel=1e-7)
     with pytest.raises(RuntimeError, match=r"reference by RadauIIA\(rtol=1e-06"):
-        families.by_radau(RunsAway(), 1.5, 1e-6, [1.0], [2.0])
+        references.by_radau(RunsAway(), 1.5, 1e-6, [1.0], [2.0])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from polyida.study.rows import fitted
+from polyida.study.rows import fit_slope
 from step_size_sensitivity import errors as sensitivity
 
 STEPS = [1e-2 / 2**k for k in range(4)]
@@ -12,7 +12,7 @@ STEPS = [1e-2 / 2**k for k in range(4)]
 def test_second_order_from_the_first_step_on(kind):
     errors = [sensitivity.order_errors(kind, 4, 1e-2, k, 0.05) for k in range(4)]
     for part in ("q", "v", "lam"):
-        assert fitted(STEPS, [error[part] for error in errors]) == pytest.approx(2.0, abs=0.12), part
+        assert fit_slope(STEPS, [error[part] for error in errors]) == pytest.approx(2.0, abs=0.12), part
 
 
 def tiny(h, **settings):

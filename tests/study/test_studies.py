@@ -12,8 +12,10 @@ from against_peers import gain
 from designed_in_motion.machines import MACHINES
 from mbb_beam.beam import mesh_of
 from polyida.cli import study as cli_study
-from polyida.study import drawing, report
-from polyida.study.rows import fitted
+from polyida.show import style
+from polyida.study import plotting
+from polyida.study.result import StudyResult, _quick_note
+from polyida.study.rows import fit_slope
 from work_precision import tip_accuracy
 
 FOLDER = Path(__file__).parents[2] / "studies"
@@ -201,7 +203,7 @@ def rows_of(study):
 
 def command(study, rows, folder, monkeypatch):
     """figures.json of the command line with these rows."""
-    monkeypatch.setattr(cli_study, "results", lambda *given: rows)
+    monkeypatch.setattr(cli_study, "run_tasks", lambda *given: rows)
     folder.mkdir(parents=True, exist_ok=True)
     return cli_study.main(study, ["--quick", "--out", str(folder)])
 
@@ -214,7 +216,7 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
     assert REQUIRED.get(name, set()) <= set(study.headline) <= set(data["figures"])
     assert all(data["figures"][key] is None for key in study.headline)
     assert sum(line.startswith("failed: ") for line in data["notes"]) == len(rows) == len(data["rows"])
-    assert {"study", "figures", "notes", "rows", "machine", "command"} == set(data) and data["study"] == study.name
+    assert {"study", "figures", "notes", "rows", "machine", "command"} <= set(data) and data["study"] == study.name
     assert data == json.loads((tmp_path / "figures.json").read_text())
     printed = " ".join(capsys.readouterr().out.split())  # a terminal of 80 columns parts long lines anywhere
     assert "it broke" in printed and "figures.json" in printed and "where it broke" not in printed
@@ -223,27 +225,26 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_single_row_failed(name, monkeypatch):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
-    monkeypatch.setattr("polyida.study.report.failures", lambda study, rows: [])
     silent = study.__class__(**{**study.__dict__, "draw": lambda rows: []})
-    whole = report.findings(silent, rows)
+    whole = StudyResult(silent, rows)
     assert all(np.isfinite(whole.figures[key]) for key in REQUIRED.get(name, ()))
-    assert not [line for line in whole.notes if "not formed" in line]
+    assert not [line for line in whole.notes if "not computed" in line]
     for k, task in enumerate(study.tasks(True)):
         broken = rows[:k] + [task | BROKEN] + rows[k + 1 :]
-        assert not [line for line in report.findings(silent, broken).notes if "not formed" in line], task
+        assert not [line for line in StudyResult(silent, broken).notes if "not computed" in line], task
 
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_what_can_be_drawn_is_drawn(name):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
-    whole = report.findings(study, rows)
-    assert whole.pictures and not [line for line in whole.notes if "not formed" in line]
-    assert all(len(picture.caption) > 20 for picture in whole.pictures), [picture.name for picture in whole.pictures]
+    whole = StudyResult(study, rows)
+    assert whole.report_pictures() and not [line for line in whole.notes if "not computed" in line]
+    assert all(len(picture.caption) > 20 for picture in whole.report_pictures()), [picture.name for picture in whole.report_pictures()]
     few = rows[:: max(1, len(rows) // 5)]
     for row in few:
         broken = [{key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other for other in few]
-        found = report.findings(study, broken)
-        assert found.pictures and all(line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed"))
+        found = StudyResult(study, broken)
+        assert found.report_pictures() and all(line.endswith("no rows to draw") for line in found.notes if line.startswith("not computed"))
 
 
 def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypatch, capsys):
@@ -253,11 +254,11 @@ def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypat
     study = findings_study(bad)
     data = command(study, [{"number": 1, "error": ""}], tmp_path, monkeypatch)
     assert data["figures"] == {"lost": None, "kept": 1.0} and "a line" in data["notes"]
-    assert sum(line == "not formed: bad: KeyError: 'value'" for line in data["notes"]) == 3
+    assert sum(line == "not computed: bad: KeyError: 'value'" for line in data["notes"]) == 3
 
 
 def findings_study(bad):
-    from polyida.study.harness import Study
+    from polyida.study.tasks import Study
 
     return Study(
         "two",
@@ -275,17 +276,17 @@ def test_what_the_short_selection_leaves_out_is_told():
     def of(quick):
         return [{"name": name, "h": h, "quick": quick} for name in ("a" if quick else "abc") for h in ((1,) if quick else (1, 2, 0.5))]
 
-    (line,) = report.shortened(replace(findings_study(dict), tasks=of))
-    assert line == "the short selection has 1 runs, the full one 9; not in the short one: name b, c; h 2, 0.5"
-    assert report.shortened(findings_study(dict)) == []
+    (line,) = _quick_note(replace(findings_study(dict), tasks=of))
+    assert line == "the quick selection has 1 runs, the full one 9; missing values: name b, c; h 2, 0.5"
+    assert _quick_note(findings_study(dict)) == []
 
 
 def test_logarithmic_axes_never_cut_the_data():
     for low, high in ((3e-2, 5e-2), (0.9, 1.1), (2e-4, 9e-4), (1e-3, 1e-2), (1e-6, 1.0)):
-        with drawing.settings():
-            made, axes = drawing.panels(1)
-            drawing.loglog(axes[0], [low, high], [low, high], 0, "line")
-            drawing.curves(made, "x")
+        with style.settings():
+            made, axes = plotting.panels(1)
+            plotting.loglog(axes[0], [low, high], [low, high], 0, "line")
+            plotting.line_picture(made, "x")
         for limits in (axes[0].get_xlim(), axes[0].get_ylim()):
             assert limits[0] < low and limits[1] > high
             decades = np.floor(np.log10(limits[1]) + 1e-9) - np.ceil(np.log10(limits[0]) - 1e-9)
@@ -293,5 +294,5 @@ def test_logarithmic_axes_never_cut_the_data():
 
 
 def test_slopes_of_too_few_points_are_nan():
-    assert np.isnan(fitted([1e-3], [1.0])) and np.isnan(fitted([1e-3, 1e-3], [1.0, 2.0]))
-    assert fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
+    assert np.isnan(fit_slope([1e-3], [1.0])) and np.isnan(fit_slope([1e-3, 1e-3], [1.0, 2.0]))
+    assert fit_slope([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)

@@ -72,12 +72,12 @@ def test_a_case_that_fails_is_a_row_and_runs_again(tmp_path):
 @pytest.mark.parametrize(
     "gives, said",
     [
-        (lambda x: None, "the function gave None; it must give a dictionary"),
-        (lambda x: {"run": threading.Lock()}, r"what the function gave\['run'\] = .*no plain value"),
+        (lambda x: None, "the function returned None; it must return a dictionary"),
+        (lambda x: {"run": threading.Lock()}, r"the result of the function\['run'\] = .*no plain value"),
         (lambda x: {"z": [1, {"a": 1j}]}, r"\['z'\]\[1\]\['a'\] = 1j is no plain value"),
         (lambda x: {3: 1}, "no plain value"),
-        (lambda x: {"error": 0.1}, "'error', which is the row's own"),
-        (lambda x: {"x": x + 1}, "'x', which is the case's own, with another value"),
+        (lambda x: {"error": 0.1}, "'error', which is a reserved column"),
+        (lambda x: {"x": x + 1}, "'x', an argument of the case, with another value"),
         (lambda x: sys.exit(3), "SystemExit: 3"),
     ],
 )
@@ -90,7 +90,7 @@ def test_a_case_given_twice_runs_once():
     CALLS.clear()
     study = pi.study.sweep(square, [{"number": 1, "a": 2}, {"number": 2, "a": 2}, {"a": 2, "number": 1}])
     assert CALLS == [1, 2] and [row["square"] for row in study.rows] == [1, 4, 1] and study.ran == 2
-    assert study.notes == ["1 of the cases were given before; each ran once"]
+    assert study.notes == ["1 cases were given more than once; each case ran once"]
 
 
 class Backwards(Executor):
@@ -370,7 +370,7 @@ WRONG = {
     "cases": (lambda: pi.study.sweep(square, 3), "cases = 3 must be a list of dictionaries"),
     "no case": (lambda: pi.study.sweep(square, []), "no case in it"),
     "a number": (lambda: pi.study.sweep(square, [*ONE, 3]), r"cases\[1\] = 3 must be a dictionary"),
-    "a taken name": (lambda: pi.study.sweep(square, [{"number": 1, "error": 1}]), "'error', which is the row's own"),
+    "a taken name": (lambda: pi.study.sweep(square, [{"number": 1, "error": 1}]), "'error', which is a reserved column"),
     "no plain value": (lambda: pi.study.sweep(square, [{"number": 1j}]), r"cases\[0\]\['number'\] = 1j is no plain value"),
     "a wrong argument": (lambda: pi.study.sweep(_one, [{"nunber": 1}]), r"cases\[0\] does not fit _one\(number\)"),
     "executor": (lambda: pi.study.sweep(square, ONE, 4), "executor = 4 must be an executor of concurrent.futures"),
@@ -427,9 +427,9 @@ def test_a_row_of_another_case_is_not_taken_for_this_one_s(tmp_path):
 
 def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path, monkeypatch):
     """A full disk, and a folder in the place of a row."""
-    from polyida.study import harness
+    from polyida.study import tasks
 
-    whole, written = harness.write_whole, []
+    whole, written = tasks.write_atomically, []
 
     def full(path, text):
         if len(written) == 2:
@@ -438,7 +438,7 @@ def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path,
         whole(path, text)
 
     with monkeypatch.context() as patch:
-        patch.setattr(harness, "write_whole", full)
+        patch.setattr(tasks, "write_atomically", full)
         with pytest.raises(pi.InputError, match=r"cannot be written: No space left on device; 2 rows are kept .* goes on from them"):
             pi.study.sweep(square, numbered(3), folder=tmp_path)
     assert pi.study.sweep(square, numbered(3), folder=tmp_path).ran == 1

@@ -12,7 +12,7 @@ from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.problems import pendulum
 from polyida.run.solve import solve
-from polyida.show import html, plates, plots, press
+from polyida.show import figure_files, html, plates, plots
 from polyida.show.style import PALETTE, figure, settings
 
 
@@ -35,13 +35,13 @@ def table_of(text):
 
 
 def test_the_numbers_of_a_figure_are_those_of_its_named_lines():
-    head, rows = table_of(press.csv(curves()))
+    head, rows = table_of(figure_files.csv(curves()))
     assert head == ["t, s", 'max|phi| (a "b" <c>)', "max|phi| (d)", "t, s (e)", "max|phi| (e)"]
     assert rows == [["0", "1", "4", "0.5", "7"], ["1", "", "5", "1.5", "8"], ["2", "3", "6", "", ""]]
 
 
 def test_the_numbers_of_bodies_are_the_corners_and_stress_of_every_polygon(run):
-    head, rows = table_of(press.csv(plots.deformed(run, times=[0.0, 0.04])))
+    head, rows = table_of(figure_files.csv(plots.deformed(run, times=[0.0, 0.04])))
     assert head[:4] == ["x, m", "y, m (t = 0 s)", "number (t = 0 s)", "von Mises stress, kPa (t = 0 s)"]
     x, y, number, stress = np.array(rows, float)[:, 4:8].T
     nodes, offsets = plates.connectivity(run.model)
@@ -85,7 +85,7 @@ def test_a_table_shows_what_rows_have():
         {"name": "a & b", "error": 0.00123, "count": np.int64(3), "good": True, "how": "IDA(rtol=1e-3)"},
         {"name": None, "error": float("nan"), "count": float("inf"), "good": False},
     ]
-    text = html.Table(columns, rows, "what `came`").html({})
+    text = html.block_html(html.Table(columns, rows, "what `came`"))
     assert Reader(text).cells == [
         "<name>",
         "error",
@@ -119,7 +119,7 @@ def test_a_page_stands_alone_with_its_files_beside_it(tmp_path):
     assert {link[1:] for link in read.links if link[0] == "#"} <= set(read.ids)
     for text in (
         "Title &lt;1&gt;",
-        "--x &#x27;&lt;2&gt;&#x27;",
+        "--x &#39;&lt;2&gt;&#39;",
         "<code>a &lt; b</code>",
         "it &lt;failed&gt;",
         "python 3",
@@ -138,7 +138,7 @@ def test_two_pictures_of_one_name_are_refused(tmp_path):
 
 
 def test_many_numbers_lie_beside_the_page(tmp_path, monkeypatch):
-    monkeypatch.setattr(html, "WITHIN", 50)
+    monkeypatch.setattr(html, "MAX_EMBEDDED_CSV", 50)
     text = html.write(tmp_path, "t", [html.Picture("p", "c", curves())], "").read_text()
     assert 'href="p.csv"' in text and "data:text/csv" not in text and (tmp_path / "p.csv").exists()
 
@@ -151,12 +151,12 @@ def unpacked(data, run):
 
 
 def test_a_movie_has_the_plates_where_the_run_has_them(run):
-    data, top = html.frames(run)
+    data, top = html.Movie(run).data()
     assert json.loads(json.dumps(data)) == data and len(data["t"]) == len(run.t)
     places, stress = unpacked(data, run)
     exact = np.array([run.node_positions(k) for k in range(len(run.t))])
     low, size = exact.min(axis=(0, 1)), np.ptp(exact, axis=(0, 1)).max()
-    assert low + places * size / html.PLACES == pytest.approx(exact, abs=size / html.PLACES)
+    assert low + places * size / html.POSITIONS == pytest.approx(exact, abs=size / html.POSITIONS)
     found = np.array([run.von_mises(k) / 1e3 for k in range(len(run.t))])
     assert stress == pytest.approx(np.minimum(found / top, 1), abs=1 / (html.SHADES - 1))
     nodes, offsets = plates.connectivity(run.model)
@@ -164,19 +164,19 @@ def test_a_movie_has_the_plates_where_the_run_has_them(run):
 
 
 def test_of_a_mesh_too_fine_for_a_page_the_outline_moves(run, monkeypatch):
-    whole = unpacked(html.frames(run)[0], run)[0]
-    monkeypatch.setattr(html, "WEIGHT", 100)
-    data, _ = html.frames(run)
+    whole = unpacked(html.Movie(run).data()[0], run)[0]
+    monkeypatch.setattr(html, "MAX_POINTS", 100)
+    data, _ = html.Movie(run).data()
     places, stress = unpacked(data, run)
     edges = plates.edges(run.model)
-    assert data["offsets"] == [0] and stress.size == 0 and len(data["t"]) == html.FEWEST
+    assert data["offsets"] == [0] and stress.size == 0 and len(data["t"]) == html.MIN_FRAMES
     size = np.ptp(np.array([run.node_positions(k) for k in range(len(run.t))]), axis=(0, 1)).max()
-    last = places[-1][np.array(data["edges"])] * size / html.PLACES
-    assert np.diff(last, axis=1) == pytest.approx(np.diff(whole[-1][edges] * size / html.PLACES, axis=1), abs=4 * size / html.PLACES)
+    last = places[-1][np.array(data["edges"])] * size / html.POSITIONS
+    assert np.diff(last, axis=1) == pytest.approx(np.diff(whole[-1][edges] * size / html.POSITIONS, axis=1), abs=4 * size / html.POSITIONS)
 
 
 def test_a_movie_of_a_run_without_plates_is_refused():
     problem = pendulum.problem()
     run = solve(problem.model, 0.1, GeneralizedAlpha(h=1e-2), q0=problem.q0, v0=problem.v0)
     with pytest.raises(InputError, match="no plates"):
-        html.Movie(run).html({})
+        html.Movie(run).data()

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from polyida.cli.main import main
+from polyida.cli.commands import main
 
 REPORTS = {
     "double-plate": ["compare", "double-plate", "--cells", "8", "--time", "0.05"],

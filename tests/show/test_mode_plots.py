@@ -5,7 +5,7 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 
 import polyida as pi
-from polyida.show.small_motions import VISIBLE
+from polyida.show.mode_plots import AMPLITUDE
 from polyida.show.style import figure, rendered
 
 MESH = pi.mesh.quads(1.0, 0.1, 10, 2)
@@ -38,7 +38,7 @@ def test_a_mode_is_drawn_at_its_shape_and_a_visible_size(body):
     factor = np.sum(way * shape) / np.sum(shape**2)
     assert np.allclose(way, factor * shape, atol=1e-9) and factor > 0
     points = np.concatenate([rest, [[0.0, 0.0]]])
-    assert np.hypot(*way.T).max() == pytest.approx(VISIBLE * np.linalg.norm(np.ptp(points, axis=0)), rel=1e-2)
+    assert np.hypot(*way.T).max() == pytest.approx(AMPLITUDE * np.linalg.norm(np.ptp(points, axis=0)), rel=1e-2)
     assert axes.get_title() == f"mode 1: {found.frequencies[0]:.4g} Hz"
     segments = [thing.get_segments() for thing in axes.collections if isinstance(thing, LineCollection)]
     assert sum(len(found) == 1 for found in segments) == 2  # the crank, at rest and moved

@@ -1,6 +1,6 @@
 import pytest
 
-from polyida.show.labels import letters
+from polyida.show.style import unicode_number
 
 
 @pytest.mark.parametrize(
@@ -17,4 +17,4 @@ from polyida.show.labels import letters
     ],
 )
 def test_formulas_become_letters(formula, text):
-    assert letters(formula) == text
+    assert unicode_number(formula) == text

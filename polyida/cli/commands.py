@@ -1,0 +1,414 @@
+"""The commands of `polyida`. Exit codes: 0 success, 1 a run failed (its frames are saved), 2 invalid input."""
+
+import shlex
+import sys
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from types import FunctionType
+from typing import Annotated
+
+import typer
+
+from polyida import registry
+from polyida.cli import options
+from polyida.cli.options import COMPUTE, LOOK, STUDY, Groups, examples, flag, option, study_scripts
+from polyida.cli.output import Grid, document, file_errors, prepare, print_grid, print_lines, print_texts, progress_display
+from polyida.errors import InputError
+
+INTERRUPTED = 130  # exit code that the shell expects after Ctrl-C
+EXAMPLES = {
+    "polyida compare double-plate": "three integrators on one scene: a table and a report",
+    "polyida compare double-plate --cells 400": "the same with a finer mesh",
+    "polyida run my_scene.py:build": "a scene of yours, in my_scene.py: `def build(): ... return scene`",
+    "polyida list": "names of scenes, integrators and studies",
+    "polyida COMMAND --help": "more on each command",
+}
+TITLE = "Flexible multibody dynamics with polygonal finite elements."
+app = typer.Typer(
+    cls=Groups, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None, help=TITLE, epilog=examples(EXAMPLES)
+)
+
+
+def _command(group, lines, name=None, **settings):
+    """Decorator of a command of a group; lines: {example: what it does}."""
+    return app.command(name, rich_help_panel=group, epilog=examples(lines), **settings)
+
+
+def main(args=None):
+    """Run the command line; returns the exit code."""
+    args = sys.argv[1:] if args is None else list(args)
+    prepare()
+    try:
+        with file_errors():
+            if empty := [arg for arg in args if arg == "" or (arg.startswith("--") and arg.endswith("="))]:
+                raise InputError(f"{shlex.join(['polyida', *args])}: the argument {empty[0]!r} is empty")
+            try:
+                app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
+            except SystemExit as stop:
+                if stop.code == INTERRUPTED:
+                    print_lines("interrupted", style="red", file=sys.stderr)
+                return stop.code or 0
+            return 0
+    except SystemExit as stop:
+        return stop.code or 0
+    except InputError as error:
+        print_lines(" ".join(str(error).split()), style="red", file=sys.stderr)
+        print_lines(getattr(error, "trace", ""), file=sys.stderr)
+        return 2
+
+
+@app.callback(invoke_without_command=True)
+def _start(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False):
+    if version:
+        from polyida import __version__
+
+        typer.echo(f"polyida {__version__}")
+        raise typer.Exit
+
+
+def free_path(path, default, overwrite):
+    """Where to write: an explicit path must be free unless `overwrite`; the default gets a number if it exists. Symlinks are followed."""
+    target, number = path or default, 2
+    if target.is_symlink():
+        try:
+            target = target.resolve()
+        except (OSError, RuntimeError):
+            raise InputError(f"{target} is a symlink that leads nowhere but to itself") from None
+    is_used = lambda place: place.exists() and not (place.is_dir() and not any(place.iterdir()))  # noqa: E731
+    if overwrite or not is_used(target):
+        return target
+    if path:
+        raise InputError(f"{path} exists: choose another name, or say --overwrite to replace it")
+    while is_used(target):
+        target = default.with_name(f"{default.stem}-{number}{default.suffix}")
+        number += 1
+    print_lines(f"{default} exists and is kept; writing {target}")
+    return target
+
+
+def _make_folder(folder):
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: the folder cannot be made ({error.strerror})") from error
+
+
+def _load_run(file):
+    from polyida.io.load import load
+
+    if not file.is_file():
+        raise InputError(f"{file}: there is no such file")
+    return load(file)
+
+
+@_command(
+    COMPUTE,
+    {
+        "polyida compare double-plate": "generalized-alpha, IDA and Radau IIA against a refined run",
+        "polyida compare my_scene.py:build --time 2": "a scene that a function of yours returns",
+        "polyida compare pendulum --integrators alpha,ida,my.py:Mine": "your integrator beside two of ours",
+        "polyida compare pendulum --json > pendulum.json": "the numbers for another program",
+    },
+)
+def compare(
+    context: typer.Context,
+    scene: options.Scene,
+    out: option(Path, "Folder of the report; SCENE-compare by default.") = None,
+    cells: options.Cells = None,
+    time: options.Time = None,
+    step: options.Step = None,
+    rtol: options.Rtol = None,
+    integrators: options.Integrators = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+):
+    """Compare integrators on one scene: a table and a report.
+
+    Errors are measured against a refined run. The report is a folder with a page, figures, their numbers and the runs.
+    """
+    from polyida.show.figure_files import FigureWriter
+    from polyida.study import comparison
+    from polyida.study.ivp import load
+    from polyida.study.user_files import COMPARED, choose_integrators, create_integrators, errors_of_all
+
+    with document(json) as set_document, FigureWriter() as writer:
+        ivp = load(scene, time=time, step=step, cells=cells)
+        names = [name.strip() for name in (integrators or ",".join(COMPARED)).split(",")]
+        if "" in names:
+            raise InputError(f"--integrators {integrators}: a name is missing between commas")
+        choices = choose_integrators(names)
+        members = create_integrators(choices, ivp, step=step, rtol=rtol)
+        folder = free_path(out, Path(f"{ivp.name}-compare"), overwrite)
+        _make_folder(folder)  # before the runs, so that an error costs no time
+        try:
+            with progress_display() as progress, errors_of_all(choices.values()):
+                comparison.prepare(ivp, members, progress)
+                writer.wait_until_ready()
+                runs = comparison.run_timed(ivp, members, progress)
+                comparison.draw_early(ivp, runs, writer)
+                result = comparison.measure(ivp, runs, progress)
+                data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text))
+        finally:
+            if not any(folder.iterdir()):
+                folder.rmdir()
+        set_document(data)
+        grid = Grid(*result.text_table())
+        print_grid(f"{ivp.name}: {result.lead}", grid.transposed(), grid, complete_in="the report")
+        print_lines(*result.notes, style="red")
+        print_lines(*(f"{label}: {run.message}" for label, run in runs.items() if run.success and run.message))
+        frames = folder / "frames" / "run.pvd"
+        print_lines(result.gap_text(), f"Report: {folder / 'report.html'}", f"ParaView: {frames}" if frames.exists() else "")
+    if not result.success:
+        raise typer.Exit(1)
+
+
+@_command(
+    COMPUTE,
+    {
+        "polyida run double-plate --integrator ida --rtol 1e-7": "writes double-plate-ida.h5",
+        "polyida run my_scene.py:build --integrator my.py:Mine --step 1e-3": "with an integrator of yours",
+        "polyida run --resume double-plate-ida.h5 --time 3": "continues from the end of the run",
+    },
+)
+def run(
+    context: typer.Context,
+    scene: options.SceneOrNone = None,
+    integrator: options.Integrator = None,
+    cells: options.Cells = None,
+    time: options.Time = None,
+    step: options.StepOrAuto = None,
+    rho_inf: options.RhoInf = None,
+    rtol: options.Rtol = None,
+    atol: options.Atol = None,
+    out: option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None,
+    overwrite: options.Overwrite = False,
+    resume: option(
+        Path,
+        "Continue a run that did not reach its end, or to a later --time, in the same file; SCENE is needed only if the model has "
+        "functions of your file.",
+    ) = None,
+    json: options.Json = False,
+):
+    """Run one integrator on a scene and write an HDF5 file during the run."""
+    from polyida.run.resume import resume as resume_run
+    from polyida.run.solve import solve
+    from polyida.study.comparison import warm_up
+    from polyida.study.ivp import load
+    from polyida.study.user_files import choose_integrator, user_errors
+
+    settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
+    with document(json) as set_document:
+        if resume:
+            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator, "cells": None if scene else cells}
+            if wrong := [name for name, value in values.items() if value is not None]:
+                reason = "--resume continues with the integrator, settings and place of the file"
+                raise InputError(f"run: --{wrong[0].replace('_', '-')} has no place here: {reason}")
+            ivp, path = load(scene, time=time, cells=cells) if scene else None, resume
+            t_end = time or _load_run(path).plan.get("t_end") or 1.0
+            with progress_display() as progress, ivp.user_errors() if ivp else nullcontext():
+                model = ivp and ivp.model
+                finished = resume_run(path, time, model=model, progress=lambda t: progress("continuing", t / t_end))
+        elif scene:
+            ivp = load(scene, time=time, step=None if step == "auto" else step, cells=cells)
+            name = integrator or "alpha"
+            choice = choose_integrator(name)
+            member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})
+            path = free_path(out, Path(f"{ivp.name}-{name.rpartition(':')[2]}.h5"), overwrite)
+            _make_folder(path.parent)
+            with progress_display() as progress, ivp.user_errors(), user_errors(choice.file):
+                progress("preparing kernels", None)
+                warm_up(ivp, member)
+                places = {"out": path, "overwrite": overwrite, "progress": lambda t: progress(choice.label, t / ivp.t_end)}
+                finished = solve(ivp.model, ivp.t_end, member, q0=ivp.q0, v0=ivp.v0, **places)
+        else:
+            raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
+        if json:
+            set_document(_run_data(finished, path, context.obj))
+        print_lines(finished.summary(), style="" if finished.success else "red")
+        print_lines(f"Saved: {path}")
+    if not finished.success:
+        raise typer.Exit(INTERRUPTED if finished.status == "interrupted" else 1)
+
+
+def _run_data(run, file, command):
+    """{"figures", "rows", "notes", "machine", "command"} of one run; machine: where it was computed."""
+    row = {
+        "run": str(file),
+        "settings": repr(run.integrator),
+        "success": bool(run.success),
+        "status": run.status,
+        "t_end": float(run.t[-1]) if len(run.t) else None,
+        "frames": len(run.t),
+        "coordinates": int(run.q.shape[1]),
+        "constraints": int(run.lam.shape[1]),
+        "cpu_s": float(run.cpu_seconds),
+        "wall_s": float(run.wall_seconds),
+        **run.counts.as_dict(),
+    }
+    with suppress(InputError):  # the file does not contain the model
+        row["drift_max"] = float(max(run.drift, default=0.0))
+    figures = {key: value for key, value in row.items() if isinstance(value, int | float) and not isinstance(value, bool)}
+    notes = [run.message] if run.message else []
+    return {"figures": figures, "rows": [row], "notes": notes, "machine": dict(run.machine), "command": command}
+
+
+@_command(
+    STUDY,
+    {"polyida list": "names that the other commands know", "polyida list my_file.py": "with the names that a file of yours adds"},
+    name="list",
+)
+def list_names(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours that adds names.")] = None,
+    json: options.Json = False,
+):
+    """List the names of scenes, integrators and studies."""
+    from polyida.problems import ABOUT
+    from polyida.study.user_files import KNOWN, run_file
+
+    def first_line(described):
+        return (described.__doc__ or "").strip().split("\n")[0]
+
+    with document(json) as set_document:
+        if file:
+            run_file(file)
+        problems, integrators = [], []
+        for name in registry.problems:
+            function = registry.find(registry.problems, name)
+            described = sys.modules[function.__module__] if getattr(function, "__name__", "") == "problem" else function
+            about = {"compared": "quantity", "source": "source"}
+            about = {key: ABOUT[name][entry].split(";")[0] if name in ABOUT else "" for key, entry in about.items()}
+            problems.append({"name": name, "what": first_line(described)} | about)
+        names = {of_class: name for name, (of_class, *_) in KNOWN.items()}
+        for name in registry.integrators:
+            integrators.append({"name": names.get(name, name), "what": first_line(registry.find(registry.integrators, name))})
+        lists = {"problems": problems, "integrators": integrators, "studies": _studies()}
+        set_document(lists) if json else _print_lists(lists)
+
+
+def _studies():
+    """{name, what} of the scripts and of the studies of the registry."""
+    registered = [{"name": name, "what": registry.find(registry.studies, name).title} for name in registry.studies]
+    return [{"name": name, "what": options.script_title(path)} for name, path in study_scripts().items()] + registered
+
+
+def _print_lists(lists):
+    for kind, entries in lists.items():
+        rows = []
+        for entry in entries:
+            more = [f"{key}: {entry[key]}" for key in ("compared", "source") if entry.get(key)]
+            rows.append([entry["name"], "\n".join([entry["what"], *more, *[""] * bool(more)])])
+        print_texts([{"studies": "study"}.get(kind, kind[:-1]), "description"], rows)
+
+
+@_command(LOOK, {"polyida show run.h5": "status, counts, model and machine of the run", "polyida show run.h5 --json": "the same as data"})
+def show(context: typer.Context, file: options.RunFile, json: options.Json = False):
+    """Show status, counts and model of a saved run."""
+    with document(json) as set_document:
+        run = _load_run(file)
+        if json:
+            set_document(_run_data(run, file, context.obj))
+            return
+        counts, machine = (", ".join(f"{key} {value}" for key, value in data.items()) for data in (run.counts.as_dict(), run.machine))
+        rows = [
+            ["run", run.summary()],
+            ["frames", f"{len(run.t)}" + (f", t = {run.t[0]:g} .. {run.t[-1]:g} s" if len(run.t) else "")],
+            ["model", f"{type(run.model).__name__}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints"],
+            ["integrator", repr(run.integrator)],
+            ["counts", counts],
+            ["time", f"{run.cpu_seconds:.2f} CPU s, {run.wall_seconds:.2f} s"],
+            ["made with", machine],
+        ]
+        print_texts(["", ""], rows, str(file))
+
+
+@_command(LOOK, {"polyida animate run.h5": "run.gif", "polyida animate run.h5 --out run.mp4": "a film (pip install 'polyida[movie]')"})
+def animate(
+    file: options.RunFile,
+    out: option(Path, "File that ends in .gif or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
+    frames: option(int, "Frames at most; 80 of a GIF, 25 a second of MP4 by default.") = None,
+    overwrite: options.Overwrite = False,
+):
+    """Draw the plates of a saved run as an animated GIF or as MP4, coloured by von Mises stress."""
+    from polyida.show.animations import animation
+
+    run, path = _load_run(file), free_path(out, file.with_suffix(".gif"), overwrite)
+    _make_folder(path.parent)
+    with progress_display() as progress:
+        animation(run, path, frames=frames, overwrite=overwrite, progress=lambda done: progress("drawing", done))
+    print_lines(f"Written: {path}")
+
+
+@_command(LOOK, {"polyida export run.h5 --vtu frames": "frames/run.pvd opens in ParaView"})
+def export(
+    file: options.RunFile,
+    vtu: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the VTU frames.")],
+    frames: options.Frames = None,
+    overwrite: options.Overwrite = False,
+):
+    """Write the frames of a saved run as VTU files with a PVD collection, for ParaView."""
+    from polyida.show.vtu import vtu as write
+
+    run = _load_run(file)
+    _make_folder(vtu.parent)
+    print_lines(f"Written: {write(run, vtu, overwrite=overwrite, frames=frames)}")
+
+
+@_command(STUDY, {"polyida info > bug.txt": "what a bug report needs"})
+def info(json: options.Json = False):
+    """Print versions, processor, threads and the state of the compiler, for bug reports."""
+    from polyida import jit
+    from polyida.environment import machine_info
+
+    with document(json) as set_document:
+        data = machine_info() | {"compilers": "faster" if jit.compilers else "numba's own"}
+        set_document(data)
+        if not json:
+            print_lines(*(f"{name}: {value}" for name, value in data.items()))
+
+
+@_command(
+    STUDY,
+    {
+        "polyida study": "lists the studies",
+        "polyida study work-precision --quick": "writes ./work_precision-quick; the same command continues after a stop",
+        "polyida study my_study.py:mine --out mine": "a function of yours that returns a result of pi.study",
+        "polyida study conditioning --help": "the study's own options",
+    },
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
+)
+def study(
+    context: typer.Context,
+    name: options.StudyOrNone = None,
+    quick: flag("A small selection, under a minute.", "--quick") = False,
+    out: option(Path, "Folder of figures.json and pictures; NAME in the current folder by default.") = None,
+    fresh: flag("Run all tasks again, also those that have a result.", "--fresh") = False,
+    json: options.Json = False,
+    help_: flag("Show this message; with NAME, the study's own options.", "--help") = False,
+):
+    """Run a study that comes with polyida, or one of yours; without NAME, list the studies."""
+    flags = {"--quick": quick, "--fresh": fresh, "--json": json, "--help": help_}
+    arguments = [text for text, is_set in flags.items() if is_set] + (["--out", str(out)] if out else []) + context.args
+    if name is None and help_:
+        typer.echo(context.get_help())
+        return
+    if name is None:
+        with document(json) as set_document:
+            lists = {"studies": _studies()}
+            set_document(lists) if json else _print_lists(lists)
+        return
+    from polyida.cli.study import main as run_study
+    from polyida.cli.study import run_function, run_script
+    from polyida.study.tasks import Study
+    from polyida.study.user_files import load_object
+
+    if (script := name.replace("_", "-")) in study_scripts():
+        run_script(script, arguments)
+        return
+    if ".py" not in name and name not in registry.studies:
+        raise InputError(f"no study {name!r}; there are {', '.join([*study_scripts(), *registry.studies])}, or give my_study.py:NAME")
+    is_study = lambda value: isinstance(value, (Study, FunctionType))  # noqa: E731
+    selected = registry.find(registry.studies, name) or load_object(name, registry.studies, is_study, "studies")
+    if isinstance(selected, Study):
+        run_study(selected, arguments, context.obj)
+    else:
+        run_function(name, selected, arguments, context.obj, free_path)

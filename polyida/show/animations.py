@@ -1,0 +1,162 @@
+"""Animations of a run as GIF or MP4."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.show import plates
+from polyida.show.style import INK, STICK, bounds, colour_limit, figure_to_scale, finish_layout, settings, show_to_scale, stress_colorbar
+from polyida.validation import named_keywords
+
+GIF_FRAMES, MP4_RATE = 80, 25  # default number of frames of a GIF; frames per second of an MP4
+
+
+@named_keywords
+def animation(
+    run: Any,
+    path: str | Path,
+    frames: int | None = None,
+    seconds: float | None = None,
+    width: float = 6.4,
+    overwrite: bool = False,
+    progress: Callable[[float], object] | None = None,
+) -> Path:
+    """Write the motion of a run as an animated GIF or as MP4, coloured by von Mises stress.
+
+    Parameters
+    ----------
+    run : Trajectory
+    path : str or Path
+        A file that ends in .gif or .mp4.
+    frames : int, optional
+        Largest number of frames, evenly spread in time. Default: 80 of a GIF, 25 per second of an MP4.
+    seconds : float, s, optional
+        Duration. Default: the simulated time, between 4 and 12 s.
+    width : float, inch
+    overwrite : bool
+        Replace an existing file.
+    progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        For another suffix, an existing file, and for MP4 if imageio-ffmpeg is not installed.
+    """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"animation {path!r} must be the path of a file")
+    plates.require_run("animation", run, overwrite)
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise InputError(f"animation {path}: only .gif and .mp4 can be written")
+    if suffix == ".mp4":
+        _ffmpeg()
+    if path.exists() and not overwrite:
+        raise InputError(f"animation {path} exists: choose another name or say overwrite")
+    seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
+    default = GIF_FRAMES if suffix == ".gif" else max(1, round(MP4_RATE * seconds))
+    indices = plates.spread(run, default if frames is None else frames)
+    picture = FramePicture(run, indices, width)
+
+    def images():
+        for done, k in enumerate(indices, start=1):
+            yield picture.image(k)
+            if progress:
+                progress(done / len(indices))
+
+    write = _write_gif if suffix == ".gif" else _write_mp4
+    write(path, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
+    return path
+
+
+def _write_gif(path, sample, images, duration):
+    """sample: the image whose colours all frames share; duration: of a frame, s."""
+    palette = sample.quantize(128)
+    first, *others = [image.quantize(palette=palette, dither=0) for image in images]
+    first.save(path, save_all=True, append_images=others, loop=0, optimize=False, duration=max(20, round(1000 * duration)))
+
+
+def _write_mp4(path, sample, images, duration):
+    """Write H.264 with an even number of pixels, which every player accepts; the file has another name until it is complete."""
+    size = [length // 2 * 2 for length in sample.size]
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.part.mp4")
+    options = {"fps": 1 / duration, "quality": 8, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    film = _ffmpeg().write_frames(str(partial), size, **options)
+    try:
+        film.send(None)
+        for image in images:
+            film.send(image.crop((0, 0, *size)).tobytes())
+        film.close()
+        os.replace(partial, path)
+    finally:
+        film.close()
+        partial.unlink(missing_ok=True)
+
+
+def _ffmpeg():
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise InputError("animation: MP4 needs imageio-ffmpeg: pip install 'polyida[movie]'") from None
+    return imageio_ffmpeg
+
+
+class FramePicture:
+    """A picture that shows one frame of a run after the other with the same axes and colours.
+
+    Axes and colorbar are drawn once; each frame restores them and draws plates and time. `corners` and `ends` are arrays that the drawn
+    cells and edges view: filling them moves the cells.
+    """
+
+    def __init__(self, run, frames, width):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.collections import LineCollection, PathCollection
+        from matplotlib.path import Path as Outline
+
+        self.run, (self.nodes, offsets), self.edges = run, plates.closed(run.model), plates.edges(run.model)
+        self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
+        boxes = np.array([bounds(plates.places(run, k)) for k in frames])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        self.stress = {k: run.von_mises(k) / 1e3 for k in frames}
+        style = {"cmap": "viridis", "clim": (0, colour_limit([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
+        with settings():
+            new, self.axes, side = figure_to_scale(low, high, width, bool(run.model.drawn))
+            cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])] if len(self.corners) else []
+            self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **style))
+            self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
+            self.sticks = self.axes.add_collection(LineCollection([], colors=STICK, linewidths=1.6, capstyle="round", animated=True))
+            self.title = self.axes.set_title(self._time(frames[0]), loc="left", animated=True)
+            show_to_scale(self.axes, low, high)
+            if run.model.drawn:
+                stress_colorbar(new, self.axes, self.cells, side)
+            finish_layout(new)
+            self.canvas = FigureCanvasAgg(new)
+            self.canvas.draw()
+            self.background = self.canvas.copy_from_bbox(new.bbox)
+
+    def image(self, k):
+        """Frame k as an RGB image."""
+        from PIL import Image
+
+        positions = self.run.node_positions(k)
+        self.corners[:], self.ends[:] = positions[self.nodes], positions[self.edges]
+        self.cells.set_array(self.stress[k])
+        self.sticks.set_segments(plates.sticks(self.run, k))
+        self.title.set_text(self._time(k))
+        self.canvas.restore_region(self.background)
+        with settings():
+            for artist in (self.cells, self.outline, self.sticks, self.title):
+                self.axes.draw_artist(artist)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+
+    def _time(self, k):
+        return f"t = {self.run.t[k]:.3f} s"

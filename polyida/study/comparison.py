@@ -1,0 +1,299 @@
+"""`polyida compare`: integrators on one initial value problem against a reference run, and the report with runs, pictures and movie."""
+
+import math
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from polyida.environment import one_blas_thread
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.state import Counts, States, between
+from polyida.model.guarded import guard
+from polyida.results.motion import motor_work, unbalanced
+from polyida.run.accepted import accepted
+from polyida.run.solve import require_run, solve
+from polyida.show import html, plates, plots
+from polyida.study.result import Result
+from polyida.study.user_files import COMPARED, KNOWN, choose_integrators, create_integrators
+from polyida.validation import is_number
+
+REFERENCE = "refined run"  # label of the reference run
+MAX_RTOL, RTOL_RATIO, MIN_RTOL = 1e-9, 1000, 1e-13  # rtol of the reference: a thousandth of the runs' rtol within these limits
+MAX_LABEL = 60  # characters; labels are file names
+MAX_VTU_FRAMES = 50
+ERRORS = (
+    "Errors are distances from the refined run: Radau IIA on the same mesh with rtol 1e-9, or with a thousandth of the runs' rtol. They are "
+    "errors of time integration, not of the mesh. CPU seconds do not contain the compilation of kernels. The energy change is that of "
+    "kinetic, strain and gravity energy, less the work of the motors."
+)
+
+
+class Comparison(Result):
+    """Result of `compare`: a row for each run, the last one of the reference run.
+
+    runs: {label: Trajectory}. distances: {label: (t, distance from the reference run)} of `quantity` in `unit`. notes: failures.
+    """
+
+    columns = {
+        "run": ("run", "{}"),
+        "error_max": ("error, largest", "{:.2e}"),
+        "error_end": ("error, at the end", "{:.2e}"),
+        "published_error": ("from published", "{:.2e}"),
+        "cpu_s": ("CPU s", "{:.2f}"),
+        "steps": ("steps", "{}"),
+        "newton_iterations": ("iterations", "{}"),
+        "factorizations": ("factorizations", "{}"),
+        "drift_max": ("drift of phi", "{:.1e}"),
+        "energy_change": ("energy change, J", "{:.2e}"),
+    }
+
+    def __init__(self, ivp, runs, distances, rows, notes):
+        super().__init__(rows, notes)
+        self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
+        self.quantity, self.unit = (ivp.point, "m") if ivp.point else ("coordinates", "")
+        *others, last = runs
+        self.title = f"{ivp.name}: {' and '.join(filter(None, [', '.join(others), last]))}"
+        plural = "s" * (ivp.model.m != 1)
+        self.lead = f"{ivp.model.n} coordinates, {ivp.model.m} constraint{plural}, {ivp.t_end:g} s simulated."
+        ends = [watched_quantity(ivp)(run.q[-1]) for run in runs.values() if run.success]
+        complete = len(ends) == len(runs) > 1
+        self.gap = max(float(_size(one - other)) for one, other in combinations(ends, 2)) if complete else math.nan
+
+    @property
+    def success(self):
+        """True if every run reached its end, the reference run included."""
+        return not self.notes
+
+    @property
+    def figures(self):
+        """{name: number} of the finite numbers, with names such as `alpha_error_max`."""
+        names = {label: name for name, (_, label, _) in KNOWN.items()} | {REFERENCE: "refined"}
+        numbers = {f"{names.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
+        return {key: value for key, value in (numbers | {"gap_end": self.gap}).items() if is_number(value)}
+
+    def shown_columns(self):
+        unit = f", {self.unit}" if self.unit else ""
+        return {
+            key: (f"{self.quantity} {heading}{unit}" if "error" in key else heading, form)
+            for key, (heading, form) in self.columns.items()
+            if any(key in row for row in self.rows)
+        }
+
+    def gap_text(self):
+        """A sentence on the distance between the integrators at the end; empty if one of them failed."""
+        if not math.isfinite(self.gap):
+            return ""
+        subject = "the two integrators are" if len(self.runs) == 2 else "two of the integrators are at most"
+        return " ".join(f"At the end {subject} {self.gap:.2e} {self.unit} apart.".split())
+
+    def write(self, folder, command, writer=None, progress=lambda text: None):
+        """Write the runs, the VTU frames, figures.json and the page. writer: a FigureWriter that may already have some pictures."""
+        for label, run in self.runs.items():  # first what takes longest to compute again
+            progress(f"{label}.h5")
+            run.save(folder / f"{label}.h5", overwrite=True)
+        if (run := _drawable(self.runs)) and run.model.drawn:
+            from polyida.show.vtu import vtu
+
+            progress("frames")
+            vtu(run, folder / "frames", overwrite=True, frames=MAX_VTU_FRAMES)
+        progress("pictures")
+        self._drawn = dict(writer.figures) if writer else {}
+        return super().write(folder, command, writer)
+
+    def page(self):
+        run = _drawable(self.runs)
+        label = next((label for label, other in self.runs.items() if other is run), "")
+        movie = [html.Heading("Motion"), html.Movie(run, f"The motion by {label}.")] if run else []
+        blocks = [html.Notes(self.notes), html.Heading("Result"), html.Table(self.shown_columns(), self.rows)]
+        settings = html.Table({"run": ("run", "{}"), "settings": ("settings", "code")}, self.rows)
+        blocks += [html.Text(f"{ERRORS} {self.gap_text()}"), html.Heading("Settings"), settings]
+        return [*blocks, *movie, html.Heading("Figures"), *self.report_pictures()]
+
+    def report_pictures(self):
+        figures = run_figures(self.ivp, self.runs, self)
+        return [html.Picture(name, caption, self._drawn.get(name) or draw()) for name, (draw, caption) in figures.items()]
+
+
+def run_figures(ivp, runs, comparison=None):
+    """{file name: (function that draws the figure, caption)} of {label: Trajectory}; with a Comparison also the errors."""
+    runs_with_frames, drawable, figures = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
+    if drawable and drawable.model.drawn:
+        figures["mesh"] = lambda: plots.mesh(ivp.model), "Polygon meshes at rest; colours show the number of corners."
+    if drawable:
+        meshed = "The plates at several times, coloured by the von Mises stress of every element."
+        sticks = "The bodies at several times, each drawn between its points."
+        figures["deformed"] = lambda: plots.deformed(drawable), meshed if drawable.model.drawn else sticks
+    if not runs_with_frames:
+        return figures
+    if ivp.point:
+        figures["tip"] = (
+            lambda: plots.tip(runs_with_frames, ivp.point),
+            f"Path of {ivp.point}, and the differences of the other runs from it.",
+        )
+    else:
+        figures["coordinates"] = lambda: plots.coordinates(runs_with_frames), "The first coordinates."
+    if comparison:
+        distances = {label: comparison.distances[label] for label in runs_with_frames}
+        caption = f"Distance of {comparison.quantity} from the refined run."
+        figures["error"] = lambda: plots.errors(distances, comparison.unit), caption
+    if ivp.model.rows:
+        figures["reactions"] = lambda: plots.reactions(runs_with_frames, list(ivp.model.rows)), "Reaction of each joint on its body b."
+    caption = "Energies of the first run, and the change of each run's energy less external work plus dissipation."
+    figures["energy"] = lambda: plots.energy(runs_with_frames), caption
+    if ivp.model.m:
+        caption = f"Violation of the constraints: its maximum in each of {plots.INTERVALS} intervals."
+        figures["drift"] = lambda: plots.drift(runs_with_frames), caption
+    return figures
+
+
+def draw_early(ivp, runs, writer):
+    """Give the figures of the runs to a FigureWriter while the reference run is computed; figures that fail are drawn later."""
+    for name, (draw, _) in run_figures(ivp, runs).items():
+        with suppress(Exception):
+            writer.add(name, draw())
+
+
+def _drawable(runs):
+    """The first run whose bodies can be drawn, or None."""
+    return next((run for run in runs.values() if len(run.t) > 1 and plates.drawable(run.model)), None)
+
+
+def named_integrators(ivp, names=COMPARED, **settings):
+    """{label: integrator} of names on the command line; settings (step, rtol) go to the integrators that accept them."""
+    return create_integrators(choose_integrators(names), ivp, **settings)
+
+
+def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=None):
+    """Run integrators and the reference run of an InitialValueProblem; returns a Comparison.
+
+    integrators: {label: integrator}; None: generalized-alpha with the problem's step, IDA and Radau IIA. rtol: of IDA and Radau IIA.
+    progress(label, fraction), fraction None while kernels compile. An error is the distance of the problem's point, or of all coordinates,
+    from the reference run. Failed runs are notes. Raises InputError before the first run.
+    """
+    integrators = named_integrators(ivp, rtol=rtol) if integrators is None else integrators
+    prepare(ivp, integrators, progress)
+    return measure(ivp, run_timed(ivp, integrators, progress), progress)
+
+
+def prepare(ivp, integrators, progress=lambda label, fraction: None):
+    """Check {label: integrator} and load the kernels."""
+    if not isinstance(integrators, dict) or not integrators:
+        raise InputError(f"compare: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
+    for label in integrators:
+        if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label == REFERENCE or len(label) > MAX_LABEL:
+            wanted = f"must be the name of a file, no longer than {MAX_LABEL} characters, and not {REFERENCE!r}"
+            raise InputError(f"compare: label {label!r} {wanted}")
+    for integrator in integrators.values():
+        require_run(ivp.model, ivp.t_end, 0.0, integrator)
+    progress("preparing kernels", None)
+    for integrator in integrators.values():
+        warm_up(ivp, integrator)
+
+
+def warm_up(ivp, integrator):
+    """Run two steps, so that the time to compile or load kernels is not measured."""
+    with ivp.user_errors():
+        _uninterrupted(solve(ivp.model, min(ivp.t_end, 2 * ivp.step), integrator, q0=ivp.q0, v0=ivp.v0))
+
+
+def _uninterrupted(run):
+    """The run; Ctrl-C in it ends the whole comparison."""
+    if run.status == "interrupted":
+        raise KeyboardInterrupt
+    return run
+
+
+def run_timed(ivp, integrators, progress=lambda label, fraction: None):
+    """{label: Trajectory}, one run after the other, because their CPU times are compared."""
+    runs = {}
+    for label, integrator in integrators.items():
+        options = {"q0": ivp.q0, "v0": ivp.v0, "progress": lambda t, label=label: progress(label, t / ivp.t_end)}
+        with ivp.user_errors():
+            runs[label] = _uninterrupted(solve(ivp.model, ivp.t_end, integrator, **options))
+    return runs
+
+
+def measure(ivp, runs, progress=lambda label, fraction: None):
+    """The Comparison of {label: Trajectory} with the reference run, which is computed here."""
+    rtol = min(filter(is_number, (getattr(run.integrator, "rtol", None) for run in runs.values())), default=None)
+    reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
+    distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
+    rows, published = [], ivp.published.get("q") if ivp.point is None else None
+    for label, run in runs.items():
+        distance = distances[label][1]
+        row = {"run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
+        row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
+        row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
+        row |= run.counts.as_dict()
+        row |= {"drift_max": float(np.max(run.drift, initial=0.0)), "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0))}
+        row |= {"energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1])}
+        rows.append(
+            row | ({"published_error": float(np.abs(run.q[-1] - published).max())} if published is not None and run.success else {})
+        )
+    row = {"run": REFERENCE, "settings": repr(reference.integrator), "success": not reference.message, "t_end": float(reference.t[-1])}
+    row |= {"cpu_s": reference.cpu_seconds} | reference.counts.as_dict()
+    if published is not None and not reference.message:
+        row["published_error"] = float(np.abs(reference.watched[-1] - published).max())
+    notes = [f"{label}: {run.message.removeprefix(f'{label}: ')}" for label, run in runs.items() if not run.success]
+    notes += [f"{REFERENCE}: {reference.message}"] if reference.message else []
+    return Comparison(ivp, runs, distances, [*rows, row], notes)
+
+
+def watched_quantity(ivp):
+    """Function q (n,) -> what is compared: the position (2,), m, of the problem's point, or q itself."""
+    if ivp.point is None:
+        return np.array
+    rest = ivp.model.attachment(ivp.point).point
+    return lambda q: rest + ivp.model.displacement(ivp.point, q)
+
+
+def _size(difference):
+    """Length of plane vectors (..., 2), otherwise the largest entry."""
+    difference = np.asarray(difference, float)
+    if difference.shape[-1] == 2:
+        return np.linalg.norm(difference, axis=-1)
+    return np.abs(difference).max(axis=-1, initial=0.0)
+
+
+@dataclass
+class ReferenceRun:
+    """The reference run: only the compared quantity at the requested times. message: of a failure, or empty."""
+
+    integrator: object
+    t: np.ndarray
+    watched: np.ndarray
+    function: object
+    counts: Counts
+    cpu_seconds: float
+    message: str
+
+    def distance(self, run):
+        """Distance of a run from this one at the run's times; NaN after the end of this one."""
+        distance, known = np.full(len(run.t), np.nan), run.t <= self.t[-1]
+        values = np.array([self.function(q) for q in run.q[known]])
+        distance[known] = _size(values - self.watched[np.searchsorted(self.t, run.t[known])])
+        return distance
+
+
+def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
+    """The ReferenceRun at increasing times, the first of which is its start. rtol: of the runs, None if unknown."""
+    from polyida.integrate.radau.radau_iia import RadauIIA
+    from polyida.integrate.start import consistent_state
+
+    integrator = RadauIIA(rtol=MAX_RTOL if rtol is None else max(MIN_RTOL, min(MAX_RTOL, rtol / RTOL_RATIO)))
+    counts, function, begin, message = Counts(), watched_quantity(ivp), time.process_time(), ""
+    with ivp.user_errors(), one_blas_thread():
+        before = consistent_state(ivp.model, 0.0, ivp.q0, ivp.v0)
+        watched = [function(before.q)]
+        try:
+            for state in States(accepted(integrator, guard(ivp.model), before, ivp.t_end, counts), counts):
+                while len(watched) < len(times) and times[len(watched)] <= state.t:
+                    watched.append(function(between(before, state, times[len(watched)]).q))
+                before = state
+                progress(REFERENCE, state.t / ivp.t_end)
+        except StepFailure as failure:
+            message = str(failure)
+    return ReferenceRun(integrator, times[: len(watched)], np.array(watched), function, counts, time.process_time() - begin, message)

@@ -1,0 +1,241 @@
+"""`energy` and `drift`: quantities that integrators should conserve over a run, a run for each integrator."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polyida.errors import InputError
+from polyida.progress import teller
+from polyida.results.motion import unbalanced
+from polyida.show.style import literal, marker_style, on_axes
+from polyida.study.ivp import initial_value_problem, integrator_lists, settings_text
+from polyida.study.result import Result
+from polyida.validation import is_one_of, is_whole, named_keywords
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FLOOR = 1e-17  # zero on a logarithmic axis
+
+
+class Invariants(Result):
+    """Rows and histories of runs. quantities: {name of a history: (axis label, True for a logarithmic axis)}; the first is the default."""
+
+    quantities: dict = {}
+
+    def __init__(self, name, rows, notes, histories):
+        super().__init__(rows, notes, histories)
+        self.title = f"{self.title}: {name}"
+
+    def plot(self, quantity: str | None = None, axes: "Axes | None" = None) -> "Axes":
+        """Draw the history of a quantity, a line for each integrator.
+
+        Parameters
+        ----------
+        quantity : str, optional
+            A key of `quantities`; default: the first one.
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+
+        Raises
+        ------
+        InputError
+            For a quantity that no run has.
+        """
+        known = self._known()
+        quantity = known[0] if quantity is None else quantity
+        if not is_one_of(quantity, known):
+            raise InputError(f"plot: quantity = {quantity!r} must be one of {', '.join(known)}")
+        label, logarithmic = self.quantities[quantity]
+        with on_axes(axes) as axis:
+            for i, (name, history) in enumerate(self.histories.items()):
+                values = np.maximum(np.abs(history[quantity]), FLOOR) if logarithmic else history[quantity]
+                every = max(1, len(values) // 12)  # about twelve markers, each line's at other frames
+                markers = {"markevery": (i * every // len(self.histories), every), "markerfacecolor": "none", "markersize": 4}
+                axis.plot(history["t"], values, label=literal(name), **marker_style(i) | markers)
+            axis.set(xlabel="t, s", ylabel=label, title=literal(self.title), yscale="log" if logarithmic else "linear")
+            axis.legend(loc="best")
+            return axis
+
+    def pictures(self) -> dict:
+        """The history of each quantity."""
+        return {
+            name.replace("_", "-"): (f"{self.quantities[name][0]} against time.", lambda axes, name=name: self.plot(name, axes))
+            for name in self._known()
+        }
+
+    def _known(self):
+        """The quantities with a finite value in some run."""
+        return [name for name in self.quantities if any(np.isfinite(history[name]).any() for history in self.histories.values())]
+
+
+def _run_all(result_class, measure, study, model, t_end, q0, v0, integrators, frames, every, progress):
+    """The result of one run for each integrator; measure(run, frames) -> (row, history)."""
+    ivp = initial_value_problem(study, model, t_end, q0, v0)
+    lists = integrator_lists(study, ivp, integrators, several=False)
+    if not is_whole(frames, 2):
+        raise InputError(f"{study}: frames = {frames!r} must be a whole number of at least 2")
+    rows, notes, histories = [], [], {}
+    with teller(study, progress) as report:
+        for label, (integrator,) in lists.items():
+            report(len(rows), len(lists), label)
+            ivp.warm_up(integrator)
+            run = ivp.run(integrator, every=every)
+            indices = np.unique(np.linspace(0, len(run.t) - 1, min(frames, len(run.t))).astype(int))
+            row, histories[label] = measure(run, indices)
+            cost = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
+            rows.append({"integrator": label, "setting": settings_text(integrator, [])} | row | cost)
+            notes += [] if run.success else [f"{label}: {run.message}"]
+        report(len(lists), len(lists), "")
+    return result_class(ivp.name, rows, notes, histories)
+
+
+class EnergyKept(Invariants):
+    """Result of `energy`: a row for each run, and histories of energies and momenta."""
+
+    title = "energy over a run"
+    columns = {
+        "integrator": ("integrator", "{}"),
+        "setting": ("setting", "{}"),
+        "energy_change": ("energy error at the end, J", "{:.2e}"),
+        "energy_drift": ("largest energy error, J", "{:.2e}"),
+        "relative_drift": ("relative to the kinetic energy", "{:.1e}"),
+        "momentum_drift": ("momentum change, N s", "{:.1e}"),
+        "angular_drift": ("angular momentum change, N m s", "{:.1e}"),
+        "steps": ("steps", "{}"),
+        "cpu_s": ("CPU s", "{:.3g}"),
+        "status": ("status", "{}"),
+    }
+    quantities = {
+        "unbalanced": ("change of energy less external work, J", False),
+        "total": ("total energy, J", False),
+        "kinetic": ("kinetic energy, J", False),
+        "strain": ("strain energy, J", False),
+        "angular_momentum": ("angular momentum, N m s", False),
+    }
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The largest energy error relative to the range of the kinetic energy, with names such as "relative_drift alpha"."""
+        return {f"relative_drift {row['integrator']}": row["relative_drift"] for row in self.rows}
+
+
+@named_keywords
+def energy(
+    model: object,
+    t_end: float | None = None,
+    *,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrators: dict[str, object] | None = None,
+    frames: int = 400,
+    every: int = 1,
+    progress: Callable[[int, int, str], object] | bool | None = None,
+) -> EnergyKept:
+    """Run each integrator and measure its energy error: the change of energy less external work plus dissipation.
+
+    Parameters
+    ----------
+    model, t_end, q0, v0, progress
+        As in `work_precision`.
+    integrators : {label: integrator}
+    frames : int
+        Largest number of points of each history.
+    every : int
+        Rows hold the maximum over every `every`-th step.
+
+    Returns
+    -------
+    result : EnergyKept
+        The energy error is zero for the exact motion, and NaN if the model has no `potential`; `relative_drift` is relative to the range of
+        the kinetic energy. The changes of momentum should vanish if no external force acts.
+
+    Raises
+    ------
+    InputError
+        For invalid arguments, before the first run.
+    """
+    return _run_all(EnergyKept, _energy_row, "energy", model, t_end, q0, v0, integrators, frames, every, progress)
+
+
+def _energy_row(run, indices):
+    energies, error = run.energy, unbalanced(run)
+    size, drift = float(np.ptp(energies.kinetic)), float(np.abs(error).max())
+    row = {"energy_change": float(error[-1]), "energy_drift": drift, "relative_drift": drift / size if size else np.nan}
+    try:
+        momentum, angular = run.momentum, run.angular_momentum
+    except InputError:  # the model does not define them
+        momentum, angular = np.full((len(run.t), 2), np.nan), np.full(len(run.t), np.nan)
+    row |= {"momentum_drift": float(np.abs(momentum - momentum[0]).max()), "angular_drift": float(np.abs(angular - angular[0]).max())}
+    histories = {"unbalanced": error} | {name: getattr(energies, name) for name in ("total", "kinetic", "strain")}
+    return row, {"t": run.t[indices]} | {name: values[indices] for name, values in (histories | {"angular_momentum": angular}).items()}
+
+
+class Drift(Invariants):
+    """Result of `drift`: a row for each run, and histories of both violations."""
+
+    title = "drift off the constraints"
+    columns = {
+        "integrator": ("integrator", "{}"),
+        "setting": ("setting", "{}"),
+        "drift": ("largest |phi|", "{:.1e}"),
+        "velocity_drift": ("largest |phi'|", "{:.1e}"),
+        "steps": ("steps", "{}"),
+        "cpu_s": ("CPU s", "{:.3g}"),
+        "status": ("status", "{}"),
+    }
+    quantities = {"drift": ("largest |phi|", True), "velocity_drift": ("largest |phi_q v + phi_t|", True)}
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Both violations of each integrator, with names such as "drift IDA"."""
+        return {f"{name} {row['integrator']}": row[name] for row in self.rows for name in self.quantities}
+
+
+@named_keywords
+def drift(
+    model: object,
+    t_end: float | None = None,
+    *,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrators: dict[str, object] | None = None,
+    frames: int = 400,
+    every: int = 1,
+    progress: Callable[[int, int, str], object] | bool | None = None,
+) -> Drift:
+    """Run each integrator and measure the constraint violations `max |phi|` and `max |phi_q v + phi_t|`.
+
+    Parameters
+    ----------
+    model, t_end, q0, v0, progress
+        As in `work_precision`.
+    integrators : {label: integrator}
+    frames : int
+        Largest number of points of each history.
+    every : int
+        Rows hold the maximum over every `every`-th step.
+
+    Returns
+    -------
+    result : Drift
+        The violations are in the units of phi (m for joints).
+
+    Raises
+    ------
+    InputError
+        For invalid arguments, before the first run.
+    """
+    return _run_all(Drift, _drift_row, "drift", model, t_end, q0, v0, integrators, frames, every, progress)
+
+
+def _drift_row(run, indices):
+    histories = {"drift": run.drift, "velocity_drift": run.velocity_drift}
+    row = {name: float(values.max(initial=0.0)) for name, values in histories.items()}
+    return row, {"t": run.t[indices]} | {name: values[indices] for name, values in histories.items()}

@@ -1,0 +1,213 @@
+"""What a study runs: an initial value problem, from a model, a registered problem or a user's file, and a set of integrators."""
+
+import inspect
+from contextlib import AbstractContextManager
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from polyida import registry
+from polyida.errors import InputError
+from polyida.integrate.start import consistent_state
+from polyida.integrate.state import declared
+from polyida.model import Model
+from polyida.run.solve import require_run, solve
+from polyida.study.user_files import load_object, user_errors
+from polyida.validation import floats, is_number
+
+PARTS = ("q", "v", "lam")
+WARM_UP = 2e-4  # of t_end: duration of the warm-up run of an integrator that chooses its steps
+MAX_LENGTH = 60  # characters of the text of an integrator's settings
+FILE_OPTIONS = {"time": "t_end", "step": "step", "q0": "q0", "v0": "v0", "point": "point"}  # that a function of a scene file may return
+
+
+@dataclass(frozen=True)
+class InitialValueProblem:
+    """A model and its motion from (q0, v0) at t = 0 to t_end, s.
+
+    published: {"q", "v", "lam": values at t_end, "known_to": {part: accuracy}, "made_by": [source]}, of problems with published digits.
+    step: of integrators without error control, s. point: name of the point that comparisons measure, None: all coordinates. file: the
+    user's file, None for other models.
+    """
+
+    name: str
+    model: Model
+    t_end: float = 1.0
+    q0: object = None
+    v0: object = None
+    published: dict = field(default_factory=dict)
+    step: float = 1e-3
+    point: str | None = None
+    file: Path | None = None
+
+    def user_errors(self) -> AbstractContextManager:
+        """Context that names the line of the user's file from which an exception comes."""
+        return user_errors(self.file)
+
+    def run(self, integrator, t_end=None, **options):
+        """The Trajectory of an integrator; it ends early if a user's function raises. Ctrl-C raises KeyboardInterrupt."""
+        try:
+            run = solve(self.model, t_end or self.t_end, integrator, q0=self.q0, v0=self.v0, **options)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit of a user's function, for example
+            run = getattr(error, "trajectory", None)
+            if run is None:
+                raise
+        if run.status == "interrupted":
+            raise KeyboardInterrupt
+        return run
+
+    def warm_up(self, integrator):
+        """Run about two steps, so that the time to compile or load kernels is not part of a measurement."""
+        self.run(integrator, min(2 * declared(integrator).fixed_step() or WARM_UP * self.t_end, self.t_end))
+
+
+def _of_problem(problem, t_end=None, q0=None, v0=None):
+    """The initial value problem of a Problem; published digits stay if its start and end are unchanged."""
+    start = [default if value is None else value for value, default in ((q0, problem.q0), (v0, problem.v0))]
+    published = {}
+    if t_end in (None, problem.t_end) and start[0] is problem.q0 and start[1] is problem.v0:
+        published = dict(problem.reference)
+        if set(PARTS) <= set(published) & set(problem.known_to):
+            published |= {"known_to": problem.known_to, "made_by": [problem.source]}
+    return InitialValueProblem(problem.name, problem.model, problem.t_end if t_end is None else t_end, *start, published)
+
+
+def initial_value_problem(study, model, t_end, q0=None, v0=None):
+    """The InitialValueProblem of the arguments of a study; a Problem's own start and end are the defaults.
+
+    Raises InputError in the name of `study` for an unknown model, an invalid time and an invalid start.
+    """
+    name, built, problem = resolve_model(study, model)
+    ivp = _of_problem(problem, t_end, q0, v0) if problem else InitialValueProblem(name, built, t_end, q0, v0)
+    if not (is_number(ivp.t_end) and ivp.t_end > 0):
+        raise InputError(f"{study}: t_end = {ivp.t_end!r} must be a positive time in s")
+    consistent_state(ivp.model, 0.0, ivp.q0, ivp.v0)
+    return ivp
+
+
+def resolve_model(study, model):
+    """(name, Model, Problem or None) of a Model, a Scene, a Problem, or the name of one. Raises InputError for anything else."""
+    from polyida import problems
+    from polyida.scene import Scene
+
+    if isinstance(model, str):
+        model = problems.get(model)
+    if isinstance(model, problems.Problem):
+        return model.name, model.model, model
+    built = model.build() if isinstance(model, Scene) else model
+    if not isinstance(built, Model):
+        wanted = "a Model, a Scene, a Problem or the name of one is needed"
+        raise InputError(f"{study}: the model is {type(model).__name__}; {wanted}")
+    return f"a scene of {built.n} coordinates" if isinstance(model, Scene) or built.is_scene else type(model).__name__, built, None
+
+
+def load(spec, time=None, step=None, **options):
+    """The InitialValueProblem of a registered name or of `my_scene.py:build`; time and step override those of the scene.
+
+    options (such as cells) are arguments of the function that builds the scene; None: default. Raises InputError for an unknown name, file,
+    function or option, and for times that are not positive.
+    """
+    from polyida import problems
+    from polyida.body.rigid_body import PointMass
+    from polyida.scene import Scene
+
+    options = {key: value for key, value in options.items() if value is not None}
+    file, name = None, spec
+    if ".py" in spec:
+        build, function = load_object(spec, registry.problems, callable, "functions"), spec.rpartition(":")[2]
+        file = Path(spec.rpartition(":")[0])
+        name = file.stem if function == "build" else f"{file.stem}-{function}"
+    elif spec in registry.problems:
+        build = registry.find(registry.problems, spec)
+    else:
+        raise InputError(f"scene {spec!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
+    if unknown := set(options) - set(inspect.signature(build).parameters):
+        raise InputError(f"{spec} takes no option --{min(unknown)}: its function has no argument of that name")
+    with user_errors(file):
+        result = build(**options) if file else problems.get(spec, **options)
+        if isinstance(result, problems.Problem):
+            ivp = replace(_of_problem(result), name=name, step=result.t_end / 1000)
+        else:
+            result, settings = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
+            if not isinstance(result, Scene | Model) or not isinstance(settings, dict):
+                wanted = "a Scene, a Model, (one of them, options) or a Problem is needed"
+                raise InputError(f"{name}: its function returned {type(result).__name__}; {wanted}")
+            if unknown := set(settings) - set(FILE_OPTIONS):
+                raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(FILE_OPTIONS)}")
+            model = result.build() if isinstance(result, Scene) else result
+            ivp = InitialValueProblem(name, model, **{FILE_OPTIONS[key]: value for key, value in settings.items()})
+        point, masses = ivp.point, [key for key, part in ivp.model.parts.items() if isinstance(part, PointMass)]
+        if point:
+            if not isinstance(point, str):
+                raise InputError(f"{name}: point = {point!r} must be the name of a mass, load or joint")
+            ivp.model.attachment(point)
+        else:
+            point = "tip" if "tip" in masses else masses[-1] if masses else None
+    ivp = replace(ivp, point=point, file=file, step=ivp.step if step is None else step)
+    if time is not None:
+        ivp = replace(ivp, t_end=time, published={})
+    for key, value in (("time", ivp.t_end), ("step", ivp.step)):
+        if not (is_number(value) and value > 0):
+            raise InputError(f"{name}: {key} {value!r} s must be a positive number")
+    return ivp
+
+
+def integrator_lists(study, ivp, integrators, several=True):
+    """{label: [integrators]} of a user's argument. Raises InputError for anything that cannot run."""
+    require_labels(study, integrators, "[integrators]" if several else "integrator")
+    lists = {}
+    for label, value in integrators.items():
+        lists[label] = list(value) if isinstance(value, (list, tuple)) else [value]
+        if not lists[label] or not several and len(lists[label]) != 1:
+            wanted = "one or more integrators" if several else "one integrator"
+            raise InputError(f"{study}: integrators[{label!r}] = {value!r} must be {wanted}")
+        for integrator in lists[label]:
+            require_run(ivp.model, ivp.t_end, 0.0, integrator)
+    return lists
+
+
+def require_labels(study, integrators, values):
+    """Raise InputError unless this is {label: values} with labels that a legend shows."""
+    if not isinstance(integrators, dict) or not integrators:
+        raise InputError(f"{study}: integrators = {integrators!r} must be a dictionary {{label: {values}}}")
+    for label in integrators:
+        if not isinstance(label, str) or not label or label.startswith("_"):
+            raise InputError(f"{study}: label {label!r} of an integrator must be a text that does not begin with _")
+
+
+def step_list(study, h):
+    """The steps h, s, as a list, the longest first. Raises InputError for other values."""
+    steps = floats(h)
+    if steps is None or steps.ndim != 1 or not steps.size or not (steps > 0).all():
+        raise InputError(f"{study}: h = {h!r} must be positive steps in s, at least one")
+    return sorted(steps.tolist(), reverse=True)
+
+
+def settings_text(integrator, others):
+    """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()"."""
+    if not is_dataclass(integrator):
+        return repr(integrator)[:MAX_LENGTH]
+    items, kind = [item for item in fields(integrator) if item.repr and item.init], type(integrator)
+
+    def text(names):
+        values = [(name, getattr(integrator, name)) for name in names]
+        return ", ".join(f"{name}={value:g}" if is_number(value) else f"{name}={value!r}" for name, value in values)
+
+    if all(type(other) is kind for other in others):
+        values = {item.name: getattr(integrator, item.name) for item in items}
+        varied = [name for name, value in values.items() if any(not np.array_equal(value, getattr(other, name)) for other in others)]
+        if varied:
+            return text(varied)[:MAX_LENGTH]
+    changed = [item.name for item in items if item.default is MISSING or not np.array_equal(getattr(integrator, item.name), item.default)]
+    return f"{kind.__name__}({text(changed)})"[:MAX_LENGTH]
+
+
+def kind_of(integrator):
+    """A text that is equal for integrators with the same kernels: class and settings without their numbers."""
+    if not is_dataclass(integrator):
+        return repr(type(integrator))
+    values = {item.name: getattr(integrator, item.name) for item in fields(integrator)}
+    return f"{type(integrator)} { {name: value is None if value is None or is_number(value) else value for name, value in values.items()} }"

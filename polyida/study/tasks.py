@@ -1,0 +1,234 @@
+"""Studies of many independent runs: `Study`, and a folder with one file for each finished row, so that a stopped study can continue."""
+
+import hashlib
+import inspect
+import json
+import os
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, as_completed
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+
+from polyida.errors import InputError
+from polyida.study.executors import Isolated, SerialExecutor, error_text, run_as_row, to_json
+
+
+@dataclass(frozen=True)
+class Study:
+    """What to vary, what to measure and what to plot.
+
+    Parameters
+    ----------
+    name, title : str
+    tasks : function(quick) -> list of dict
+        The arguments of each run as plain values. quick: True for a small selection.
+    run : function(**task) -> dict
+        One run; the results of its row as plain values.
+    figures : function(rows) -> {name: number}, or a tuple of them
+        The key numbers of the study. Functions of a tuple are called separately: one that fails affects no other.
+    draw : function(rows) -> pictures, or a tuple of them
+        The pictures of the report (`polyida.study.plotting.picture`).
+    columns : tuple of str
+        Columns of the table; all if empty.
+    isolated : bool
+        Run the tasks in a separate process, so that a crash becomes a row.
+    limit : float, s
+        A task that takes longer counts as hanging, if `isolated`.
+    notes : function(rows) -> lines, or a tuple of them
+        Lines on failures and on the meaning of numbers.
+    fresh : bool
+        Start a new process for each task, if `isolated`; otherwise one process runs all and is replaced after a crash.
+    headline : tuple of str
+        Names of figures that are always present, NaN if their rows are missing.
+    options : {name: (help text, function(value) -> Study)}
+        Additional options of the command line and the study that each makes of this one.
+    """
+
+    name: str
+    title: str
+    tasks: Callable
+    run: Callable
+    figures: Callable | tuple
+    draw: Callable | tuple = ()
+    columns: tuple = ()
+    isolated: bool = False
+    limit: float = 600.0
+    notes: Callable | tuple = ()
+    fresh: bool = True
+    headline: tuple = ()
+    options: dict = field(default_factory=dict)
+
+
+def task_key(study, task):
+    """File name of a task: equal for equal values."""
+    text = json.dumps(task, sort_keys=True, default=str)
+    return hashlib.sha256(f"{study.name} {text}".encode()).hexdigest()[:16]
+
+
+def code_hash(study):
+    """Hash of the source of the package and of the study's folder."""
+    try:
+        folder = Path(inspect.getfile(study.run)).resolve().parent
+    except TypeError:  # a function without a file
+        return package_hash()
+    while (folder / "__init__.py").exists():
+        folder = folder.parent
+    return package_hash(folder)
+
+
+@lru_cache(maxsize=4)
+def package_hash(folder=None):
+    """Hash of the source of the package, and of the files in a study's folder and its packages."""
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    study_files = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
+    for root, paths in ((package, package.rglob("*.py")), (folder, study_files)):
+        for path in sorted(paths):
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def write_atomically(path, text):
+    """Write a text file that is complete or does not exist."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(partial, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def run_tasks(study, quick, folder, progress=lambda done, total, task: None):
+    """The rows of all tasks of a study: rows with a complete file in `folder` are read, the other tasks run."""
+    tasks = study.tasks(quick)
+    with Isolated(study.limit, study.fresh) if study.isolated else SerialExecutor() as executor:
+        submit = partial(executor.submit, run_as_row, function=study.run)
+        return collect_rows(submit, tasks, [task_key(study, task) for task in tasks], RowFolder(folder, code_hash(study)), progress)[0]
+
+
+def collect_rows(submit, tasks, keys, folder, progress=lambda done, total, task: None):
+    """(rows of all tasks in their order, number of tasks that ran). Rows in `folder` are read, the others run and are written at once.
+
+    submit(arguments=task) -> Future of the row. keys: file name of each task; tasks with equal keys run once. progress(rows, total, first
+    task without a row). Ctrl-C, and an exception of `progress`, cancel the tasks that have not begun.
+    """
+    folder.prepare()
+    rows = {key: row for key, task in dict(zip(keys, tasks)).items() if (row := folder.read(key, task)) is not None}
+    waiting = {key: task for key, task in zip(keys, tasks) if key not in rows}
+    total, count = len(rows) + len(waiting), len(waiting)
+    progress(len(rows), total, next(iter(waiting.values()), {}))
+    with closing(_finished_rows(submit, dict(waiting))) as finished:
+        for key, row in finished:
+            rows[key] = folder.write(key, waiting.pop(key), row)
+            progress(len(rows), total, next(iter(waiting.values()), {}))
+    return [rows[key] for key in keys], count
+
+
+def _finished_rows(submit, waiting):
+    """(key, row) of each task as it finishes."""
+
+    def row_of(future):
+        try:
+            return future.result()
+        except Exception as error:  # noqa: BLE001, an executor whose process is lost may raise anything
+            return {"error": error_text(error)}
+
+    futures = {}
+    try:
+        for key, task in waiting.items():
+            try:
+                future = submit(arguments=task)
+            except BrokenExecutor as error:
+                future = Future()
+                future.set_exception(error)
+            except RuntimeError as error:
+                raise InputError(f"executor: it takes no work: {error}") from None
+            if future.done():
+                yield key, row_of(future)
+            else:
+                futures[future] = key
+        for future in as_completed(futures):
+            yield futures[future], row_of(future)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+@dataclass(frozen=True)
+class RowFolder:
+    """Rows in a folder, one file each, with their case and `code`, the hash of what computes them. folder: None for none.
+
+    retry_failed: treat rows with an error as missing. Raises InputError if a row or the folder cannot be written.
+    """
+
+    folder: Path | None = None
+    code: str = ""
+    retry_failed: bool = False
+
+    def prepare(self):
+        """Create the folder; remove incomplete files of processes that have ended."""
+        if not self.folder:
+            return
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"the folder of rows {self.folder} cannot be made: {error.strerror}") from error
+        for path in self.folder.glob(".*.json.*.part"):
+            with suppress(OSError, ValueError):
+                if not process_exists(int(path.name.split(".")[-2])):
+                    path.unlink()
+
+    def read(self, key, case):
+        """The row of a case, or None if there is no complete file or it belongs to another case."""
+        data = _read_file(self.folder / f"{key}.json") if self.folder else None
+        if data is None or self.retry_failed and data["row"].get("error"):
+            return None
+        shown = {name: data["row"].get(name) for name in case} if self.retry_failed else case  # rows of a study may replace values
+        text = [
+            json.dumps(values, sort_keys=True, default=to_json) for values in (case, shown, data.get("case"))
+        ]  # as text, nan equals nan
+        return data["row"] if text[0] == text[1] == text[2] else None
+
+    def write(self, key, case, row):
+        """Write the row of a case, the case and its result; returns it as it is read."""
+        text = json.dumps({"row": case | row, "case": case, "code": self.code}, default=to_json)
+        if self.folder:
+            path = self.folder / f"{key}.json"
+            try:
+                write_atomically(path, text)
+            except OSError as error:
+                count = len([path for path in self.folder.glob("*.json") if path.is_file()])
+                reason = f"{path} cannot be written: {error.strerror or error}"
+                raise InputError(f"{reason}; {count} rows are kept in that folder, the same call goes on from them") from error
+        return json.loads(text)["row"]
+
+
+def count_outdated(study, quick, folder):
+    """Number of rows in the folder that other code computed."""
+    data = [_read_file(folder / f"{task_key(study, task)}.json") for task in study.tasks(quick)]
+    return sum(one is not None and one["code"] != code_hash(study) for one in data)
+
+
+def _read_file(path):
+    """{"row", "case", "code"} of a file, or None if it is missing or incomplete."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return data if isinstance(data, dict) and isinstance(data.get("row"), dict) and "code" in data else None
+
+
+def process_exists(number):
+    """True if a process of this number exists, or if the system cannot say."""
+    try:
+        os.kill(number, 0) if os.name == "posix" else None
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
