@@ -1,4 +1,4 @@
-"""Our integrators against other people's on the same model: CPU seconds at equal measured error of the tip."""
+"""Work-precision of this package and of other solvers on the same model: CPU seconds at equal error of the tip."""
 
 from functools import lru_cache
 
@@ -33,8 +33,8 @@ LEAST = {"scene1_800_alpha_peer_ratio": 25.0}
 
 
 def tasks(quick):
-    """Each scene and size: the reference's own error, ours at several steps and tolerances, the peers at fewer."""
-    made, some = [], slice(1, None, 2) if quick else slice(None)
+    """Reference, settings of this package, and fewer settings of the peers, for each scene and size."""
+    selection, some = [], slice(1, None, 2) if quick else slice(None)
     for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
         fine = 0.5 if quick else 1 if dof > 1000 else 2
         settings = [("reference", FINE / fine)] + [(solver, h) for solver in ("alpha", "alpha lean") for h in ALPHA[some]]
@@ -48,11 +48,11 @@ def tasks(quick):
             settings += [("solve_dae", rtol) for rtol in DAE_RTOL]
             settings += [("exudyn modified", h) for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)]
             settings += [] if quick else [("exudyn", h) for h in EXUDYN_H]
-        made += [
+        selection += [
             {"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 1 if quick else 3}
             for solver, setting in settings
         ]
-    return made + [
+    return selection + [
         {
             "scene": scene,
             "dof": 100 if quick else gain.DOF,
@@ -67,15 +67,15 @@ def tasks(quick):
 
 @lru_cache(maxsize=4)
 def reference(scene, dof, fine):
-    """(tip at TIMES (101, 2), largest distance of two families there): the energy-momentum method with steps fine and fine / 2,
-    extrapolated, and how far generalized-alpha, likewise, is from it.
+    """(tip at TIMES (101, 2), accuracy): the energy-momentum method with steps fine and fine / 2, extrapolated, and its largest distance
+    from generalized-alpha, computed in the same way.
     """
     exact, other = (extrapolated(model_of(scene, dof), method, fine) for method in (EnergyMomentum, GeneralizedAlpha))
     return exact, largest(other, exact)
 
 
 def run(scene, dof, solver, setting, fine, repeats):
-    """One row: CPU seconds of 1 s and the tip's distance from the reference, largest over TIMES and at the end, m.
+    """One row: CPU seconds of 1 s, and the largest distance of the tip from the reference over TIMES and at the end, m.
 
     Solver "rounds": all points of the gains over generalized-alpha; "stiff": Radau IIA on plates of 200 GPa.
     """
@@ -97,16 +97,16 @@ def run(scene, dof, solver, setting, fine, repeats):
 
 
 def peer(scene, dof, solver, setting):
-    """A run of a peer, in a process of its own; compiled functions warm."""
+    """Run a peer in a separate process with its functions compiled."""
     model, rest = model_of(scene, dof), None
-    look, rest = tip_of(model), np.zeros(model.n)
+    watch, rest = tip_of(model), np.zeros(model.n)
     model.force(0.0, rest, rest), model.force_q(0.0, rest, rest), model.phi(0.0, rest)
     try:
         if solver == "solve_dae":
-            peers.radau(model, TIMES[:1] + np.array([0.0, 1e-5]), 1e-3, look)
-            row, tip = peers.radau(model, TIMES, setting, look)
+            peers.radau(model, TIMES[:1] + np.array([0.0, 1e-5]), 1e-3, watch)
+            row, tip = peers.radau(model, TIMES, setting, watch)
         else:
-            row, tip = peers.ExudynScene(model, look).run(TIMES, setting, solver != "exudyn")
+            row, tip = peers.ExudynScene(model, watch).run(TIMES, setting, solver != "exudyn")
     except peers.Missing as missing:
         return {"skipped": str(missing)}
     return row | {"tip": tip.tolist()}
@@ -118,7 +118,7 @@ def cases_of(rows):
 
 
 def curve(rows, scene, dof, solvers, what="cpu_s"):
-    """(errors, CPU s, or steps) of the runs that no other of these solvers' runs beats in both, by falling error."""
+    """(errors, CPU s or steps) of the runs of these solvers on the Pareto front, by decreasing error."""
     good = sorted(
         (row["error_max"], row[what])
         for row in rows
@@ -133,7 +133,7 @@ def curve(rows, scene, dof, solvers, what="cpu_s"):
 
 
 def at_error(rows, scene, dof, solvers, error, what="cpu_s"):
-    """CPU s or steps at this error on the curve, straight in logarithms; nan beyond its precise end."""
+    """CPU s or steps at this error, interpolated linearly in logarithms; NaN beyond the last precise run."""
     errors, values = curve(rows, scene, dof, solvers, what)
     if not len(errors) or error < errors.min():
         return np.nan
@@ -141,40 +141,42 @@ def at_error(rows, scene, dof, solvers, error, what="cpu_s"):
 
 
 def cheapest(rows, scene, dof, solvers, error):
-    """Least CPU s of the runs themselves with at most this error."""
+    """Smallest CPU s of a run with at most this error."""
     errors, seconds = curve(rows, scene, dof, solvers)
     return float(seconds[errors <= error].min()) if (errors <= error).any() else np.nan
 
 
 def figures(rows, target=2e-5):
-    """CPU seconds at a tip error of 2e-5 m, each peer's run against ours at its error, IDA against alpha, peers against alpha and Radau IIA."""
-    found = {}
+    """CPU seconds at a tip error of 2e-5 m, each peer relative to this package at equal error, IDA relative to alpha, peers relative to
+    alpha and Radau IIA.
+    """
+    result = {}
     for scene, dof in cases_of(rows):
         name = f"{scene.replace(' ', '')}_{dof}"
-        found[f"{name}_cpu_s"] = cheapest(rows, scene, dof, tuple(OWN), target)
+        result[f"{name}_cpu_s"] = cheapest(rows, scene, dof, tuple(OWN), target)
         ratios = [
             row["cpu_s"] / at_error(rows, scene, dof, tuple(OWN), row["error_max"])
             for row in rows
             if row["scene"] == scene and row["dof"] == dof and row["solver"] in PEERS and row.get("cpu_s")
         ]
-        found[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
+        result[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
         for solver in PEERS:
-            found[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
+            result[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
         for family, solvers in (("alpha", ("alpha", "alpha lean")), ("radau", gain.RADAU)):
-            found[f"{name}_{family}_cpu_s"] = at_error(rows, scene, dof, solvers, target)
-            found[f"{name}_{family}_peer_ratio"] = at_error(rows, scene, dof, PEERS, target) / found[f"{name}_{family}_cpu_s"]
-        found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(rows, scene, dof, ("alpha",), 1e-5)
-    found["ida_over_alpha_at_1e-5"] = found.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)
-    found["radau_stiff_error"] = max((row["stiff_error"] for row in rows if row.get("stiff_error")), default=np.nan)
-    found |= gain.gains(rows)
-    return {key: value for key, value in found.items() if np.isfinite(value)}
+            result[f"{name}_{family}_cpu_s"] = at_error(rows, scene, dof, solvers, target)
+            result[f"{name}_{family}_peer_ratio"] = at_error(rows, scene, dof, PEERS, target) / result[f"{name}_{family}_cpu_s"]
+        result[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(rows, scene, dof, ("alpha",), 1e-5)
+    result["ida_over_alpha_at_1e-5"] = result.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)
+    result["radau_stiff_error"] = max((row["stiff_error"] for row in rows if row.get("stiff_error")), default=np.nan)
+    result |= gain.gains(rows)
+    return {key: value for key, value in result.items() if np.isfinite(value)}
 
 
 def notes(rows):
-    """Aims that are not reached, what makes IDA dearer, how sure the reference is, what was left out."""
-    found = figures(rows)
-    lines = [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in MOST.items() if found.get(name, 0) > aim]
-    lines += [f"{name}: {found[name]:.3g}, aim at least {aim:.3g}" for name, aim in LEAST.items() if found.get(name, aim) < aim]
+    """Missed targets, the causes of IDA's cost, the accuracy of the reference, and omitted runs."""
+    result = figures(rows)
+    lines = [f"{name}: {result[name]:.3g}, aim at most {aim:.3g}" for name, aim in MOST.items() if result.get(name, 0) > aim]
+    lines += [f"{name}: {result[name]:.3g}, aim at least {aim:.3g}" for name, aim in LEAST.items() if result.get(name, aim) < aim]
     for row in rows:
         if row["solver"] == "reference" and not row.get("error"):
             lines.append(
@@ -200,9 +202,9 @@ def _ida_and_alpha(rows, scene, dof, error=1e-5):
 
 @study_figure
 def draw(rows):
-    """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
+    """CPU time against the largest error of the tip, one panel for each scene and size."""
     cases = cases_of(rows)
-    made, axes = panels(len(cases))
+    fig, axes = panels(len(cases))
     for axis, (scene, dof) in zip(axes, cases):
         for k, (solver, label) in enumerate(SOLVERS.items()):
             runs = [row for row in rows if (row["scene"], row["dof"], row["solver"]) == (scene, dof, solver) and row.get("cpu_s")]
@@ -210,8 +212,8 @@ def draw(rows):
             if points:
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
-    legend_above(made, axes, 2)
-    return line_picture(made, "against_peers")
+    legend_above(fig, axes, 2)
+    return line_picture(fig, "against_peers")
 
 
 study = Study(

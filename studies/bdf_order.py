@@ -1,6 +1,7 @@
-"""What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie.
+"""Cost of high BDF orders: orders 3 to 5 are unstable near the imaginary axis, where the undamped modes of a mesh lie.
 
-And what it costs that the error test looks at v as sharply as at q: the velocities of stiff modes jump with every change of the step.
+The study also measures the cost of an error test that weights v as strongly as q: velocities of stiff modes change with every change of the
+step.
 """
 
 from bdf_order.order import run_order, run_tested
@@ -28,17 +29,17 @@ def tasks(quick):
 
 
 def run(**task):
-    """One run, of either part."""
+    """One run of either part."""
     return run_tested(**task) if "tested" in task else run_order(**task)
 
 
 def ratios(rows):
-    """Steps per simulated second at order 5 over those at order 2, for each material."""
-    found = {}
+    """Steps per simulated second at order 5 relative to order 2, for each material."""
+    result = {}
     for viscosity in distinct(rows, "viscosity"):
         high, low = (number(rows, "steps_per_s", viscosity=viscosity, max_order=order) for order in (5, 2))
-        found["steps_order5_over_order2" + (f"_viscosity_{viscosity:.0e}" if viscosity else "")] = high / low
-    return found
+        result["steps_order5_over_order2" + (f"_viscosity_{viscosity:.0e}" if viscosity else "")] = high / low
+    return result
 
 
 def undamped(rows):
@@ -52,21 +53,21 @@ def undamped(rows):
 
 
 def weights(rows):
-    """Steps per simulated second with v tested as sharply as q over those of the default."""
-    found = {}
+    """Steps per simulated second with v weighted like q, relative to the default."""
+    result = {}
     for row in pick(rows, tested="q and v alike"):
         other = number(rows, "steps_per_s", **{key: row[key] for key in ("modulus", "rtol")}, tested="q sharply")
-        found[f"steps_v_alike_over_default_{row['modulus']:.0e}_rtol_{row['rtol']:.0e}"] = row["steps_per_s"] / other
-    return found
+        result[f"steps_v_alike_over_default_{row['modulus']:.0e}_rtol_{row['rtol']:.0e}"] = row["steps_per_s"] / other
+    return result
 
 
 def weight_notes(rows):
-    """What the two error tests give, one line a modulus and tolerance."""
-    told = {
+    """Result of both error tests, one line for each modulus and tolerance."""
+    texts = {
         key: [f"{what}: {row['steps']} steps, {row['rejected']} rejected, {_end(row)}" for what, row in runs.items()]
         for key, runs in _by_plate(rows).items()
     }
-    return [f"E = {E:.0e} Pa, rtol {rtol:.0e}, tested are {'; '.join(lines)}" for (E, rtol), lines in told.items()]
+    return [f"E = {E:.0e} Pa, rtol {rtol:.0e}, tested are {'; '.join(lines)}" for (E, rtol), lines in texts.items()]
 
 
 def _end(row):
@@ -74,12 +75,12 @@ def _end(row):
 
 
 def _by_plate(rows):
-    """{(modulus, rtol): {what is tested: row}}."""
-    found = {}
+    """{(modulus, rtol): {weights: row}}."""
+    result = {}
     for row in pick(rows):
         if "tested" in row:
-            found.setdefault((row["modulus"], row["rtol"]), {})[row["tested"]] = row
-    return found
+            result.setdefault((row["modulus"], row["rtol"]), {})[row["tested"]] = row
+    return result
 
 
 def notes(rows):
@@ -94,18 +95,18 @@ def notes(rows):
 
 @study_figure
 def bdf_order_figure(rows):
-    """IDA's steps a second against the highest order it may take, its steps over time, its steps a second against stiffness for two error tests."""
-    made, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
+    """IDA's steps per second against its largest order; its steps over time; its steps per second against stiffness for two error tests."""
+    fig, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
     steps_panel(axes[0], rows)
     history_panel(axes[1], rows)
     weights_panel(axes[2], rows)
     for axis in [axis for axis in axes if axis.lines]:
         axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return line_picture(made, "bdf-order")
+    return line_picture(fig, "bdf-order")
 
 
 def steps_panel(axis, rows):
-    """Steps per simulated second against the highest order; runs that stopped are hollow."""
+    """Steps per simulated second against the largest order; unfinished runs have hollow markers."""
     for i, viscosity in enumerate(distinct(rows, "viscosity")):
         runs = pick(rows, viscosity=viscosity)
         label = f"viscosity {viscosity:g} s" if viscosity else "undamped"
@@ -126,7 +127,7 @@ def steps_panel(axis, rows):
 
 
 def history_panel(axis, rows):
-    """Steps over time of the undamped plates; a cross where a run stopped."""
+    """Steps over time of the undamped plates; a cross marks an unfinished run."""
     for i, order in enumerate(ORDERS):
         row = last(rows, viscosity=0.0, max_order=order)
         if row is None:
@@ -147,7 +148,7 @@ def history_panel(axis, rows):
 
 
 def weights_panel(axis, rows):
-    """Steps per simulated second against Young's modulus, both error tests; runs that were stopped are hollow."""
+    """Steps per simulated second against Young's modulus for both error tests; unfinished runs have hollow markers."""
     colours = {key: marker_style(i) for i, key in enumerate((rtol, what) for rtol in distinct(rows, "rtol") for what in TESTED)}
     for (rtol, what), style in colours.items():
         runs = sorted(pick(rows, rtol=rtol, tested=what), key=lambda row: row["modulus"])
@@ -178,7 +179,7 @@ COLUMNS = (
 )
 STUDY = Study(
     "bdf_order",
-    "IDA on the swinging double plate: the highest order of BDF, and what its error test looks at",
+    "IDA on the swinging double plate: largest order of BDF, and weights of the error test",
     tasks,
     run,
     (ratios, undamped, weights),

@@ -1,4 +1,4 @@
-"""Condition number of the iteration matrices against the step, and what it does to the solve of each back-end."""
+"""Condition number of the iteration matrices against the step, and its effect on the solution by each back-end."""
 
 import numpy as np
 
@@ -19,36 +19,36 @@ def steps(quick):
 
 
 def tasks(quick):
-    made, given = [], {"cells": 8 if quick else 20, "h": steps(quick)}
+    selection, common = [], {"cells": 8 if quick else 20, "h": steps(quick)}
     for plates in ("soft", "steel", "stiffest", "springs"):
         pairs = [("(q, lam)", scaling) for scaling in conditioning.ALPHA_SCALINGS]
         pairs += [(f"({unknown}, lam)", "none") for unknown in conditioning.ALPHA_UNKNOWNS if unknown != "q"]
-        made += [{"plates": plates, "of": "alpha", "form": form, "scaling": scaling} | given for form, scaling in pairs]
-        made += [
-            {"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
+        selection += [{"plates": plates, "of": "alpha", "form": form, "scaling": scaling} | common for form, scaling in pairs]
+        selection += [
+            {"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | common
             for form in conditioning.IDA_SLOPES
             for scaling in IDA_SCALINGS
         ]
-        made += [
-            {"plates": plates, "of": "Radau", "form": f"{form}, {mode}", "scaling": scaling} | given
+        selection += [
+            {"plates": plates, "of": "Radau", "form": f"{form}, {mode}", "scaling": scaling} | common
             for form in conditioning.RADAU_SLOPES
             for mode in MODES
             for scaling in SCALINGS
         ]
-        made.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | given)
+        selection.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | common)
     for plates in ("soft", "steel"):
-        made += [
-            {"plates": plates, "of": "solve", "form": backend, "scaling": scaling} | given
+        selection += [
+            {"plates": plates, "of": "solve", "form": backend, "scaling": scaling} | common
             for backend in solve_error.BACKENDS
             for scaling in SCALINGS
         ]
-        made += [
-            {"plates": plates, "of": f"IDA solve, {form}", "form": backend, "scaling": scaling} | given
+        selection += [
+            {"plates": plates, "of": f"IDA solve, {form}", "form": backend, "scaling": scaling} | common
             for form in ("ggl2", "index1")
             for backend in solve_error.WHOLE
             for scaling in IDA_SCALINGS
         ]
-    return made
+    return selection
 
 
 def run(plates, cells, of, form, scaling, h):
@@ -103,29 +103,29 @@ def theory(of, form, scaling):
 def figures(rows):
     physical = {"of": "alpha", "form": "(q, lam)", "scaling": "physical"}
     unscaled = {"of": "alpha", "form": "(q, lam)", "scaling": "none"}
-    found = {
+    result = {
         "slope_unscaled": number(rows, "slope", plates="soft", **unscaled),
         "slope_unscaled_worst": farthest(column_with_failures(rows, "slope_limit", **unscaled), -4),
         "scaled_condition_max": largest(rows, "worst", **physical),
         "scaled_condition_at_1e-9_max": largest(rows, "at_1e-9", **physical),
     }
     for row in pick(rows, **physical):
-        found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
-    found["scaled_over_free_max"] = over_free(rows, pick(rows, **physical))
-    found["ida_scaled_slope_limit_max"] = abs(farthest(column_with_failures(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
+        result[f"scaled_condition_max_{row['plates']}"] = row["worst"]
+    result["scaled_over_free_max"] = over_free(rows, pick(rows, **physical))
+    result["ida_scaled_slope_limit_max"] = abs(farthest(column_with_failures(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
-        found[f"slope_limit_{row['form']}"] = row["slope_limit"]
-    return found | radau_figures(rows)
+        result[f"slope_limit_{row['form']}"] = row["slope_limit"]
+    return result | radau_figures(rows)
 
 
 def radau_figures(rows):
-    """Over both modes, all plates and, where they are scaled, both forms."""
+    """Maxima over both modes and all plates, and over both forms of the scaled matrices."""
     raw, physical = {"of": "Radau", "scaling": "none"}, {"of": "Radau", "scaling": "physical"}
-    found = {}
+    result = {}
     for form, slope in conditioning.RADAU_SLOPES.items():
         slopes = [column_with_failures(rows, "slope_limit", form=f"{form}, {mode}", **raw) for mode in MODES]
-        found[f"radau_{form}_raw_slope"] = farthest(np.concatenate(slopes), slope)
-    return found | {
+        result[f"radau_{form}_raw_slope"] = farthest(np.concatenate(slopes), slope)
+    return result | {
         "radau_scaled_slope_max": abs(farthest(column_with_failures(rows, "slope_limit", **physical), 0)),
         "radau_scaled_condition_max": largest(rows, "worst", **physical),
         "radau_scaled_condition_at_1e-9_max": largest(rows, "at_1e-9", **physical),
@@ -133,7 +133,7 @@ def radau_figures(rows):
 
 
 def over_free(rows, physical):
-    """Largest scaled condition number over that of S on the free motions, where both are there."""
+    """Largest scaled condition number relative to that of S on the free motions."""
     free = {row["plates"]: row["values"] for row in pick(rows, form="S on free motions")}
     ratios = [np.max(np.divide(row["values"], free[row["plates"]])) for row in physical if row["plates"] in free]
     return max(ratios, default=float("nan"))
@@ -168,37 +168,37 @@ def label_of(row):
 @study_figure
 def alpha_figure(rows):
     """Condition number of generalized-alpha's iteration matrix against the step, with the slopes of theory dashed."""
-    made, axes = panels(2, height=3.4)
+    fig, axes = panels(2, height=3.4)
     labels = list(dict.fromkeys(label_of(row) for row in pick(rows, of="alpha")))
     for axis, plates in zip(axes, ("soft", "steel")):
-        kept = pick(rows, of="alpha", plates=plates)
-        for row in kept:
+        alpha_rows = pick(rows, of="alpha", plates=plates)
+        for row in alpha_rows:
             loglog(axis, row["h"], row["values"], labels.index(label_of(row)), label_of(row))
-        for row in kept:
+        for row in alpha_rows:
             if row["scaling"] == "none":
                 slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
         axis.set(xlabel="step h, s", ylabel="condition number", title=f"generalized-alpha, {plates} plates")
-    legend_above(made, axes, 3)
-    return line_picture(made, "condition-alpha")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "condition-alpha")
 
 
 @study_figure
 def ida_figure(rows):
     """Condition number of IDA's matrix against 1/cj, raw and scaled, form by form."""
-    made, axes = panels(2, height=3.4, sharey=True)
+    fig, axes = panels(2, height=3.4, sharey=True)
     for axis, scaling, title in zip(axes, ("none", "characteristic"), ("raw", "scaled by characteristic sizes")):
         for row in pick(rows, of="IDA", plates="soft", scaling=scaling):
             loglog(axis, row["h"], row["values"], list(conditioning.IDA_SLOPES).index(row["form"]), row["form"])
         axis.set(xlabel="1 / cj, s", title=f"IDA, soft plates, {title}")
     axes[0].set_ylabel("condition number")
-    legend_above(made, axes, 6)
-    return line_picture(made, "condition-ida")
+    legend_above(fig, axes, 6)
+    return line_picture(fig, "condition-ida")
 
 
 @study_figure
 def radau_figure(rows):
     """Condition number of Radau IIA's matrices against the step, raw and scaled, for both modes of the stages."""
-    made, axes = panels(2, height=3.4, sharey=True)
+    fig, axes = panels(2, height=3.4, sharey=True)
     forms = [f"{form}, {mode}" for form in conditioning.RADAU_SLOPES for mode in MODES]
     for axis, scaling, title in zip(axes, ("none", "physical"), ("raw", "scaled by physical sizes")):
         for row in pick(rows, of="Radau", plates="soft", scaling=scaling):
@@ -209,13 +209,13 @@ def radau_figure(rows):
         if row["form"].endswith("real"):
             slope_line(axes[0], row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
     axes[0].set_ylabel("condition number")
-    legend_above(made, axes, 4)
-    return line_picture(made, "condition-radau")
+    legend_above(fig, axes, 4)
+    return line_picture(fig, "condition-radau")
 
 
 def solve_figure(rows, name, step, shown):
-    """Errors on steel plates, a panel for each (of, scaling)."""
-    made, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
+    """Errors on steel plates, one panel for each (unknown, scaling)."""
+    fig, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
     for axis, (of, scaling) in zip(axes, shown):
         for row in pick(rows, of=of, plates="steel", scaling=scaling):
             loglog(axis, row["h"], row["values"], list(solve_error.BACKENDS).index(row["form"]), row["form"])
@@ -223,8 +223,8 @@ def solve_figure(rows, name, step, shown):
         title = f"scaling: {scaling}" if of == form else f"{form}, {'raw' if scaling == 'none' else 'scaled'}"
         axis.set(xlabel=step, title=title, ylim=(1e-16, 1e3))
     axes[0].set_ylabel("relative error of the solve")
-    legend_above(made, axes, 2)
-    return line_picture(made, name)
+    legend_above(fig, axes, 2)
+    return line_picture(fig, name)
 
 
 @study_figure
@@ -243,7 +243,7 @@ def solve_ida_figure(rows):
 COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")
 STUDY = Study(
     "conditioning",
-    "condition numbers: slopes in h beside theory; solve errors of linear back-ends",
+    "condition numbers: measured and theoretical slopes in h; errors of linear back-ends",
     tasks,
     run,
     figures,

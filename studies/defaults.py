@@ -1,4 +1,4 @@
-"""What integrators choose where nothing is given: errors and CPU time on every named problem, against given steps and tolerances."""
+"""Accuracy and cost of the default settings of each integrator on every named problem, relative to explicit steps and tolerances."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from polyida.study.tasks import Study
 from work_precision.integrators import cheapest
 
 AIM, REACH = 1e-4, (1e-5, 3e-4)  # error over the size: about that, and within these
-GIVEN = {  # integrator: settings beside its own
+EXPLICIT = {  # integrator: settings beside its own
     "alpha": tuple(float(x) for x in np.geomspace(1e-2, 2e-5, 13)),
     "radau": tuple(float(x) for x in np.geomspace(1e-3, 1e-8, 11)),
     "ida": tuple(float(x) for x in np.geomspace(1e-3, 1e-7, 9)),
@@ -25,8 +25,8 @@ def tasks(quick):
     return [
         {"problem": name, "integrator": integrator, "x": x}
         for name in names
-        for integrator, given in GIVEN.items()
-        for x in (None, *(given[1::3] if quick else given))
+        for integrator, explicit in EXPLICIT.items()
+        for x in (None, *(explicit[1::3] if quick else explicit))
     ]
 
 
@@ -35,40 +35,40 @@ def default(rows, **wanted):
 
 
 def errors(rows):
-    """The largest and the least error of each integrator's own choice, and of all; NaN where a run did not come to its end."""
-    found = {}
-    for name, wanted in (("default", {}), *((f"{kind}_default", {"integrator": kind}) for kind in GIVEN)):
+    """Largest and smallest error of the defaults of each integrator and of all; NaN if a run failed."""
+    result = {}
+    for name, wanted in (("default", {}), *((f"{kind}_default", {"integrator": kind}) for kind in EXPLICIT)):
         numbers = column(default(rows, **wanted), "error_max")
-        found |= {f"{name}_error_max": float(numbers.max()), f"{name}_error_min": float(numbers.min())} if numbers.size else {}
-    return found
+        result |= {f"{name}_error_max": float(numbers.max()), f"{name}_error_min": float(numbers.min())} if numbers.size else {}
+    return result
 
 
 def over_best(rows, row):
-    """CPU of a run over that of the best given setting of its integrator at equal error."""
-    given = [other for other in pick(rows, problem=row["problem"], integrator=row["integrator"]) if other["x"] is not None]
-    return row["cpu_s"] / cheapest(given, "error_max", row["error_max"]) if row["outcome"] == "done" else NAN
+    """CPU time of a run relative to the best explicit setting of its integrator at equal error."""
+    explicit = [other for other in pick(rows, problem=row["problem"], integrator=row["integrator"]) if other["x"] is not None]
+    return row["cpu_s"] / cheapest(explicit, "error_max", row["error_max"]) if row["outcome"] == "done" else NAN
 
 
 def costs(rows):
-    """Median and largest CPU of the own choices over the best given setting at equal error, where one comes so far."""
-    found = {}
-    for kind in GIVEN:
+    """Median and maximum of the CPU time of the defaults relative to the best explicit setting at equal error."""
+    result = {}
+    for kind in EXPLICIT:
         ratios = np.array([over_best(rows, row) for row in default(rows, integrator=kind)])
         ratios = ratios[np.isfinite(ratios)]
-        found |= (
+        result |= (
             {f"{kind}_cpu_over_best": float(np.median(ratios)), f"{kind}_cpu_over_best_max": float(ratios.max())} if ratios.size else {}
         )
-    return found
+    return result
 
 
 def off_aim(rows):
-    """How many of the own choices end outside of REACH."""
+    """Number of default runs with an error outside of REACH."""
     numbers = column(default(rows), "error_max")
     return {"defaults": len(numbers), "above_reach": int((numbers > REACH[1]).sum()), "below_reach": int((numbers < REACH[0]).sum())}
 
 
-def told(rows):
-    """What each own choice comes to, over the best given setting, and what the run's summary says of it."""
+def default_notes(rows):
+    """Error and cost of each default run, and the summary of the run."""
     return [
         f"{row['problem']}, {row['integrator']}: error {row['error_max']:.1e} of {row['size']:.3g}, {row['cpu_s']:.2g} CPU s, "
         f"{over_best(rows, row):.2g} times the best given setting's at equal error; {row['summary']}"
@@ -87,10 +87,12 @@ def stop_notes(rows):
 
 @study_figure
 def defaults_figure(rows):
-    """CPU seconds against error: given settings as lines, the own choice a star; the aim is dashed, shaded what counts as reaching it."""
+    """CPU seconds against error: lines are explicit settings, stars the defaults. The dashed line is the target error; the shaded range is
+    accepted.
+    """
     problems = distinct(rows, "problem")
-    made, axes = panels(len(GIVEN) if problems else 0, width=9.0, height=3.4, columns=3)
-    for axis, kind in zip(axes, GIVEN):
+    fig, axes = panels(len(EXPLICIT) if problems else 0, width=9.0, height=3.4, columns=3)
+    for axis, kind in zip(axes, EXPLICIT):
         for i, name in enumerate(problems):
             runs = [row for row in pick(rows, problem=name, integrator=kind) if row["x"] is not None]
             loglog(axis, column(runs, "error_max"), column(runs, "cpu_s"), i, name)
@@ -105,20 +107,20 @@ def defaults_figure(rows):
             xlabel="largest error of q over the size",
             ylabel="" if kind != "alpha" else "CPU seconds",
         )
-    legend_above(made, axes, 5)
-    return line_picture(made, "defaults")
+    legend_above(fig, axes, 5)
+    return line_picture(fig, "defaults")
 
 
 COLUMNS = ("problem", "integrator", "x", "error_max", "error_end", "cpu_s", "steps", "rejected", "factorizations", "outcome", "error")
 STUDY = Study(
     "defaults",
-    "what integrators choose; x is h over the time, or rtol, none for their own choice; errors of q over the problem's size",
+    "default settings of the integrators; x is h relative to the time, or rtol, empty for the default; errors of q relative to the problem's size",
     tasks,
     measure,
     (errors, costs, off_aim),
     defaults_figure,
     COLUMNS,
-    notes=(stop_notes, told, reference_notes),
+    notes=(stop_notes, default_notes, reference_notes),
     headline=("default_error_max", "default_error_min", "alpha_cpu_over_best_max"),
 )
 

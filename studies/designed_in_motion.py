@@ -1,4 +1,6 @@
-"""Plates designed in motion: material placed by gradients of a run, against the best static design, a thinner plate and a narrower one."""
+"""Topology optimisation of plates in motion with gradients of a run, compared with the best static design, a thinner plate and a narrower
+one.
+"""
 
 from itertools import zip_longest
 
@@ -33,13 +35,13 @@ def run(**task):
 
 
 def best_static(rows, machine):
-    """The row of the static design that moves best once it is solid: the comparison is with that one; None where there is none."""
-    found = [row for name in STATIC for row in pick(rows, machine=machine, design=name)]
-    return min(found, key=lambda row: row["J"], default=None)
+    """The row of the static design with the smallest J after thresholding, None if there is none: the comparison is with this one."""
+    result = [row for name in STATIC for row in pick(rows, machine=machine, design=name)]
+    return min(result, key=lambda row: row["J"], default=None)
 
 
 def gains(rows):
-    """J of the static optimum over that of the design in motion, both solid, and what the design of the arm takes."""
+    """J of the static optimum relative to the design in motion, both thresholded, and the time that the design of the arm takes."""
     moving, still = last(rows, machine="arm", design=MOTION), best_static(rows, "arm")
     plain = {name: value(last(rows, machine="arm", design=name), "J") / value(moving, "J") for name in PLAIN}
     return {
@@ -51,7 +53,7 @@ def gains(rows):
 
 
 def measures(rows):
-    """J, the largest deviation, the largest once the motors stand, and the peak torque of every solid design."""
+    """J, the largest deviation, the largest deviation after the motors stop, and the peak torque of every thresholded design."""
     names = {"J": "J_m2", "largest": "deviation_m", "after": "deviation_after_m", "torque": "torque_Nm"}
     return {f"{short(row)}_{name}": row[key] for row in pick(rows) for key, name in names.items()}
 
@@ -60,8 +62,8 @@ def short(row):
     return "_".join(f"{row['machine']} {row['design']}".replace(",", "").split())
 
 
-def told(rows):
-    """Every solid design in a line; how the designs were found."""
+def design_notes(rows):
+    """One line for each thresholded design, and the method of the designs."""
     lines = [
         f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, "
         f"{1e3 * row['after']:.2g} once the motors stand, torque {row['torque']:.3g} N m, "
@@ -90,49 +92,49 @@ def what_is_compared(rows):
 
 @study_figure
 def densities_figure(rows):
-    """Densities of the designs, from the start through the stages of the projection to the end; black is solid."""
-    found = [row for row in pick(rows) if "rho" in row]
-    count = max((len(row["stages"]) + 1 for row in found), default=0)
-    made, axes = panels(count * len(found), width=9.0, height=0.75, columns=count)
-    for line, row in zip(axes.reshape(len(found), count), found):
+    """Densities of the designs from the start through the projection stages to the end; black is solid."""
+    result = [row for row in pick(rows) if "rho" in row]
+    count = max((len(row["stages"]) + 1 for row in result), default=0)
+    fig, axes = panels(count * len(result), width=9.0, height=0.75, columns=count)
+    for line, row in zip(axes.reshape(len(result), count), result):
         meshes = pictures.meshes_of(row)
         for axis, rho in zip_longest(line, [*row["stages"], row["rho"]]):
             axis.set_visible(rho is not None)
             if rho is not None:
                 pictures.draw_densities(axis, meshes, rho)
         line[0].set_title(f"{row['machine']}, {row['design']}", loc="left", fontsize=7)
-    return picture(made, "densities")
+    return picture(fig, "densities")
 
 
 @study_figure
 def solids_figure(rows):
-    """The solid designs, all of the same mass."""
-    found = pick(rows)
-    made, axes = panels(len(found), width=9.0, height=1.25)
-    for axis, row in zip(axes, found):
+    """The thresholded designs, all of the same mass."""
+    result = pick(rows)
+    fig, axes = panels(len(result), width=9.0, height=1.25)
+    for axis, row in zip(axes, result):
         pictures.draw_meshes(axis, pictures.solids_of(row), MACHINES[row["machine"]].height)
         axis.set_title(f"{row['machine']}, {row['design']}: J = {row['J']:.3g} m2", loc="left")
-    return picture(made, "solids")
+    return picture(fig, "solids")
 
 
 @study_figure
 def history_figure(rows):
-    """What is minimised over the evaluations, of what it was at the start: the projection grows harder from stage to stage."""
-    found = [row for row in pick(rows) if "rho" in row]
-    made, (axis,) = panels(1 if found else 0, width=5.6)
-    for i, row in enumerate(found):
+    """Objective relative to its initial value against evaluations; the projection becomes sharper from stage to stage."""
+    result = [row for row in pick(rows) if "rho" in row]
+    fig, (axis,) = panels(1 if result else 0, width=5.6)
+    for i, row in enumerate(result):
         values = np.array(row["history"]) / row["history"][0]
         axis.semilogy(range(1, len(values) + 1), values, **marker_style(i) | {"marker": ""}, label=f"{row['machine']}, {row['design']}")
     axis.set(xlabel="evaluation", ylabel="of the value at the start")
-    legend_above(made, axis, 2)
-    return line_picture(made, "history")
+    legend_above(fig, axis, 2)
+    return line_picture(fig, "history")
 
 
 @study_figure
 def motion_figure(rows):
-    """How far the tip is from where a rigid machine has it, and the torque of the first motor, over time; solid designs."""
+    """Deviation of the tip from that of a rigid machine, and torque of the first motor, against time; thresholded designs."""
     machines = distinct(pick(rows), "machine")
-    made, axes = panels(2 * len(machines), width=8.0, height=2.6)
+    fig, axes = panels(2 * len(machines), width=8.0, height=2.6)
     for (off, torque), machine in zip(axes.reshape(-1, 2), machines):
         for row in pick(rows, machine=machine):
             style = marker_style(DESIGNS.index(row["design"])) | {"marker": ""}
@@ -140,13 +142,13 @@ def motion_figure(rows):
             torque.plot(row["t"], row["torques"][0], label=row["design"], **style)
         off.set(xlabel="t, s", ylabel="deviation of the tip, mm", title=machine)
         torque.set(xlabel="t, s", ylabel="torque, N m", title=machine)
-    legend_above(made, axes, 5)
-    return line_picture(made, "motion")
+    legend_above(fig, axes, 5)
+    return line_picture(fig, "motion")
 
 
 @study_figure
 def movie(rows):
-    """The arm in motion: the design in motion, the static one and the bar of the same mass."""
+    """The arm in motion: the design in motion, the static design and the bar of the same mass."""
     shown = [last(rows, machine="arm", design=MOTION), best_static(rows, "arm"), last(rows, machine="arm", design="bar")]
     if not any(shown):
         raise LookupError("no rows to draw")
@@ -179,7 +181,7 @@ STUDY = Study(
         "grey",
         "error",
     ),
-    notes=(told, what_is_compared),
+    notes=(design_notes, what_is_compared),
     headline=("design_gain_over_static", "design_wall_s"),
 )
 

@@ -33,17 +33,17 @@ MECHANISMS = {
 
 
 def parts_of(problem, t_end, end):
-    """What the problem compares, of a state {"q", "v", "lam"}."""
+    """The quantities that the problem compares, of a state {"q", "v", "lam"}."""
     if problem.name in CLASSICAL:
         return end | {"a": consistent_acceleration(problem.model, t_end, end["q"], end["v"])[0]}
     frames = {part: value[None] for part, value in end.items()}
     run = SimpleNamespace(model=problem.model, position=lambda name: problem.model.position(name, frames["q"]), **frames)
-    found = {part: measure(run) for part, measure in problem.measures.items()}
-    return found if problem.name in MECHANISMS else found | {"lam": end["lam"]}
+    result = {part: measure(run) for part, measure in problem.measures.items()}
+    return result if problem.name in MECHANISMS else result | {"lam": end["lam"]}
 
 
 def digits(problem, t_end, tolerances):
-    """(digits, known_to) at t_end: by DOP853, and how far Radau IIA is from it."""
+    """(digits, known_to) at t_end: DOP853, and its distance from Radau IIA."""
     ends = [
         parts_of(problem, t_end, family(problem.model, t_end, rtol, problem.q0, problem.v0))
         for family, rtol in zip((by_explicit, by_radau), tolerances)
@@ -52,25 +52,27 @@ def digits(problem, t_end, tolerances):
 
 
 def main(arguments=None):
-    """Print the digits of the problems that are named, or of all, with how well each is known."""
+    """Print the digits of the named problems, or of all, with their accuracy."""
     names = [*CLASSICAL, *DIGITS, *MECHANISMS]
-    made = argparse.ArgumentParser(prog="python studies/digits.py", description=__doc__.split("\n")[0])
-    made.add_argument("problem", nargs="*", default=names, help=", ".join(names))
-    made.add_argument("--cells", type=int, help="of a plate, where it is not the default mesh")
-    made.add_argument("--time", type=float, help="s, where it is not the problem's")
-    given = made.parse_args(arguments)
-    options = {"cells": given.cells} if given.cells else {}
-    for name in given.problem:
+    parser = argparse.ArgumentParser(prog="python studies/digits.py", description=__doc__.split("\n")[0])
+    parser.add_argument("problem", nargs="*", default=names, help=", ".join(names))
+    parser.add_argument("--cells", type=int, help="of a plate, where it is not the default mesh")
+    parser.add_argument("--time", type=float, help="s, where it is not the problem's")
+    args = parser.parse_args(arguments)
+    options = {"cells": args.cells} if args.cells else {}
+    for name in args.problem:
         for level in LEVELS if name in MECHANISMS else ("",):
-            tell(level, problems.get(name, **({} if name in CLASSICAL else options), **({"level": level} if level else {})), given.time)
+            print_digits(
+                level, problems.get(name, **({} if name in CLASSICAL else options), **({"level": level} if level else {})), args.time
+            )
 
 
-def tell(level, problem, time):
-    """Print the digits of a problem, at its end or a time before, s."""
+def print_digits(level, problem, time):
+    """Print the digits of a problem at its end or at an earlier time, s."""
     tolerances = RIGID if level == "rigid" else (CLASSICAL | MECHANISMS).get(problem.name, PLATES)
-    found, known_to = digits(problem, time or problem.t_end, tolerances)
+    result, known_to = digits(problem, time or problem.t_end, tolerances)
     stored = {} if time else problem.reference
-    for part, value in found.items():
+    for part, value in result.items():
         away = f", {problem.errors(**{part: value})[part]:.1e} from those that are stored" if part in stored else ""
         called = f"{problem.name} {level} {part}" if level else f"{problem.name} {part}"
         print(f"{called} {[float(f'{x:.16g}') for x in value]} known to {known_to[part]:.1e}{away}", flush=True)

@@ -1,4 +1,4 @@
-"""Energy and momentum over a long time, every integrator."""
+"""Conservation of energy and momentum over a long time by every integrator."""
 
 import numpy as np
 
@@ -36,12 +36,12 @@ def tasks(quick):
     members = [(member, x) for member, x in MEMBERS.items() if not (quick and member in SLOW)]
     members += [("energy-momentum", STEP / 2), ("alpha", STEP / 2), ("IDA ggl2", tight)]
     members += [("radau, fixed", 5e-3), ("radau, fixed", 2.5e-3), ("radau", 1e-5), ("radau", tight)]
-    made = [
+    selection = [
         {"scene": scene, "integrator": member, "x": x, "time": time, "cells": cells}
         for scene in ("swinging", "thrown")
         for member, x in members
     ]
-    return made + [{"scene": FINE, "integrator": member, "x": x, "time": time, "cells": DEFAULT} for member, x in LOSING]
+    return selection + [{"scene": FINE, "integrator": member, "x": x, "time": time, "cells": DEFAULT} for member, x in LOSING]
 
 
 def run(scene, integrator, x, time, cells):
@@ -53,15 +53,15 @@ def headline(rows):
 
 
 def drifts(rows):
-    found = {f"energy_drift_{short(row)}": row["energy_drift"] for row in pick(rows, scene="swinging")}
+    result = {f"energy_drift_{short(row)}": row["energy_drift"] for row in pick(rows, scene="swinging")}
     for row in pick(rows, scene="thrown"):
-        found[f"angular_momentum_drift_{short(row)}"] = row["angular_drift"]
-        found[f"linear_momentum_drift_{short(row)}"] = row["linear_drift"]
-    return found
+        result[f"angular_momentum_drift_{short(row)}"] = row["angular_drift"]
+        result[f"linear_momentum_drift_{short(row)}"] = row["linear_drift"]
+    return result
 
 
 def losses(rows):
-    """Change of the energy over the whole run on the default mesh, J."""
+    """Energy change over the whole run on the default mesh, J."""
     return {f"energy_change_J_{short(row)}": row["energy_change"] for row in pick(rows, scene=FINE)}
 
 
@@ -75,17 +75,17 @@ def label(row):
 
 
 def stop_notes(rows):
-    """Runs that stopped; their drifts are those up to there."""
+    """Unfinished runs; their drifts end where they stop."""
     return [f"{line}; drifts are up to there" for line in unfinished_notes(rows, "scene", "integrator", "x", length=140)]
 
 
 def loss_notes(rows):
-    """What each loses, beside what it costs."""
-    told = [
+    """Energy change and cost of each run."""
+    texts = [
         f"{label(row)} {row['energy_change']:+.2g} J, {row['steps']} steps, {row['cpu_s']:.2g} CPU s"
         for row in pick(rows, scene=FINE, outcome="done")
     ]
-    return [f"{FINE}, 10 s without damping: {'; '.join(told)}"] if told else []
+    return [f"{FINE}, 10 s without damping: {'; '.join(texts)}"] if texts else []
 
 
 def gain_notes(rows):
@@ -97,7 +97,7 @@ def gain_notes(rows):
 
 
 def running(row, what):
-    """(t, largest |change| so far), and whether it ends there: cut once it exceeds LOST, or where the run stopped."""
+    """(t, largest |change| so far, True if the curve ends early): the curve ends when the change exceeds LOST or the run stops."""
     t, size = np.asarray(row["t"], float), np.maximum.accumulate(np.abs(np.asarray(row[what], float)))
     lost = size > LOST
     return t[~lost], np.maximum(size[~lost], 1e-16), bool(lost.any()) or row["outcome"] != "done"
@@ -115,14 +115,14 @@ def draw_change(axis, rows, scene, what):
 
 @study_figure
 def energy_figure(rows):
-    """The largest relative change of energy and of angular momentum so far; a cross is where a run stopped or had lost the motion."""
-    made, axes = panels(3, width=7.4, height=3.4, columns=3)
+    """Largest relative change of energy and of angular momentum so far; a cross marks the end of a run that stopped or lost the motion."""
+    fig, axes = panels(3, width=7.4, height=3.4, columns=3)
     for axis, scene, what in zip(axes, ("swinging", "thrown", "thrown"), ("energy", "energy", "angular")):
         draw_change(axis, rows, scene, what)
         axis.set(xlabel="t, s", title=f"{scene}: {'energy' if what == 'energy' else 'angular momentum'}")
     axes[0].set_ylabel("largest relative change so far")
-    legend_above(made, axes, 3)
-    return line_picture(made, "energy")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "energy")
 
 
 def figure_notes(rows):

@@ -1,4 +1,4 @@
-"""What the gradient of a run costs beside the run itself, what its sweep back is made of, and how exact it is at each tolerance of Newton's."""
+"""Cost of the gradient of a run relative to the run, the parts of its backward sweep, and its accuracy at each Newton tolerance."""
 
 import numpy as np
 
@@ -21,13 +21,13 @@ def tasks(quick):
     """Times of each scene and objective at each size, then errors at each tolerance."""
     sizes, repeats = (DECADES.values(), 3) if quick else (SPANS, 7)
     cases = [(scene, objective) for scene in measure.SCENES for objective in measure.OBJECTIVES]
-    made = [
+    selection = [
         {"part": "time", "scene": scene, "objective": objective, "dof": dof, "t_end": SPANS[dof], "repeats": repeats}
         for dof in sizes
         for scene, objective in cases
     ]
     dof, span = (300, 0.2) if quick else (1_000, 1.0)
-    return made + [
+    return selection + [
         {"part": "error", "scene": scene, "objective": objective, "dof": dof, "t_end": span, "tolerance": tolerance}
         for scene, objective in cases
         for tolerance in TOLERANCES
@@ -40,27 +40,31 @@ def run(part, **task):
 
 
 def figures(rows):
-    """The median of a size's ratios, over all scenes and objectives; the largest errors."""
-    found = {}
+    """Median of the ratios of each size over all scenes and objectives; the largest errors."""
+    result = {}
     for name, dof in DECADES.items():
         ratios = [row["ratio"] for row in pick(rows, part="time", dof=dof)]
         if ratios:
-            found |= {f"gradient_over_run_{name}": float(np.median(ratios)), f"gradient_over_run_{name}_largest": max(ratios)}
+            result |= {f"gradient_over_run_{name}": float(np.median(ratios)), f"gradient_over_run_{name}_largest": max(ratios)}
     for tolerance in TOLERANCES:
         errors = [max(row["stiffness_error"], row["mass_error"]) for row in pick(rows, part="error", tolerance=tolerance)]
         if errors:
-            found[f"slope_error_{tolerance:.0e}"] = max(errors)
-    return found
+            result[f"slope_error_{tolerance:.0e}"] = max(errors)
+    return result
 
 
 def aim_notes(rows):
-    """Aims that are not reached."""
-    found = figures(rows)
-    return [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if name in found and not found[name] <= aim]
+    """Missed targets."""
+    result = figures(rows)
+    return [
+        f"{name}: {result[name]:.3g}, aim at most {target:.3g}"
+        for name, target in AIMS.items()
+        if name in result and not result[name] <= target
+    ]
 
 
 def time_notes(rows):
-    """Each gradient beside its run, and the shares of its sweep."""
+    """Each gradient and its run, and the shares of its backward sweep."""
     return [
         f"{row['scene']}, {row['n']} coordinates, {row['objective']}: a step of the run {row['run_us']:.3g} us with {row['run_solves']:.2f} solves, "
         f"of its gradient {row['gradient_us']:.3g} with {row['solves']:.2f}, in turn {row['ratio']:.2f}; the sweep {row['sweep_us']:.3g}: "
@@ -70,34 +74,34 @@ def time_notes(rows):
 
 
 def shares(row):
-    """Of the parts of a sweep in its time."""
-    found = {part: row[f"{part}_us"] / row["sweep_us"] for part in PARTS[:2]}
-    return found | {"rest": 1.0 - sum(found.values())}
+    """Shares of the parts of a backward sweep in its time."""
+    result = {part: row[f"{part}_us"] / row["sweep_us"] for part in PARTS[:2]}
+    return result | {"rest": 1.0 - sum(result.values())}
 
 
 @study_figure
 def draw(rows):
-    """Left: CPU time of a gradient over that of its run against the number of coordinates, for each scene and objective. Right: relative error
-    of the slopes in each polygon's stiffness against Newton's tolerance.
+    """Left: CPU time of a gradient relative to its run against the number of coordinates, for each scene and objective. Right: relative
+    error of the slopes for each polygon's stiffness against Newton's tolerance.
     """
     times, errors = pick(rows, part="time"), pick(rows, part="error")
-    made, axes = panels(2 if times or errors else 0, width=9.0, height=3.6)
+    fig, axes = panels(2 if times or errors else 0, width=9.0, height=3.6)
     cases = [(scene, objective) for scene in measure.SCENES for objective in measure.OBJECTIVES]
     for i, (scene, objective) in enumerate(cases):
-        for axis, found, x, y in ((axes[0], times, "n", "ratio"), (axes[1], errors, "tolerance", "stiffness_error")):
-            own = sorted(pick(found, scene=scene, objective=objective), key=lambda row, x=x: row[x])
+        for axis, result, x, y in ((axes[0], times, "n", "ratio"), (axes[1], errors, "tolerance", "stiffness_error")):
+            own = sorted(pick(result, scene=scene, objective=objective), key=lambda row, x=x: row[x])
             if own:
                 axis.plot([row[x] for row in own], [row[y] for row in own], label=f"{scene}, {objective}", **marker_style(i))
     axes[0].set(xscale="log", xlabel="coordinates", ylabel="gradient over run", ylim=(0.0, None))
     axes[1].set(xscale="log", yscale="log", xlabel="Newton's tolerance", ylabel="relative error of the slopes")
     target_line(axes[0], AIMS["gradient_over_run_1e4"], "aim at 1e4")
-    legend_above(made, axes, columns=3)
-    return line_picture(made, "gradient-over-run")
+    legend_above(fig, axes, columns=3)
+    return line_picture(fig, "gradient-over-run")
 
 
 study = Study(
     "gradient_over_run",
-    "A gradient beside its run",
+    "Cost of a gradient relative to its run",
     tasks,
     run,
     figures,

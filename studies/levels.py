@@ -1,4 +1,4 @@
-"""Full, reduced and rigid plates: error against CPU time, and what a step and a reduction cost."""
+"""Full, reduced and rigid plates: error against CPU time, and cost of a step and of the reduction."""
 
 import warnings
 
@@ -37,13 +37,13 @@ def tasks(quick):
 
 
 def run(part, **task):
-    """A task, without the warning of what modes leave out: that is what is measured."""
+    """One task, without the warning about omitted modes: their effect is measured here."""
     with warnings.catch_warnings(action="ignore", category=ReductionWarning):
         return MEASURES[part](**task)
 
 
 def distances(rows):
-    """Largest distance of the tip with reduced and rigid plates from that with full ones, m, all by Radau IIA, refined."""
+    """Largest distance of the tip with reduced and rigid plates from that with full plates, m, all by Radau IIA with a small tolerance."""
     wanted = {
         "reduced_gap_5": ("double-plate", 5),
         "reduced_gap_10": ("double-plate", 10),
@@ -54,23 +54,23 @@ def distances(rows):
 
 
 def costs_of(rows):
-    """Microseconds of a step with 5 modes a plate, those of full plates over them, and seconds of a reduction."""
+    """Microseconds of a step with 5 modes for each plate, the speed-up over full plates, and seconds of a reduction."""
 
     def seconds(cells, level):
         return number(rows, "step_s", part="step", cells=cells, level=level)
 
-    found = {f"reduced_step_us_{cells}": 1e6 * seconds(cells, 5) for cells in (160, 4000)}
-    found |= {"rigid_step_us": 1e6 * seconds(160, RIGID), "reduced_speedup_4000": seconds(4000, FULL) / seconds(4000, 5)}
-    return found | {"reduction_s_4000": number(rows, "reduction_s", part="reduction", cells=4000)}
+    result = {f"reduced_step_us_{cells}": 1e6 * seconds(cells, 5) for cells in (160, 4000)}
+    result |= {"rigid_step_us": 1e6 * seconds(160, RIGID), "reduced_speedup_4000": seconds(4000, FULL) / seconds(4000, 5)}
+    return result | {"reduction_s_4000": number(rows, "reduction_s", part="reduction", cells=4000)}
 
 
 def place(level):
-    """A level's place in a legend: full, most modes first, rigid."""
+    """Position of a level in a legend: full, most modes first, rigid."""
     return -level if isinstance(level, int) else {FULL: -1000, RIGID: 0}[level]
 
 
 def words(level):
-    """A level as a legend calls it."""
+    """Name of a level in a legend."""
     return f"{level} modes" if isinstance(level, int) else level
 
 
@@ -79,65 +79,65 @@ def stop_notes(rows):
 
 
 def table_notes(rows):
-    """What each level is off, and what it costs where its own error shows: by the longest step that adds no more than that."""
+    """Distance of each level, and its cost with the longest step that adds no larger error."""
     lines = []
     for name in distinct(rows, "problem"):
         for level in distinct(pick(rows, problem=name), "level"):
-            found = pick(rows, problem=name, level=level)
-            own = number(found, "distance", x=None)
-            good = [row for row in found if row["x"] is not None and row["distance"] <= 2 * own]
+            result = pick(rows, problem=name, level=level)
+            own = number(result, "distance", x=None)
+            good = [row for row in result if row["x"] is not None and row["distance"] <= 2 * own]
             cost = f"; CPU {min(column(good, 'cpu_s')):.2g} s within twice of that" if good else ""
-            anywhere = number(found, "anywhere", x=None)
-            lines.append(f"{name}, {words(level)}, {found[0]['n']} coordinates: {own:.2g} m off, joints {anywhere:.2g} m{cost}")
+            anywhere = number(result, "anywhere", x=None)
+            lines.append(f"{name}, {words(level)}, {result[0]['n']} coordinates: {own:.2g} m off, joints {anywhere:.2g} m{cost}")
     return lines
 
 
 @study_figure
 def runs_figure(rows):
-    """CPU seconds against the tip's distance from that with full plates, a panel a problem, from long steps to short."""
-    found = [row for row in rows if row.get("x") is not None]
-    problems, levels = distinct(found, "problem"), sorted(distinct(found, "level"), key=place)
-    made, axes = panels(len(problems), height=3.2)
+    """CPU seconds against the distance of the tip from that with full plates, one panel for each problem, from long to short steps."""
+    result = [row for row in rows if row.get("x") is not None]
+    problems, levels = distinct(result, "problem"), sorted(distinct(result, "level"), key=place)
+    fig, axes = panels(len(problems), height=3.2)
     for axis, name in zip(axes, problems):
         for i, level in enumerate(levels):
-            points = pick(found, problem=name, level=level)
+            points = pick(result, problem=name, level=level)
             loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
         axis.set(title=name, xlabel="distance from full plates, m", ylabel="CPU seconds")
-    legend_above(made, axes, 5)
-    return line_picture(made, "levels")
+    legend_above(fig, axes, 5)
+    return line_picture(fig, "levels")
 
 
 @study_figure
 def modes_figure(rows):
-    """Distance of the tip with reduced plates from that with full ones, against the number of modes."""
-    found = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
-    made, (axes,) = panels(1, width=5.0)
-    for i, name in enumerate(distinct(found, "problem")):
-        points = pick(found, problem=name)
+    """Distance of the tip with reduced plates from that with full plates against the number of modes."""
+    result = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
+    fig, (axes,) = panels(1, width=5.0)
+    for i, name in enumerate(distinct(result, "problem")):
+        points = pick(result, problem=name)
         axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **marker_style(i))
     axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
     axes.set(xlabel="modes a plate", ylabel="distance from full plates, m")
-    legend_above(made, axes, 3)
-    return line_picture(made, "levels_modes")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "levels_modes")
 
 
 @study_figure
 def steps_figure(rows):
-    """CPU time of a step against the cells of a plate; dashed is the aim."""
-    found = pick(rows, part="step")
-    made, (axes,) = panels(1 if found else 0, width=5.0)
-    for i, level in enumerate(distinct(found, "level")):
-        points = pick(found, level=level)
+    """CPU time of a step against the cells of a plate; the dashed line is the target."""
+    result = pick(rows, part="step")
+    fig, (axes,) = panels(1 if result else 0, width=5.0)
+    for i, level in enumerate(distinct(result, "level")):
+        points = pick(result, level=level)
         loglog(axes, column(points, "cells"), 1e6 * column(points, "step_s"), i, words(level))
     target_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
     axes.set(xlabel="cells a plate", ylabel="CPU time of a step, µs")
-    legend_above(made, axes, 4)
-    return line_picture(made, "levels_steps")
+    legend_above(fig, axes, 4)
+    return line_picture(fig, "levels_steps")
 
 
 STUDY = Study(
     "levels",
-    "full, reduced and rigid plates; x is h of generalized-alpha over the time, none for Radau IIA, refined",
+    "full, reduced and rigid plates; x is h of generalized-alpha relative to the time, empty for Radau IIA with a small tolerance",
     tasks,
     run,
     (distances, costs_of),

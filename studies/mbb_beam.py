@@ -1,4 +1,4 @@
-"""The MBB half beam by optimality criteria, on squares and on polygons: its compliance beside the published one, element by element."""
+"""The MBB half beam by optimality criteria on squares and on polygons: compliance of each element, compared with the published value."""
 
 from designed_in_motion.pictures import draw_densities
 from mbb_beam import beam, criteria
@@ -19,42 +19,42 @@ def tasks(quick):
 
 
 def run(mesh, element, iterations):
-    """A design: its densities and history, and its compliance with each of the elements that the mesh takes."""
+    """One design: densities, history, and its compliance with each element that the mesh supports."""
     made = beam.mesh_of(mesh)
     rho, history = criteria.optimised(made, beam.compliance_of(made, element), iterations)
     others = ELEMENTS if mesh == "squares" else ELEMENTS[1:]
-    found = {other: criteria.compliance_at(beam.compliance_of(made, other), rho)[0] for other in others}
+    result = {other: criteria.compliance_at(beam.compliance_of(made, other), rho)[0] for other in others}
     grey = float(4.0 * (rho * (1.0 - rho)).mean())
     return {
-        "compliance": found[element],
+        "compliance": result[element],
         "used": len(history),
         "settled": len(history) < iterations,
         "grey": grey,
-        "by_element": found,
+        "by_element": result,
         "history": history,
         "rho": rho.tolist(),
     }
 
 
 def compliances(rows):
-    """Compliance of the squares and of the polygons, and how far the first is from the published one, of it."""
-    found = number(rows, "compliance", mesh="squares", element="wachspress")
+    """Compliance of squares and polygons, and the relative difference of the first from the published value."""
+    result = number(rows, "compliance", mesh="squares", element="wachspress")
     return {
-        "mbb_compliance": found,
-        "mbb_difference": found / PUBLISHED - 1.0,
+        "mbb_compliance": result,
+        "mbb_difference": result / PUBLISHED - 1.0,
         "mbb_compliance_polygons": number(rows, "compliance", mesh="polygons", element="wachspress"),
     }
 
 
 def share(rows):
-    """What the element alone makes of the published design, of its compliance: this package's squares over bilinear ones."""
+    """Effect of the element alone on the compliance of the published design: this package's squares relative to bilinear ones."""
     (row,) = pick(rows, mesh="squares", element="bilinear") or [{"by_element": {}}]
-    found = row["by_element"]
-    return {f"mbb_{element}_share": found.get(element, NAN) / found.get("bilinear", NAN) - 1.0 for element in ELEMENTS[1:]}
+    result = row["by_element"]
+    return {f"mbb_{element}_share": result.get(element, NAN) / result.get("bilinear", NAN) - 1.0 for element in ELEMENTS[1:]}
 
 
 def notes(rows):
-    """Each design with its compliance by every element; why the elements differ."""
+    """Compliance of each design with every element; why the elements differ."""
     lines = []
     for row in pick(rows):
         values = ", ".join(f"{element} {value:.2f}" for element, value in row["by_element"].items())
@@ -70,32 +70,32 @@ def notes(rows):
 
 @study_figure
 def designs_figure(rows):
-    """The designs: black is solid; the left edge is the middle of the whole beam, where the load stands."""
-    found = pick(rows)
-    made, axes = panels(len(found), width=7.2, height=1.5)
-    for axis, row in zip(axes, found):
+    """The designs: black is solid; the left edge is the symmetry plane of the beam, where the load acts."""
+    result = pick(rows)
+    fig, axes = panels(len(result), width=7.2, height=1.5)
+    for axis, row in zip(axes, result):
         draw_densities(axis, [beam.mesh_of(row["mesh"])], row["rho"])
         axis.set_title(f"{row['mesh']}, {row['element']}: {row['compliance']:.2f}")
-    return picture(made, "mbb_designs")
+    return picture(fig, "mbb_designs")
 
 
 @study_figure
 def history_figure(rows):
-    """Compliance over the iterations; dashed is the published one."""
-    made, (axis,) = panels(1, width=5.6)
+    """Compliance over the iterations; the dashed line is the published value."""
+    fig, (axis,) = panels(1, width=5.6)
     for name in distinct(rows, "mesh"):
         for row in pick(rows, mesh=name):
             dash = "-" if name == "squares" else "--"
             axis.semilogx(range(SHOWN, row["used"] + 1), row["history"][SHOWN - 1 :], dash, label=f"{name}, {row['element']}")
     axis.axhline(PUBLISHED, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)))
     axis.set(xlabel="iteration", ylabel="compliance, J")
-    legend_above(made, axis, 3)
-    return line_picture(made, "mbb_history")
+    legend_above(fig, axis, 3)
+    return line_picture(fig, "mbb_history")
 
 
 STUDY = Study(
     "mbb_beam",
-    "half of the MBB beam, least compliance by optimality criteria",
+    "half of the MBB beam, minimum compliance by optimality criteria",
     tasks,
     run,
     (compliances, share),

@@ -1,5 +1,5 @@
-"""What the mesh and the element cost: elastica, CSM1, frequencies, a short cantilever, joints at a node and at a
-section, spin-up.
+"""Discretisation errors of meshes and elements: elastica, CSM1, frequencies, a short cantilever, joints at a node and at a section, spin-
+up.
 """
 
 from functools import cache
@@ -40,7 +40,7 @@ def by_size(rows, **wanted):
 
 
 def finest(rows, **wanted):
-    """The row of the finest mesh with these values, or None; if it failed, none of a coarser mesh stands in."""
+    """The row of the finest mesh with these values, or None if it failed."""
     all_of = [row for row in rows if all(row.get(key) == entry for key, entry in wanted.items())]
     row = max(all_of, key=lambda row: (row["through"], row.get("nx", 0), -row.get("h", 0.0)), default=None)
     return None if row is None or row.get("error") else row
@@ -51,27 +51,27 @@ def of_member(member):
 
 
 def elastica(rows):
-    found = {}
+    result = {}
     for load in (1, 10):
         for member in MEMBERS:
             row = finest(rows, case="elastica", load=load, slenderness=50, **of_member(member))
-            found[f"elastica_{load}_error_{'_'.join(member)}"] = value(row, "deviation")
-        found[f"elastica_{load}_error"] = found[f"elastica_{load}_error_polygons_wachspress"]
+            result[f"elastica_{load}_error_{'_'.join(member)}"] = value(row, "deviation")
+        result[f"elastica_{load}_error"] = result[f"elastica_{load}_error_polygons_wachspress"]
         slender = finest(rows, case="elastica", load=load, slenderness=SLENDER, kind="quads")
-        found[f"elastica_{load}_error_slender_quads_wachspress"] = value(slender, "deviation")
-    return found
+        result[f"elastica_{load}_error_slender_quads_wachspress"] = value(slender, "deviation")
+    return result
 
 
 def csm1(rows):
-    found = {}
+    result = {}
     for clamp in ("arc", "straight"):
         quads = {"case": "csm1", "clamp": clamp} | of_member(QUADS[0])
-        found[f"csm1_error_{clamp}"] = value(finest(rows, **quads), "deviation")
+        result[f"csm1_error_{clamp}"] = value(finest(rows, **quads), "deviation")
         fine, coarse = (last(rows, through=n, **quads) for n in (16, 8))
         if fine and coarse:
-            found[f"csm1_extrapolated_error_{clamp}"] = cases.extrapolated(coarse["moved"], fine["moved"], clamp)
+            result[f"csm1_extrapolated_error_{clamp}"] = cases.extrapolated(coarse["moved"], fine["moved"], clamp)
     polygons = finest(rows, case="csm1", clamp="arc", **of_member(POLYGONS[0]))
-    return found | {"csm1_error": found["csm1_error_arc"], "csm1_error_arc_polygons": value(polygons, "deviation")}
+    return result | {"csm1_error": result["csm1_error_arc"], "csm1_error_arc_polygons": value(polygons, "deviation")}
 
 
 def spin_up(rows):
@@ -79,49 +79,49 @@ def spin_up(rows):
 
 
 def joints(rows):
-    found = {}
+    result = {}
     for at in ("node", "section"):
         runs = column(by_size(rows, case="compliance", at=at), "compliance")
-        found[f"compliance_growth_{at}"] = runs[-1] / runs[0] - 1 if len(runs) > 1 else float("nan")
-    return found
+        result[f"compliance_growth_{at}"] = runs[-1] / runs[0] - 1 if len(runs) > 1 else float("nan")
+    return result
 
 
 def rates(rows):
-    found = {}
+    result = {}
     for member in MEMBERS:
         name, runs = "_".join(member), by_size(rows, case="cantilever", **of_member(member))
-        found[f"cantilever_order_{name}"] = -2 * fit_slope(column(runs, "dof"), column(runs, "deviation"))
+        result[f"cantilever_order_{name}"] = -2 * fit_slope(column(runs, "dof"), column(runs, "deviation"))
         if row := finest(rows, case="frequencies", **of_member(member)):
-            found[f"bending_frequency_error_{name}"] = abs(row["bending_errors"][0])
-            found[f"axial_frequency_error_{name}"] = max(map(abs, row["axial_errors"]))
-    return found
+            result[f"bending_frequency_error_{name}"] = abs(row["bending_errors"][0])
+            result[f"axial_frequency_error_{name}"] = max(map(abs, row["axial_errors"]))
+    return result
 
 
 def aim_notes(rows):
-    found = elastica(rows) | csm1(rows) | spin_up(rows)
+    result = elastica(rows) | csm1(rows) | spin_up(rows)
     aims = {"elastica_1_error": 1e-3, "elastica_10_error": 1e-3, "csm1_error": 1e-3, "spin_up_extension_error": 1e-2}
-    return [f"{name} = {found[name]:.2g} misses {aim:g}" for name, aim in aims.items() if found[name] > aim]
+    return [f"{name} = {result[name]:.2g} misses {aim:g}" for name, aim in aims.items() if result[name] > aim]
 
 
 def csm1_notes(rows):
-    """Which mesh csm1_error is of, and how far the finest of the others are."""
+    """The mesh of csm1_error, and the errors of the finest other meshes."""
     lines = []
     for clamp in ("arc", "straight"):
         ends = [finest(rows, case="csm1", clamp=clamp, **of_member(member)) for member in MEMBERS]
-        told = [
+        text = [
             f"{row['kind']}, {row['element']} {row['deviation']:.2%} ({row['through']} cells through the thickness, "
             f"{row['dof']} degrees of freedom)"
             for row in ends
             if row
         ]
-        lines += [f"CSM1, {clamp} clamp, on the finest mesh of each: {'; '.join(told)}"] if told else []
+        lines += [f"CSM1, {clamp} clamp, on the finest mesh of each: {'; '.join(text)}"] if text else []
     best = finest(rows, case="csm1", clamp="arc", **of_member(QUADS[0]))
     return lines + ([f"csm1_error is that of quads with {best['through']} through the thickness"] if best else [])
 
 
 def elastica_notes(rows):
-    """How much of the elastica's error no mesh takes away: shear lets the tip go 0.6 (h/L)^2 farther down and 1.0 (h/L)^2 farther back,
-    stretch and the fibres' second order 0.2 (h/L)^2 farther back.
+    """The part of the elastica's error that does not vanish with the mesh: shear moves the tip by 0.6 (h/L)^2 downwards and 1.0 (h/L)^2
+    backwards, stretch and the second-order strain of the fibres by 0.2 (h/L)^2 backwards.
     """
     lines = []
     for load in (1, 10):
@@ -129,22 +129,22 @@ def elastica_notes(rows):
             wanted = {"case": "elastica", "load": load} | of_member(member)
             stout, slender = (by_size(rows, slenderness=50, **wanted)[-2:], by_size(rows, slenderness=SLENDER, **wanted)[-2:])
             if stout and slender:
-                told = [" and ".join(f"{row['deviation']:.1e}" for row in kept) for kept in (stout, slender)]
+                text = [" and ".join(f"{row['deviation']:.1e}" for row in selected) for selected in (stout, slender)]
                 lines.append(
-                    f"elastica, PL^2/EI = {load}, {', '.join(member)}, finest meshes: {told[0]} at L/h = 50, "
-                    f"{told[1]} at L/h = {SLENDER}; the reference has neither shear nor stretch, a plane body is "
+                    f"elastica, PL^2/EI = {load}, {', '.join(member)}, finest meshes: {text[0]} at L/h = 50, "
+                    f"{text[1]} at L/h = {SLENDER}; the reference has neither shear nor stretch, a plane body is "
                     f"1.2 (h/L)^2 off it under small loads: {1.2 / 50**2:.1e} and {1.2 / SLENDER**2:.1e}"
                 )
     return lines
 
 
 def joint_notes(rows):
-    found = joints(rows)
-    if not all(abs(growth) < float("inf") for growth in found.values()):
+    result = joints(rows)
+    if not all(abs(growth) < float("inf") for growth in result.values()):
         return []
     return [
-        f"compliance from the coarsest to the finest mesh: a joint at one node {found['compliance_growth_node']:+.1%}, "
-        f"which does not converge, that of a section {found['compliance_growth_section']:+.1e}"
+        f"compliance from the coarsest to the finest mesh: a joint at one node {result['compliance_growth_node']:+.1%}, "
+        f"which does not converge, that of a section {result['compliance_growth_section']:+.1e}"
     ]
 
 
@@ -157,24 +157,24 @@ def locking_notes(rows):
 
 
 def rate_notes(rows):
-    """Elements whose error in the short cantilever does not fall from mesh to mesh."""
+    """Elements whose error in the short cantilever does not decrease from mesh to mesh."""
     lines = []
     for member in MEMBERS:
         errors = column(by_size(rows, case="cantilever", **of_member(member)), "deviation")
         if (errors[1:] > errors[:-1]).any():
-            told = ", ".join(f"{error:.1e}" for error in errors)
-            lines.append(f"short cantilever, {', '.join(member)}: errors {told} do not fall steadily; the fitted order says nothing")
+            text = ", ".join(f"{error:.1e}" for error in errors)
+            lines.append(f"short cantilever, {', '.join(member)}: errors {text} do not fall steadily; the fitted order says nothing")
     return lines
 
 
 def left_out(rows, **wanted):
-    """What no mesh takes away of a case: the deviation of quads, cells halved to no end, at order 2; NaN where the two finest are too few."""
+    """Deviation of a case in the limit of fine quads by extrapolation of order 2; NaN if the two finest meshes are not sufficient."""
     runs = by_size(rows, **of_member(QUADS[0]), **wanted)[-2:]
     return (4 * runs[1]["deviation"] - runs[0]["deviation"]) / 3 if len(runs) > 1 else float("nan")
 
 
 def band(axis, top):
-    """Shade what lies below `top`, where errors are not the mesh's; what `top` is in words."""
+    """Shade the values below `top`, where errors are not those of the mesh; returns `top` in words."""
     if not top > 0:
         return ""
     axis.set_ylim(bottom=min(axis.get_ylim()[0], top / 5))
@@ -184,7 +184,9 @@ def band(axis, top):
 
 @study_figure
 def convergence_figure(rows):
-    """Deviation from each reference against the number of coordinates; in the shade it is the reference's own, dashed is the aim."""
+    """Deviation from each reference against the number of coordinates. In the shaded range it is the error of the reference; the dashed
+    line is the target.
+    """
     cases = {
         "elastica, PL²/EI = 1, L/h = 50": {"case": "elastica", "load": 1, "slenderness": 50},
         "elastica, PL²/EI = 10, L/h = 50": {"case": "elastica", "load": 10, "slenderness": 50},
@@ -193,7 +195,7 @@ def convergence_figure(rows):
         "short cantilever, L/h = 10": {"case": "cantilever"},
         "frequencies, L/h = 50": {"case": "frequencies"},
     }
-    made, axes = panels(len(cases), height=2.3)
+    fig, axes = panels(len(cases), height=2.3)
     for axis, (title, wanted) in zip(axes, cases.items()):
         for i, member in enumerate(MEMBERS):
             runs = by_size(rows, **of_member(member), **wanted)
@@ -204,40 +206,40 @@ def convergence_figure(rows):
         target_line(axis, 1e-3, "0.1 %")
         axis.set(title=title, ylabel="relative error")
         if words := REFERENCES.get(wanted["case"]):
-            told = words + (band(axis, left_out(rows, **wanted)) if wanted["case"] != "cantilever" else "")
-            axis.annotate(told, (1, 0), (-3, 3), "axes fraction", "offset points", fontsize=7, color=INK, ha="right", va="bottom")
+            text = words + (band(axis, left_out(rows, **wanted)) if wanted["case"] != "cantilever" else "")
+            axis.annotate(text, (1, 0), (-3, 3), "axes fraction", "offset points", fontsize=7, color=INK, ha="right", va="bottom")
     axes[0].plot([], [], "ko", markerfacecolor="white", markersize=3.5, label="hollow: above the reference")
     for axis in axes[-2:]:
         axis.set_xlabel("degrees of freedom")
-    legend_above(made, axes, 3)
-    return line_picture(made, "mesh-convergence")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "mesh-convergence")
 
 
 @study_figure
 def joint_figure(rows):
-    """Compliance against the mesh of a joint at one node and at a whole section."""
-    made, axes = panels(1, width=4.2, height=2.6)
+    """Compliance of a joint at one node and at a whole section against the mesh."""
+    fig, axes = panels(1, width=4.2, height=2.6)
     for i, at in enumerate(("node", "section")):
         runs = by_size(rows, case="compliance", at=at)
         axes[0].semilogx(column(runs, "dof"), column(runs, "compliance"), label=f"pulled at a {at}", **marker_style(i))
     axes[0].set(xlabel="degrees of freedom", ylabel="compliance over that of the bar")
-    legend_above(made, axes, 2)
-    return line_picture(made, "node-against-section")
+    legend_above(fig, axes, 2)
+    return line_picture(fig, "node-against-section")
 
 
 @study_figure
 def spin_up_figure(rows):
     """Extension and deflection of the spin-up beam's tip against time."""
     runs = by_size(rows, case="spin-up")
-    made, axes = panels(2 if runs else 0, height=2.8)
+    fig, axes = panels(2 if runs else 0, height=2.8)
     steady = [(t, 1e3 * u) for t, u in zip(runs[-1]["t"], runs[-1]["u"]) if t > STEADY]
     axes[0].plot(runs[-1]["t"], runs[-1]["w"], color=marker_style(0)["color"], linewidth=1.0)
     axes[1].plot(*zip(*steady), color=marker_style(0)["color"], linewidth=1.0, label="tip")
     axes[1].axhline(1e3 * EXTENSION, color=marker_style(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning")
     axes[0].set(ylabel="deflection of the tip, m", xlabel="t, s", title="spin-up beam, in the turning frame")
     axes[1].set(ylabel="extension, mm", xlabel="t, s", title=f"its extension from t = {STEADY:g} s")
-    legend_above(made, axes, 2)
-    return line_picture(made, "spin-up")
+    legend_above(fig, axes, 2)
+    return line_picture(fig, "spin-up")
 
 
 COLUMNS = (
@@ -259,7 +261,7 @@ COLUMNS = (
 )
 STUDY = Study(
     "mesh_convergence",
-    "meshes and elements against known answers",
+    "meshes and elements against reference solutions",
     tasks,
     run,
     (elastica, csm1, spin_up, joints, rates),

@@ -1,4 +1,4 @@
-"""The guide's table against peers, checked: what the packages that are installed do when they are asked, a small call for each cell."""
+"""Check of the guide's table of peers: a small call of an installed package for each cell."""
 
 from peers_table.cells import FOUND, checks_of, run
 from peers_table.rows import PEERS, ROWS
@@ -11,43 +11,45 @@ ALWAYS = ("polyida", "scikit-sundae")  # what an installed polyida has beside it
 
 
 def tasks(quick):
-    """Each cell that has a check; in the small selection those of what is always installed."""
+    """Each cell with a check; the quick selection has those of packages that are always installed."""
     return [{"peer": peer, "row": row} for peer in (ALWAYS if quick else PEERS) for row in ROWS if row in checks_of(peer)]
 
 
 def figures(rows):
-    """How many cells of each peer were seen."""
+    """Number of confirmed cells of each peer."""
     good = [row for row in rows if not row.get("error")]
     return {f"{peer}_seen": float(len(pick(good, peer=peer, found="seen"))) for peer in distinct(good, "peer")}
 
 
 def notes(rows):
-    """What is not installed, with the command that installs it."""
+    """Packages that are not installed, with the command that installs them."""
     missing = {row["peer"] for row in rows if row.get("found") == "not installed"}
     return [f"{peer} is not installed: {PEERS[peer].install}" for peer in PEERS if peer in missing]
 
 
 @study_figure
 def draw(rows):
-    """Seen, in whole or in part (squares), not there (crosses), not installed (dots); an empty place has no call here but a source in the guide."""
+    """Confirmed completely or partly (squares), absent (crosses), package not installed (dots); cells without a mark have a source in the
+    guide instead of a call.
+    """
     from polyida.show.style import PALETTE
 
     peers, names = distinct(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
-    made, (axes,) = panels(1 if rows else 0, columns=1, height=0.8 + 0.2 * len(names))
-    for k, (found, marker) in enumerate(zip(FOUND, "sx.")):
-        places = [(peers.index(row["peer"]), names.index(row["row"])) for row in pick(rows, found=found)]
+    fig, (axes,) = panels(1 if rows else 0, columns=1, height=0.8 + 0.2 * len(names))
+    for k, (result, marker) in enumerate(zip(FOUND, "sx.")):
+        places = [(peers.index(row["peer"]), names.index(row["row"])) for row in pick(rows, found=result)]
         if places:
-            axes.plot(*zip(*places), marker, color=PALETTE[k], label=found)
+            axes.plot(*zip(*places), marker, color=PALETTE[k], label=result)
     axes.set_xticks(range(len(peers)), peers, rotation=30, ha="right")
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return picture(made, "peers_table")
+    return picture(fig, "peers_table")
 
 
 study = Study(
     "peers_table",
-    "What peers do when they are asked",
+    "Check of the table of peers",
     tasks,
     run,
     figures,

@@ -1,4 +1,4 @@
-"""Each saving switched off in its turn: what is no longer computed, and the CPU time that is saved."""
+"""Ablation of the optimisations: each is switched off in turn, and CPU time and the number of additional computations are measured."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from skip import savings
 
 
 def tasks(quick):
-    """Every saving at one size, cells a plate, and time, s; in the full run at two."""
+    """Every optimisation at one size, cells of a plate and time in s; in the full selection at two sizes."""
     sizes = ((120, 0.2, 3),) if quick else ((120, 1.0, 3), (1300, 0.03, 3))
     return [
         {"saving": name, "cells": cells, "t_end": t_end, "repeats": repeats} for cells, t_end, repeats in sizes for name in savings.SAVINGS
@@ -22,7 +22,7 @@ def run(saving, cells, t_end, repeats):
 
 
 def figures(rows):
-    """CPU time without the saving over CPU time with it: `<saving>_<cells>`."""
+    """CPU time without the optimisation relative to that with it: `<optimisation>_<cells>`."""
     names = {row["saving"]: "_".join("".join(c if c.isalnum() else " " for c in row["saving"].lower()).split()) for row in rows}
     return {f"{names[row['saving']]}_{row['cells']}": row["times"] for row in rows if not row.get("error")}
 
@@ -33,17 +33,17 @@ def notes(rows):
 
 @study_figure
 def draw(rows):
-    """A bar for each saving: CPU time without it over CPU time with it."""
+    """CPU time without each optimisation relative to that with it."""
     from polyida.show.style import PALETTE, figure
 
     names, sizes = distinct(rows, "saving"), distinct(rows, "cells")
     if not pick(rows):
         raise LookupError("no rows to draw")
-    made, axes = figure(6.4, 1.0 + 0.26 * len(names))
+    fig, axes = figure(6.4, 1.0 + 0.26 * len(names))
     for k, cells in enumerate(sizes):
-        found = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
+        result = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
         places = np.arange(len(names)) + (k - (len(sizes) - 1) / 2) * 0.8 / len(sizes)
-        values = np.array([found.get(name, np.nan) for name in names])
+        values = np.array([result.get(name, np.nan) for name in names])
         label = f"{cells} cells a plate"
         axes.barh(places, values - 1.0, 0.8 / len(sizes), left=1.0, color=PALETTE[k], label=label)
     axes.set_xscale("log")
@@ -53,12 +53,12 @@ def draw(rows):
     axes.set(xlabel="CPU time without the saving over CPU time with it")
     axes.invert_yaxis()
     axes.legend(loc="lower right")
-    return picture(made, "skip")
+    return picture(fig, "skip")
 
 
 study = Study(
     "skip",
-    "Savings switched off in turn",
+    "Ablation of the optimisations",
     tasks,
     run,
     figures,

@@ -1,4 +1,6 @@
-"""Small systems: a step of mechanisms beside exudyn's, models of one's own beside their functions, a run's fixed cost, solve_dae."""
+"""Cost of small systems: a step of mechanisms compared with exudyn, of users' models compared with their functions, the fixed cost of a
+run, and solve_dae.
+"""
 
 from functools import partial
 
@@ -35,7 +37,7 @@ AIMS = {
     **{f"energy_over_alpha_chain_{n}": 2.0 for n in (2, 5, 10)},
     "growth_from_40_to_200": 1.15,
     **dict(zip(("alpha_us_pendulum", "radau_us_pendulum", "energy_us_pendulum", "alpha_over_loop_pendulum"), (1.0, 6.0, 3.0, 5.0))),
-    **{f"{key}_over_own_{name}": aim for name in SPANS for key, aim in (("alpha", 1.5), ("radau", 1.5), ("ida", 3.0))},
+    **{f"{key}_over_own_{name}": target for name in SPANS for key, target in (("alpha", 1.5), ("radau", 1.5), ("ida", 3.0))},
     "alpha_us_reduced_plates": 8.0,
     "radau_us_reduced_plates": 40.0,
     **{f"run_of_10_ms_{name}": 3.0 for name in ("chain", "reduced_plates")},
@@ -45,7 +47,7 @@ LEAST_AIMS = {f"{key}_python_over_compiled_andrews": 20.0 for key in ("alpha", "
 
 
 def chain(count):
-    """Bars of 1 m, one behind the other, level and at rest, held by a pin at their left end."""
+    """Bars of 1 m in a horizontal row at rest, the left end on a pin."""
     scene, before = pi.Scene(gravity=(0.0, -9.81)), None
     for k in range(count):
         bar = scene.add(pi.RigidBody.bar(1.0, 1.0, (k, 0.0), name=f"bar {k}"))
@@ -55,7 +57,7 @@ def chain(count):
 
 
 def reduced_plates(modes):
-    """The double plate, its plates with so many modes."""
+    """The double plate with this number of modes in each plate."""
     return at_level(plates.double_plate().build(), modes)
 
 
@@ -63,18 +65,18 @@ SCENES = {"chain": chain, "four-bar": n_four_bar, "reduced plates": reduced_plat
 
 
 def tasks(quick):
-    """Chains of bars, and ladders of four-bars; models of one's own, reduced plates, whole runs."""
+    """Chains of bars and ladders of four-bars; users' models, reduced plates, whole runs."""
     sizes = {"chain": (2, 5, 10), "four-bar": (10, 40) if quick else (10, 20, 40, 200)}
     own = ("pendulum",) if quick else tuple(SPANS)
-    made = [("step", scene, size) for scene, all_of in sizes.items() for size in all_of]
-    made += [("own", name, 0) for name in own]
-    made += [("pendulum", "pendulum", 0), ("reduced", "reduced plates", MODES), ("run", "chain", 2), ("run", "reduced plates", MODES)]
-    made += [("solve_dae", "double pendulum", 2)]
-    return [{"part": part, "scene": scene, "size": size, "rounds": 3 if quick else 7} for part, scene, size in made]
+    selection = [("step", scene, size) for scene, all_of in sizes.items() for size in all_of]
+    selection += [("own", name, 0) for name in own]
+    selection += [("pendulum", "pendulum", 0), ("reduced", "reduced plates", MODES), ("run", "chain", 2), ("run", "reduced plates", MODES)]
+    selection += [("solve_dae", "double pendulum", 2)]
+    return [{"part": part, "scene": scene, "size": size, "rounds": 3 if quick else 7} for part, scene, size in selection]
 
 
 def run(part, scene, size, rounds):
-    """The row of a part."""
+    """The row of one part."""
     try:
         return PARTS[part](scene, size, rounds)
     except ImportError as missing:
@@ -82,34 +84,34 @@ def run(part, scene, size, rounds):
 
 
 def step_row(scene, size, rounds):
-    """Microseconds of a step, medians of rounds in which all take turns, and medians of the rounds' ratios."""
+    """Microseconds of a step as medians over rounds in which the solvers alternate, and medians of the ratios of each round."""
     made = SCENES[scene](size)
     model, steps = made.build(), STEPS[scene]
     peer = Peer(made, steps, SPARSE if scene == "four-bar" else SETTINGS)
     for name in INTEGRATORS:
         stepped(model, name, LEAST)
-    found = [{name: stepped(model, name, steps // share) for name, (_, share) in INTEGRATORS.items()} | peer.once() for _ in range(rounds)]
+    result = [{name: stepped(model, name, steps // share) for name, (_, share) in INTEGRATORS.items()} | peer.once() for _ in range(rounds)]
     row = {"n": model.n, "m": model.m, "exudyn": peer.said}
-    row |= {f"{name}_us": float(np.median([each[name] for each in found])) for name in found[0]}
+    row |= {f"{name}_us": float(np.median([each[name] for each in result])) for name in result[0]}
     for name, (one, other) in PAIRS.items():
-        if other in found[0]:
-            row[name] = float(np.median([each[one] / each[other] for each in found]))
+        if other in result[0]:
+            row[name] = float(np.median([each[one] / each[other] for each in result]))
     return row | peer.apart(model, steps)
 
 
 def reduced_row(scene, size, rounds):
     """Microseconds of a step of plates with a few modes."""
     model = SCENES[scene](size).build()
-    found = [{name: stepped(model, name, STEPS["chain"]) for name in ("alpha", "radau")} for _ in range(rounds + 1)][1:]
-    return {"n": model.n, "m": model.m} | {f"{name}_us": float(np.median([each[name] for each in found])) for name in found[0]}
+    result = [{name: stepped(model, name, STEPS["chain"]) for name in ("alpha", "radau")} for _ in range(rounds + 1)][1:]
+    return {"n": model.n, "m": model.m} | {f"{name}_us": float(np.median([each[name] for each in result])) for name in result[0]}
 
 
 def run_row(scene, size, rounds):
     """CPU milliseconds of a whole run of 10 ms with ten steps of each integrator."""
     model, row = SCENES[scene](size).build(), {}
     for name, (make, _) in INTEGRATORS.items():
-        found = [cpu(lambda make=make: pi.solve(model, 10 * H, make()))[0] for _ in range(5 * rounds + 1)]
-        row["run_ms" if name == "alpha" else f"{name}_run_ms"] = 1e3 * float(np.median(found[1:]))
+        result = [cpu(lambda make=make: pi.solve(model, 10 * H, make()))[0] for _ in range(5 * rounds + 1)]
+        row["run_ms" if name == "alpha" else f"{name}_run_ms"] = 1e3 * float(np.median(result[1:]))
     return {"n": model.n, "m": model.m} | row
 
 
@@ -124,7 +126,7 @@ PARTS = {
 
 
 def stepped(model, name, steps, **start):
-    """Microseconds of CPU that a step takes: what a run of `steps` takes beyond one of a fifth of them."""
+    """CPU microseconds of a step: the difference between a run of `steps` and one of a fifth of them."""
     long = max(LEAST, steps)
     ends, used = (long // 5, long), []
     for end in ends:
@@ -158,7 +160,7 @@ class Peer:
         return {} if self.setting is None else {"exudyn": self._stepped(self.setting)}
 
     def apart(self, model, steps):
-        """{"apart_m": how far apart the last body's centres are at the end}: that both move the same."""
+        """{"apart_m": largest distance of the last body's centres at the end}: a check that both solvers compute the same motion."""
         if self.setting is None:
             return {}
         q = pi.solve(model, steps * H, INTEGRATORS["alpha"][0](), every=10**9).q[-1].reshape(-1, 2)
@@ -167,27 +169,37 @@ class Peer:
 
 
 def figures(rows):
-    """The ratios by scene and size, and the exponent with which a step of generalized-alpha grows; microseconds and milliseconds of the rest."""
-    found, alpha = {}, {}
+    """Ratios by scene and size, and the exponent with which the cost of a step of generalized-alpha grows; microseconds and milliseconds of
+    the other parts.
+    """
+    result, alpha = {}, {}
     for row in pick(rows, part="step"):
         label = f"{row['scene'].replace('-', '_')}_{row['size']}"
-        found |= {f"{name}_{label}": row[name] for name in PAIRS if name in row}
+        result |= {f"{name}_{label}": row[name] for name in PAIRS if name in row}
         alpha[row["scene"], row["size"]] = row["alpha_us"]
     small, large = (alpha.get(("four-bar", size)) for size in (40, 200))
     if small and large:
-        found["growth_from_40_to_200"] = float(np.log(large / small) / np.log(5))
+        result["growth_from_40_to_200"] = float(np.log(large / small) / np.log(5))
     for row in (row for row in pick(rows) if row["part"] != "step"):
         label = row["scene"].replace(" ", "_")
-        found |= {f"{name}_{label}": row[name] for name in row if name.endswith(("_us", "_over_own", "_compiled", "_loop", "_dae"))}
-        found |= {f"{name.replace('run_ms', 'run_of_10_ms')}_{label}": row[name] for name in row if name.endswith("run_ms")}
-    return found
+        result |= {f"{name}_{label}": row[name] for name in row if name.endswith(("_us", "_over_own", "_compiled", "_loop", "_dae"))}
+        result |= {f"{name.replace('run_ms', 'run_of_10_ms')}_{label}": row[name] for name in row if name.endswith("run_ms")}
+    return result
 
 
 def notes(rows):
-    """Aims that are not reached."""
-    found = figures(rows)
-    missed = [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if name in found and not found[name] <= aim]
-    less = [f"{name}: {found[name]:.3g}, aim at least {aim:.3g}" for name, aim in LEAST_AIMS.items() if name in found and found[name] < aim]
+    """Missed targets."""
+    result = figures(rows)
+    missed = [
+        f"{name}: {result[name]:.3g}, aim at most {target:.3g}"
+        for name, target in AIMS.items()
+        if name in result and not result[name] <= target
+    ]
+    less = [
+        f"{name}: {result[name]:.3g}, aim at least {target:.3g}"
+        for name, target in LEAST_AIMS.items()
+        if name in result and result[name] < target
+    ]
     return missed + less + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
@@ -195,7 +207,7 @@ def notes(rows):
 def draw(rows):
     """CPU time of a step against the number of coordinates."""
     scenes = [scene for scene in SCENES if pick(rows, scene=scene, part="step")]
-    made, axes = panels(len(scenes), width=9.0, height=3.4)
+    fig, axes = panels(len(scenes), width=9.0, height=3.4)
     for axis, scene in zip(axes, scenes):
         own = sorted(pick(rows, scene=scene, part="step"), key=lambda row: row["n"])
         for i, name in enumerate((*INTEGRATORS, "exudyn")):
@@ -203,13 +215,13 @@ def draw(rows):
             if known:
                 axis.plot([row["n"] for row in known], [row[f"{name}_us"] for row in known], label=name, **marker_style(i))
         axis.set(xscale="log", yscale="log", xlabel=f"coordinates, {scene}", ylabel="CPU time of a step, us")
-    legend_above(made, axes)
-    return line_picture(made, "small-systems")
+    legend_above(fig, axes)
+    return line_picture(fig, "small-systems")
 
 
 study = Study(
     "small_systems",
-    "Small systems",
+    "Cost of small systems",
     tasks,
     run,
     figures,

@@ -1,4 +1,4 @@
-"""What a newcomer waits for: CPU time of new processes whose kernels' cache is empty, and of those that find it filled."""
+"""Start-up time: CPU time of new processes with an empty and with a filled kernel cache."""
 
 import json
 import os
@@ -49,7 +49,7 @@ def tasks(quick):
 
 
 def run(job, repeat):
-    """CPU and wall seconds of a process with an empty cache, then of one with the cache that the first has filled."""
+    """CPU and wall seconds of a process with an empty cache, then of one with the cache that the first process has filled."""
     row = {}
     with tempfile.TemporaryDirectory(prefix="polyida-kernels-") as folder:
         for cache in ("cold", "warm"):
@@ -58,9 +58,9 @@ def run(job, repeat):
 
 
 def started(parts, folder):
-    """{"cpu_s", "wall_s" of a new process and its own, "<part>_s": CPU} with kernels kept in the folder, one BLAS thread.
+    """{"cpu_s", "wall_s" of a new process and its children, "<part>_s": CPU} with kernels in the folder and one BLAS thread.
 
-    Raises ChildProcessError where it fails.
+    Raises ChildProcessError if the process fails.
     """
     path = os.pathsep.join([str(Path(polyida.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     settings = os.environ | ONE_THREAD | {"NUMBA_CACHE_DIR": folder, "MPLBACKEND": "Agg", "PYTHONPATH": path}
@@ -75,26 +75,26 @@ def started(parts, folder):
 
 
 def of_children():
-    """CPU seconds of all processes that this one has started and that have ended."""
+    """CPU seconds of all finished processes that this process started."""
     used = os.times()
     return used.children_user + used.children_system
 
 
 def figures(rows):
     """Medians: `cold_alpha_cpu_s`, `warm_alpha_cpu_s` and those of the other jobs."""
-    found = {}
+    result = {}
     for job in distinct(rows, "job"):
         for cache in ("cold", "warm"):
             seconds = [row[f"{cache}_cpu_s"] for row in pick(rows, job=job)]
             if seconds:
-                found[f"{cache}_{job.replace(' ', '_')}_cpu_s"] = float(np.median(seconds))
-    return found
+                result[f"{cache}_{job.replace(' ', '_')}_cpu_s"] = float(np.median(seconds))
+    return result
 
 
 def notes(rows):
-    """What is in the times, and aims that are not reached."""
-    found = figures(rows)
-    missed = [f"{name}: {found[name]:.3g}, aim at most {aim:g}" for name, aim in AIMS.items() if found.get(name, 0) > aim]
+    """Contents of the times, and missed targets."""
+    result = figures(rows)
+    missed = [f"{name}: {result[name]:.3g}, aim at most {target:g}" for name, target in AIMS.items() if result.get(name, 0) > target]
     return [
         "alpha: import, mesh and model of the double plate, one step of generalized-alpha; by plain numba: with POLYIDA_PLAIN_NUMBA=1",
         "main job: the double plate for its whole time, generalized-alpha, IDA, Radau IIA and the refined run, nothing drawn or written",
@@ -105,10 +105,10 @@ def notes(rows):
 
 @study_figure
 def draw(rows):
-    """CPU time of a new process, part by part: with the kernels' cache empty (cold) and filled (warm)."""
+    """CPU time of the parts of a new process with an empty (cold) and with a filled (warm) kernel cache."""
     from polyida.show.style import PALETTE
 
-    made, (axes,) = panels(1, columns=1, height=2.6)
+    fig, (axes,) = panels(1, columns=1, height=2.6)
     jobs = [job for job in distinct(rows, "job") if pick(rows, job=job)]
     if not jobs:
         raise LookupError("no rows to draw")
@@ -122,12 +122,12 @@ def draw(rows):
     axes.set(xlabel="CPU time, s")
     axes.invert_yaxis()
     axes.legend(loc="lower right")
-    return picture(made, "start")
+    return picture(fig, "start")
 
 
 study = Study(
     "start",
-    "CPU time of a start",
+    "CPU time of the start-up",
     tasks,
     run,
     figures,

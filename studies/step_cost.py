@@ -1,4 +1,4 @@
-"""What a step costs against the number of coordinates, for both integrators, beside the floor of the machine."""
+"""Cost of a step against the number of coordinates for each integrator, compared with the lower bound of the machine."""
 
 import numpy as np
 
@@ -54,37 +54,37 @@ RUNS = {
 
 
 def tasks(quick):
-    """Steps and floors of each size, then IDA against its sparse solver, memory, start-up."""
-    made, few = [], 3 if quick else 1
+    """Steps and lower bounds of each size, then IDA with its sparse solver, memory, start-up."""
+    selection, few = [], 3 if quick else 1
     for dof in DECADES.values() if quick else STEPS:
         large = dof > 50_000
         repeats = 1 if quick and large else 3
         count = max(12, STEPS[dof] // few)
         for scene in ("scene 1",) if quick else ("scene 1", "scene 2"):
-            made.append(_step(scene, dof, "alpha", 0.01, 0.01 + 1e-3 * count, repeats))
+            selection.append(_step(scene, dof, "alpha", 0.01, 0.01 + 1e-3 * count, repeats))
         backends = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         if quick and large:  # alpha's step and its floor, which superlu is not
-            made.append({"part": "floor", "dof": dof, "backend": "fronts", "repeats": 2})
+            selection.append({"part": "floor", "dof": dof, "backend": "fronts", "repeats": 2})
             continue
         short, long = SPANS[dof]
         once = 1 if large or quick else repeats
-        made.append(_step("scene 1", dof, "ida", short, short + (long - short) / (1 if large else few), once))
-        made.append(_step("scene 1", dof, "radau", *RADAU_SPANS[dof], 1 if quick else repeats))
+        selection.append(_step("scene 1", dof, "ida", short, short + (long - short) / (1 if large else few), once))
+        selection.append(_step("scene 1", dof, "radau", *RADAU_SPANS[dof], 1 if quick else repeats))
         for part, names in (("pair", BACKENDS), ("floor", backends)):
-            made += [{"part": part, "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
-    made += [{"part": "beside alpha", "dof": dof, "repeats": (3 if dof > 50_000 else 7) // few} for dof in DECADES.values()]
-    made += told_cj.tasks(quick) + own_functions.tasks(quick)
-    made += frames.tasks(quick)
+            selection += [{"part": part, "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
+    selection += [{"part": "beside alpha", "dof": dof, "repeats": (3 if dof > 50_000 else 7) // few} for dof in DECADES.values()]
+    selection += told_cj.tasks(quick) + own_functions.tasks(quick)
+    selection += frames.tasks(quick)
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
-    made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
-    made += [
+    selection += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
+    selection += [
         {"part": "memory", "dof": 100_000, "integrator": name, "steps": steps}
         for name, steps in ((("alpha", 30),) if quick else (("alpha", 1000), ("radau", 100)))
     ]
-    made += waits.tasks(quick)
+    selection += waits.tasks(quick)
     if quick:
-        return made
-    return [*made, {"part": "threads", "dof": 100_000, "steps": 30, "repeats": 9}, {"part": "start", "dof": 1_000, "warm": 3}]
+        return selection
+    return [*selection, {"part": "threads", "dof": 100_000, "steps": 30, "repeats": 9}, {"part": "start", "dof": 1_000, "warm": 3}]
 
 
 def _step(scene, dof, integrator, short, long, repeats):
@@ -93,7 +93,7 @@ def _step(scene, dof, integrator, short, long, repeats):
 
 
 def run(part, **task):
-    """One row; "skipped" says why where an optional package is missing."""
+    """One row; "skipped" gives the reason if an optional package is missing."""
     try:
         return RUNS[part](**task)
     except peers.Missing as missing:
@@ -101,64 +101,64 @@ def run(part, **task):
 
 
 def only(rows, part, **values):
-    """Rows of a part that went well, with these values."""
+    """Successful rows of a part with these values."""
     good = [row for row in rows if row["part"] == part and not row.get("error") and not row.get("skipped")]
     return [row for row in good if all(row.get(key) == value for key, value in values.items())]
 
 
 def floors(rows, part="floor"):
-    """{dof: the row of the back-end with the lowest floor}; part "pair": of Radau IIA."""
-    found = {}
+    """{dof: row of the back-end with the smallest lower bound}; part "pair": of Radau IIA."""
+    result = {}
     for row in only(rows, part):
-        found[row["dof"]] = min(row, found.get(row["dof"], row), key=lambda x: x["floor_ms"])
-    return found
+        result[row["dof"]] = min(row, result.get(row["dof"], row), key=lambda x: x["floor_ms"])
+    return result
 
 
 def figures(rows):
-    """The study's findings; parts that did not run are left out."""
-    found, single, pair = {}, floors(rows), floors(rows, "pair")
+    """Figures of all parts that ran."""
+    result, single, pair = {}, floors(rows), floors(rows, "pair")
     alpha = only(rows, "step", scene="scene 1", integrator="alpha")
     for name, dof in DECADES.items():
         for row in only(rows, "step", scene="scene 1", dof=dof):
             kind, best = row["integrator"], pair if row["integrator"] == "radau" else single
-            found[f"{kind}_ms_per_step_{name}"] = row["ms_per_step"]
+            result[f"{kind}_ms_per_step_{name}"] = row["ms_per_step"]
             if dof in best:
-                found[f"{kind}_step_over_floor_{name}"] = row["ms_per_step"] / best[dof]["floor_ms"]
-                found[f"{'pair_' * (best is pair)}floor_ms_{name}"] = best[dof]["floor_ms"]
+                result[f"{kind}_step_over_floor_{name}"] = row["ms_per_step"] / best[dof]["floor_ms"]
+                result[f"{'pair_' * (best is pair)}floor_ms_{name}"] = best[dof]["floor_ms"]
             if kind == "radau":
-                found[f"radau_ms_per_iteration_{name}"] = row["ms_per_iteration"]
+                result[f"radau_ms_per_iteration_{name}"] = row["ms_per_iteration"]
             for floor in only(rows, "floor", dof=dof, backend="pardiso"):
-                found[f"{kind}_step_over_pardiso_{name}"] = row["ms_per_step"] / floor["floor_ms"]
+                result[f"{kind}_step_over_pardiso_{name}"] = row["ms_per_step"] / floor["floor_ms"]
     if len(alpha) > 1:
-        found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
-    found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
-    found |= {f"ida_over_alpha_step_{name}": row["ratio"] for name, dof in DECADES.items() for row in only(rows, "beside alpha", dof=dof)}
-    found |= {f"ida_told_cj_over_guessed_{row['case']}": row["ratio"] for row in only(rows, "told cj")}
-    found |= frames.figures(rows)
+        result["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
+    result |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
+    result |= {f"ida_over_alpha_step_{name}": row["ratio"] for name, dof in DECADES.items() for row in only(rows, "beside alpha", dof=dof)}
+    result |= {f"ida_told_cj_over_guessed_{row['case']}": row["ratio"] for row in only(rows, "told cj")}
+    result |= frames.figures(rows)
     for row in only(rows, "memory"):
-        found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
-    found |= threads.figures(only(rows, "threads"))
-    found |= {
+        result[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
+    result |= threads.figures(only(rows, "threads"))
+    result |= {
         key: row[key]
         for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
         for key in ("residual_ns_per_dof", "residual_tangent_ns_per_dof")
     }
-    found |= waits.figures(rows)
-    return found | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
+    result |= waits.figures(rows)
+    return result | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
 
 
 def aim_notes(rows):
-    """Aims that are not reached."""
-    found = figures(rows)
+    """Missed targets."""
+    result = figures(rows)
     return [
-        f"{name}: {found[name]:.3g}, aim {'at most' if most else 'at least'} {aim:.3g}"
-        for name, (aim, most) in AIMS.items()
-        if name in found and (found[name] > aim) == most
+        f"{name}: {result[name]:.3g}, aim {'at most' if most else 'at least'} {target:.3g}"
+        for name, (target, most) in AIMS.items()
+        if name in result and (result[name] > target) == most
     ]
 
 
 def step_notes(rows):
-    """The profile of the step at each size, beside the floor."""
+    """Profile of the step at each size, compared with the lower bound."""
     lines, best = [], floors(rows)
     for row in only(rows, "step", integrator="alpha", scene="scene 1"):
         floor = best.get(row["dof"], {"backend": "-", "factor_ms": np.nan, "solve_ms": np.nan})
@@ -180,7 +180,7 @@ def told_notes(rows):
 
 
 def radau_notes(rows):
-    """A step of Radau IIA beside its floor."""
+    """A step of Radau IIA compared with its lower bound."""
     best = floors(rows, "pair")
     return [
         f"{row['n']} coordinates: a step of Radau IIA of {row['ms_per_step']:.3g} ms takes {row['newton_iterations_per_step']:.2f} iterations "
@@ -192,7 +192,7 @@ def radau_notes(rows):
 
 
 def memory_notes(rows):
-    """What the bytes of a coordinate are made of."""
+    """Composition of the memory of a coordinate."""
     return [
         f"memory, {row['integrator']}, {row['n']} coordinates: peak resident memory of a process of {row['steps']} steps, Python and libraries "
         f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) "
@@ -203,12 +203,12 @@ def memory_notes(rows):
 
 
 def thread_notes(rows):
-    """What a second thread can bring."""
+    """Effect of a second thread."""
     return threads.notes(only(rows, "threads"))
 
 
 def start_notes(rows):
-    """What a fresh process spends before its first step, and what was left out."""
+    """Times of a new process before its first step, and omitted parts."""
     lines = []
     for row in only(rows, "start"):
         split = ", ".join(f"{what} {row[f'cold_{what}_s']:.2f} / {row[f'warm_{what}_s']:.2f}" for what in ("import", "mesh", "first_step"))
@@ -218,10 +218,10 @@ def start_notes(rows):
 
 @study_figure
 def cost_figure(rows):
-    """CPU time of a step against the number of coordinates, beside the floors: what the factorizations and solves of one alone take."""
+    """CPU time of a step against the number of coordinates, and lower bounds: its factorizations and solves alone."""
     from polyida.show.style import figure, line_style
 
-    made, axes = figure(6.4, 4.6)
+    fig, axes = figure(6.4, 4.6)
     alpha = ("generalized-alpha", "alpha")
     kinds = ((*alpha, "scene 1"), (*alpha, "scene 2"), ("IDA", "ida", "scene 1"), ("Radau IIA", "radau", "scene 1"))
     lines = [
@@ -231,11 +231,11 @@ def cost_figure(rows):
     lines += [
         (f"real and complex factorization + 6 solves, {name}", only(rows, "pair", backend=name), "floor_ms", "+") for name in BACKENDS
     ]
-    for k, (label, found, key, marker) in enumerate(lines):
-        if found:
+    for k, (label, result, key, marker) in enumerate(lines):
+        if result:
             axes.loglog(
-                [row["n"] for row in found],
-                [row[key] for row in found],
+                [row["n"] for row in result],
+                [row[key] for row in result],
                 marker=marker,
                 label=label,
                 **line_style(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8},
@@ -243,27 +243,27 @@ def cost_figure(rows):
     if not axes.lines:
         raise LookupError("no rows to draw")
     axes.set(xlabel="coordinates", ylabel="CPU time, ms")
-    made.legend(loc="outside lower center", ncols=2, fontsize=7)
-    return picture(made, "step_cost")
+    fig.legend(loc="outside lower center", ncols=2, fontsize=7)
+    return picture(fig, "step_cost")
 
 
 @study_figure
 def parts_figure(rows):
-    """Shares of the parts of a step in its CPU time, against the number of coordinates."""
+    """Shares of the parts of a step in its CPU time against the number of coordinates."""
     from polyida.show.style import PALETTE, figure
 
-    made, axes = figure(6.4, 2.8)
-    found, bottom = only(rows, "step", scene="scene 1", integrator="alpha"), 0.0
-    if not found:
+    fig, axes = figure(6.4, 2.8)
+    result, bottom = only(rows, "step", scene="scene 1", integrator="alpha"), 0.0
+    if not result:
         raise LookupError("no rows to draw")
     for colour, part in zip(PALETTE, PARTS):
-        share = np.array([100 * max(r[f"{part}_ms"], 0.0) / r["ms_per_step"] for r in found])
-        axes.bar(range(len(found)), share, 0.6, bottom=bottom, label=part, color=colour)
+        share = np.array([100 * max(r[f"{part}_ms"], 0.0) / r["ms_per_step"] for r in result])
+        axes.bar(range(len(result)), share, 0.6, bottom=bottom, label=part, color=colour)
         bottom = bottom + share
-    axes.set_xticks(range(len(found)), [f"{r['n']}" for r in found])
+    axes.set_xticks(range(len(result)), [f"{r['n']}" for r in result])
     axes.set(xlabel="coordinates", ylabel="share of a step, %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return picture(made, "step_parts")
+    return picture(fig, "step_parts")
 
 
 study = Study(

@@ -1,5 +1,5 @@
-"""The step from 1e-1 to 1e-9 s on motors and weighted joints: order, round-off, Newton's stall, with each scaling and
-way to take phi.
+"""Accuracy for steps from 1e-1 to 1e-9 s on motors and weighted joints: order, round-off and stagnation of Newton's iteration, with each
+scaling and evaluation of phi.
 """
 
 import numpy as np
@@ -20,15 +20,15 @@ PLAIN = "index3, plain start"
 
 
 def tasks(quick):
-    cells, made, largest = 8 if quick else 12, [], 1e-2 if quick else 1e-1
+    cells, selection, largest = 8 if quick else 12, [], 1e-2 if quick else 1e-1
     for kind in ("load", "motors"):
-        made += [
+        selection += [
             {"part": "order", "scene": kind, "cells": cells, "form": form, "halvings": k}
             for form in ("index3", "stabilised", PLAIN)
             for k in range(HALVINGS)
         ]
     return (
-        made
+        selection
         + [
             {"part": "tiny", "scene": scene, "cells": cells, "phi": phi, "solve": solve, "h": h, "largest": largest}
             for scene in SCENES
@@ -51,24 +51,24 @@ def run(part, scene, cells, **options):
     start = "plain" if plain else "consistent"
     errors = order_errors(scene, cells, COARSEST, options["halvings"], TIME, form=form, start=start)
     floor = reference_floor(scene, cells, COARSEST, TIME)
-    found = {f"error_{name}": value for name, value in errors.items()} | {f"floor_{name}": value for name, value in floor.items()}
-    return found | {"h": COARSEST / 2 ** options["halvings"]}
+    result = {f"error_{name}": value for name, value in errors.items()} | {f"floor_{name}": value for name, value in floor.items()}
+    return result | {"h": COARSEST / 2 ** options["halvings"]}
 
 
 def orders(rows):
-    found = {f"order_{part}_{kind}": slopes.order(rows, kind, part) for part in PARTS for kind in ("load", "motors")}
+    result = {f"order_{part}_{kind}": slopes.order(rows, kind, part) for part in PARTS for kind in ("load", "motors")}
     for part in PARTS:
-        found[f"order_{part}"] = farthest([found[f"order_{part}_load"], found[f"order_{part}_motors"]], 2)
-    return found | {"order_a_plain_start": slopes.order(rows, "motors", "a", PLAIN)}
+        result[f"order_{part}"] = farthest([result[f"order_{part}_load"], result[f"order_{part}_motors"]], 2)
+    return result | {"order_a_plain_start": slopes.order(rows, "motors", "a", PLAIN)}
 
 
 def smallest_step(rows):
-    found = {}
+    result = {}
     for phi, name in (("carried", ""), ("from positions", "_phi_from_positions")):
         end = last(rows, part="tiny", scene="scene 2", phi=phi, solve="compiled", h=1e-9)
-        found[f"lam_error_h1e-9{name}"] = value(end, "error_lam")
-        found[f"acceleration_error_h1e-9{name}"] = value(end, "error_a")
-    return found
+        result[f"lam_error_h1e-9{name}"] = value(end, "error_lam")
+        result[f"acceleration_error_h1e-9{name}"] = value(end, "error_a")
+    return result
 
 
 def fitted_slopes(rows):
@@ -76,21 +76,23 @@ def fitted_slopes(rows):
 
 
 def order_notes(rows):
-    found = orders(rows)
-    lines = [f"order in {part} is {order:.3f}, not within 0.05 of 2" for part in PARTS if abs((order := found[f"order_{part}"]) - 2) > 0.05]
+    result = orders(rows)
+    lines = [
+        f"order in {part} is {order:.3f}, not within 0.05 of 2" for part in PARTS if abs((order := result[f"order_{part}"]) - 2) > 0.05
+    ]
     for kind in ("load", "motors"):
         runs = runs_of(rows, part="order", scene=kind, form="index3")
         for part in PARTS:
-            if len(kept := slopes.above_floor(runs, part)) < len(runs):
+            if len(fitted_runs := slopes.above_floor(runs, part)) < len(runs):
                 lines.append(
                     f"order in {part}, smooth {kind}: the reference is known to {value(runs[0], f'floor_{part}'):.1e}; "
-                    f"{len(kept)} of {len(runs)} steps are fitted"
+                    f"{len(fitted_runs)} of {len(runs)} steps are fitted"
                 )
     return lines
 
 
 def range_notes(rows):
-    """Where the steps end, and where there is no stall level."""
+    """The range of the steps, and cases without a stagnation level."""
     tiny = pick(rows, part="tiny")
     lines = [f"h runs from {min(distinct(tiny, 'h')):g} to {max(distinct(tiny, 'h')):g} s"] if tiny else []
     blind = [row for row in tiny if row["outcome"] == "done" and not np.isfinite(value(row, "stall_q"))]
@@ -100,7 +102,7 @@ def range_notes(rows):
 
 
 def scaling_notes(rows):
-    """What the scaling does to the round-off that phi from positions puts into lam."""
+    """Effect of the scaling on the round-off of lam with phi from positions."""
     errors = {
         solve: number(rows, "error_lam", part="tiny", scene="scene 2", phi="from positions", solve=solve, h=1e-9) for solve in SCALINGS
     }
@@ -119,7 +121,7 @@ def scaling_notes(rows):
 @study_figure
 def order_figure(rows):
     """Largest relative error over smooth motion against the step, and a line of slope 2."""
-    made, axes = panels(2, height=3.0, sharey=True)
+    fig, axes = panels(2, height=3.0, sharey=True)
     for axis, kind in zip(axes, ("load", "motors")):
         runs = runs_of(rows, part="order", scene=kind, form="index3")
         for i, part in enumerate(PARTS):
@@ -131,12 +133,12 @@ def order_figure(rows):
             slope_line(axis, 2, [runs[0]["h"], runs[-1]["h"]], lowest, "slope 2", offset=(-1, -20))
         axis.set(xlabel="step h, s", title=f"smooth {kind}")
     axes[0].set_ylabel("largest relative error")
-    legend_above(made, axes, 5)
-    return line_picture(made, "order")
+    legend_above(fig, axes, 5)
+    return line_picture(fig, "order")
 
 
 def nest(axis, rows, scene, solves, name):
-    """Lines of both ways to take phi (colours) with each solve (hollow markers, one inside the other)."""
+    """Lines of both evaluations of phi (colours) with each solver (nested hollow markers)."""
     for colour, phi in enumerate(WAYS):
         for ring, solve in enumerate(solves):
             runs = runs_of(rows, part="tiny", scene=scene, phi=phi, solve=solve)
@@ -146,7 +148,7 @@ def nest(axis, rows, scene, solves, name):
 
 
 def theory_lines(axis, rows, scene, part):
-    """Slopes of theory beside the data: of the method and of the round-off of phi from positions."""
+    """Theoretical slopes: of the method, and of the round-off of phi from positions."""
 
     def at(phi, h):
         return number(rows, f"error_{part}", part="tiny", scene=scene, phi=phi, solve="physical", h=h)
@@ -158,31 +160,35 @@ def theory_lines(axis, rows, scene, part):
 
 
 def tiny_figure(rows, scene):
-    made, axes = panels(4, height=2.5)
+    fig, axes = panels(4, height=2.5)
     for axis, part in zip(axes, PARTS):
         nest(axis, rows, scene, SOLVES, f"error_{part}")
         axis.set(title=f"{part}, {scene}", xlabel="step h, s", ylabel="relative error", xscale="log", yscale="log")
         theory_lines(axis, rows, scene, part)
-    legend_above(made, axes, 2)
-    return line_picture(made, f"tiny-steps-{scene.replace(' ', '-')}")
+    legend_above(fig, axes, 2)
+    return line_picture(fig, f"tiny-steps-{scene.replace(' ', '-')}")
 
 
 @study_figure
 def tiny_scene_2_figure(rows):
-    """Relative errors after four steps on scene 2 against the step, with phi carried and from positions; theory's slopes dashed."""
+    """Relative errors after four steps on scene 2 against the step, with phi from increments and from positions; dashed: theoretical
+    slopes.
+    """
     return tiny_figure(rows, "scene 2")
 
 
 @study_figure
 def tiny_smooth_figure(rows):
-    """Relative errors after four steps on smooth motors against the step, with phi carried and from positions; theory's slopes dashed."""
+    """Relative errors after four steps on smooth motors against the step, with phi from increments and from positions; dashed: theoretical
+    slopes.
+    """
     return tiny_figure(rows, "smooth motors")
 
 
 @study_figure
 def newton_figure(rows):
-    """Where Newton's iteration stalls, and its iterations, against the step."""
-    made, axes = panels(2, height=2.8)
+    """Stagnation level and iterations of Newton's method against the step."""
+    fig, axes = panels(2, height=2.8)
     nest(axes[0], rows, "scene 2", SCALINGS, "stall_q")
     nest(axes[1], rows, "scene 2", SCALINGS, "iterations")
     axes[0].set(xscale="log", yscale="log", title="Newton's stall, scene 2", ylabel="|dq| / (beta h² |a|)", xlabel="step h, s")
@@ -190,8 +196,8 @@ def newton_figure(rows):
     level = number(rows, "stall_q", part="tiny", scene="scene 2", phi="from positions", solve="physical", h=1e-6)
     if np.isfinite(level):
         slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, offset=(3, 2))
-    legend_above(made, axes, 2)
-    return line_picture(made, "newton")
+    legend_above(fig, axes, 2)
+    return line_picture(fig, "newton")
 
 
 COLUMNS = ("part", "scene", "form", "phi", "solve", "h", "error_q", "error_v", "error_a", "error_lam", "iterations", "stall_q", "error")

@@ -1,4 +1,6 @@
-"""Scenes driven along many axes to where something breaks, in every integrator: right, stopped with a reason, or neither."""
+"""Robustness limits: scenes with increasingly extreme values along many axes, in every integrator; a run is right, stops with a reason, or
+fails.
+"""
 
 import numpy as np
 
@@ -22,10 +24,12 @@ COLOURS = {
 
 @study_figure
 def draw(rows):
-    """One row an axis, one column an integrator: a square a value, from benign on the left to harsh, coloured by the outcome."""
+    """One row for each axis, one column for each integrator, one square for each value, from mild on the left to extreme; the colour is the
+    outcome.
+    """
     axes = list(dict.fromkeys(row["axis"] for row in rows))
     names = list(dict.fromkeys(row["integrator"] for row in rows))
-    made, panel = figure(1.2 + 1.1 * len(names), 1.0 + 0.24 * len(axes))
+    fig, panel = figure(1.2 + 1.1 * len(names), 1.0 + 0.24 * len(axes))
     for row_number, axis in enumerate(axes):
         for column, name in enumerate(names):
             of_cell = [row for row in rows if row["axis"] == axis and row["integrator"] == name]
@@ -37,29 +41,17 @@ def draw(rows):
     panel.grid(False)
     for outcome in OUTCOMES:
         panel.scatter([], [], marker="s", s=14, color=COLOURS[outcome], label=outcome.replace("_", " "))
-    made.legend(loc="outside upper center", ncols=len(OUTCOMES))
-    return picture(made, "stress")
+    fig.legend(loc="outside upper center", ncols=len(OUTCOMES))
+    return picture(fig, "stress")
 
 
 def notes(rows):
-    """What right means, and up to where each integrator is right."""
+    """Definition of a right run, and the limit of each integrator."""
     axes = dict.fromkeys(row["axis"] for row in rows)
     return [f"right: {line}" for line in meanings(axes)] + [f"breaks: {line}" for line in limits(rows)]
 
 
-STUDY = Study(
-    "stress",
-    "Scenes driven to where something breaks",
-    tasks,
-    run,
-    figures,
-    draw,
-    COLUMNS,
-    isolated=True,
-    limit=300.0,
-    notes=notes,
-    fresh=False,
-)
+STUDY = Study("stress", "Robustness limits", tasks, run, figures, draw, COLUMNS, isolated=True, limit=300.0, notes=notes, fresh=False)
 
 if __name__ == "__main__":
     main(STUDY)

@@ -1,4 +1,4 @@
-"""CPU time and work against measured error in q, v and lam: every integrator and form on every problem."""
+"""Work-precision: CPU time and work against the measured error in q, v and lam, for every integrator and form on every problem."""
 
 from functools import partial
 
@@ -68,19 +68,19 @@ def stops(rows):
 
 
 def ratios(rows, level=1e-5):
-    """CPU of IDA over that of generalized-alpha at equal errors of q, m."""
-    found = {}
+    """CPU time of IDA relative to generalized-alpha at equal errors of q, m."""
+    result = {}
     for problem in distinct([row for row in rows if row["problem"] in ("double-plate", "double-plate-motors")], "problem"):
         alpha, ida = (cheapest(pick(rows, problem=problem, integrator=name), "error_q", level) for name in ("alpha", "IDA ggl2"))
-        found[f"{problem}_ida_over_alpha_cpu".replace("-", "_")] = ida / alpha
-    return found
+        result[f"{problem}_ida_over_alpha_cpu".replace("-", "_")] = ida / alpha
+    return result
 
 
 def adaptivity(rows):
-    """CPU of the best fixed step over that of error control at equal errors of q, m, where both come so far."""
+    """CPU time of the best fixed step relative to error control at equal errors of q, m."""
     fixed, adaptive = (pick(rows, problem=EVENT, integrator=name) for name in ("alpha", "alpha, adaptive"))
-    found = {level: cheapest(fixed, "error_q", level) / cheapest(adaptive, "error_q", level) for level in (1e-4, 1e-5, 1e-6)}
-    return {f"fixed_over_adaptive_cpu_at_{level:.0e}": ratio for level, ratio in found.items() if np.isfinite(ratio)}
+    result = {level: cheapest(fixed, "error_q", level) / cheapest(adaptive, "error_q", level) for level in (1e-4, 1e-5, 1e-6)}
+    return {f"fixed_over_adaptive_cpu_at_{level:.0e}": ratio for level, ratio in result.items() if np.isfinite(ratio)}
 
 
 def stop_notes(rows):
@@ -104,7 +104,7 @@ def selection_notes(rows):
 
 
 def reach_notes(rows):
-    """How far fixed steps of generalized-alpha come on Andrews' mechanism, and where the error rises again."""
+    """Smallest error of fixed steps of generalized-alpha on Andrews' mechanism, and the step below which it rises again."""
     lines = []
     for member in ("alpha", "alpha, stabilised", "alpha, Richardson"):
         runs = [row for row in pick(rows, problem="andrews", integrator=member) if np.isfinite(row.get("error_q") or np.nan)]
@@ -132,7 +132,7 @@ def curve(axis, rows, x, y, i, label):
 
 
 def draw_family(axis, rows, problem, family, x, y):
-    """Lines of a family's members, and in grey those of other families."""
+    """Lines of the members of a family; lines of other families in grey."""
     members, others = FAMILIES[family]
     for other, (grey, dash) in zip(others, GREYS):
         runs = pick(rows, problem=problem, integrator=other)
@@ -146,7 +146,7 @@ def draw_family(axis, rows, problem, family, x, y):
 
 
 def mark_known(axis, rows, problem, part):
-    """A line at what is known of the reference, where runs come so far: errors beyond it say no more than that."""
+    """A line at the accuracy of the reference: smaller errors cannot be resolved."""
     known = max((row["known"].get(part, 0.0) for row in pick(rows, problem=problem)), default=0.0)
     if known > axis.get_xlim()[0]:
         axis.axvline(known, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="what is known of the reference")
@@ -158,31 +158,31 @@ def problems_of(rows, family):
 
 def cpu_figure(family, part, rows):
     problems = problems_of(rows, family)
-    made, axes = panels(len(problems), width=7.2, height=2.3, columns=3)
+    fig, axes = panels(len(problems), width=7.2, height=2.3, columns=3)
     for k, (axis, problem) in enumerate(zip(axes, problems)):
         draw_family(axis, rows, problem, family, f"error_{part}", "cpu_s")
         mark_known(axis, rows, problem, part)
         axis.set(title=problem, xlabel=f"error in {part}, {unit(problem, part)}", ylabel="" if k % 3 else "CPU seconds")
-    legend_above(made, axes, 3)
-    told = f"{NAMES[family]}: CPU time against the error in {part} at the end, problem by problem; grey are others for comparison."
-    return line_picture(made, f"work-precision-{family}-{part}", told)
+    legend_above(fig, axes, 3)
+    caption = f"{NAMES[family]}: CPU time against the error in {part} at the end, problem by problem; grey are others for comparison."
+    return line_picture(fig, f"work-precision-{family}-{part}", caption)
 
 
 def counts_figure(family, rows):
     problems = problems_of(rows, family)
-    made, axes = panels(2 * len(problems), width=9.0, height=2.1, columns=4)
+    fig, axes = panels(2 * len(problems), width=9.0, height=2.1, columns=4)
     for k, problem in enumerate(problems):
         for axis, work in zip(axes[2 * k : 2 * k + 2], ("residuals", "factorizations")):
             draw_family(axis, rows, problem, family, "error_q", work)
             mark_known(axis, rows, problem, "q")
             axis.set(title=problem, xlabel=f"error in q, {unit(problem, 'q')}", ylabel=work)
-    legend_above(made, axes, 4)
-    told = f"{NAMES[family]}: residuals and factorizations against the error in q at the end, problem by problem; grey are others for comparison."
-    return line_picture(made, f"work-counts-{family}", told)
+    legend_above(fig, axes, 4)
+    caption = f"{NAMES[family]}: residuals and factorizations against the error in q at the end, problem by problem; grey are others for comparison."
+    return line_picture(fig, f"work-counts-{family}", caption)
 
 
 def figure_of(function, *settings):
-    """A figure of the study with its settings, under its own name."""
+    """A figure function of the study with its settings, under its own name."""
     made = partial(function, *settings)
     made.__name__ = "_".join((function.__name__, *settings))
     return study_figure(made)

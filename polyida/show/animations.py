@@ -45,6 +45,7 @@ def animation(
     Returns
     -------
     path : Path
+        The file.
 
     Raises
     ------

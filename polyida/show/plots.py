@@ -254,6 +254,13 @@ def _name_of_first(label):
 class RunPlots:
     """The pictures of one run, `run.plot`.
 
+    Parameters
+    ----------
+    run : Trajectory
+        The run to draw.
+
+    Notes
+    -----
     Each method draws into matplotlib axes, into new pyplot axes if None, and returns them. It raises InputError if the run lacks the quantity.
     """
 

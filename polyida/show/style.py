@@ -26,14 +26,20 @@ SAVE_OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def settings() -> AbstractContextManager:
-    """Context with the matplotlib settings of this package; matplotlib's own settings are restored at its end."""
+    """Use the matplotlib settings of this package in a `with`.
+
+    Returns
+    -------
+    context : context manager
+        It restores the settings at its end.
+    """
     from matplotlib import rc_context
 
     return rc_context(fname=STYLE_FILE)
 
 
 def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> "tuple[Figure, Any]":
-    """A new Figure without a window, and its axes.
+    """Create a figure in the layout of this package.
 
     Parameters
     ----------
@@ -44,7 +50,9 @@ def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> "tuple[Fig
     Returns
     -------
     figure : Figure
+        A figure without a window.
     axes : Axes or array of Axes
+        Its axes.
     """
     from matplotlib.figure import Figure
 
@@ -98,11 +106,12 @@ def save(figure: "Figure", path: str | Path) -> Path:
     ----------
     figure : Figure
     path : str or Path
-        The suffix is the format: .png, .pdf or .svg. Equal figures give equal files.
+        The suffix is the format: .png, .pdf or .svg.
 
     Returns
     -------
     path : Path
+        The file; equal figures give equal files.
     """
     path = Path(path)
     path.write_bytes(rendered(figure, path.suffix[1:]))

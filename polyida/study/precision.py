@@ -370,12 +370,14 @@ def step_sizes(
 
     Parameters
     ----------
-    model, t_end, q0, v0, reference, progress
+    model, t_end, q0, v0
         As in `work_precision`.
     integrators : {label: class or function}
         A class with an argument h, or a function of h that returns an integrator.
     h : (k,) float, s
         The steps.
+    reference, progress
+        As in `work_precision`.
 
     Returns
     -------

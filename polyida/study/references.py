@@ -276,7 +276,7 @@ def _refine(ivp, method, levels, radau, failed, smallest_errors, progress):
             progress(f"reference, level {level + 1}")
             if level not in radau:
                 radau[level] = _by_radau_at(ivp, level)
-            name, other = method(ivp, level)
+            name, other = method(ivp, level)[:2]
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001, a user's functions may raise anything; the measured rows must survive

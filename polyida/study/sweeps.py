@@ -27,14 +27,20 @@ HEADINGS = {"cpu_s": ("CPU s", "{:.3g}"), "wall_s": ("wall s", "{:.3g}"), "memor
 
 
 class Sweep(Result):
-    """Result of `sweep`: a row for each case, in the order of the cases.
+    """Result of `sweep`.
 
-    Attributes
+    Parameters
     ----------
+    title : str
+        Title of the report.
+    rows : list of dict
+        A row for each case, in the order of the cases.
     ran : int
         Number of cases that this call ran; the others were read.
     varied : list of str
         Names of the arguments of the cases.
+    notes : list of str
+        Lines on failures.
     """
 
     def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:

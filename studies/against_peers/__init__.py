@@ -1,1 +1,1 @@
-"""What studies/against_peers.py is made of: other people's solvers."""
+"""Modules of studies/against_peers.py: other solvers."""

@@ -9,7 +9,7 @@ from step_cost.side import cells_for
 
 
 def against(commit):
-    """The study of a commit's gains. InputError where this is no clone that has it."""
+    """The study of a commit's gains. InputError if this is no clone that has it."""
     whole = whole_name(commit)
     return Study(
         "against_peers",

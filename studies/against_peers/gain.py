@@ -1,8 +1,8 @@
 """Generalized-alpha's CPU time over Radau IIA's at equal errors of the tip: all points of both, and of an earlier commit's
 generalized-alpha, once a round, so that what the machine does meanwhile meets them alike.
 
-The reference is DOP853 on the index-1 equations, or the energy-momentum method, known as well as Radau IIA at a tight tolerance agrees;
-for plates too stiff for these it is Radau IIA with short steps, known as well as generalized-alpha agrees.
+The reference is DOP853 on the index-1 equations, or the energy-momentum method, with the accuracy to which Radau IIA at a tight tolerance agrees;
+for plates too stiff for these it is Radau IIA with short steps, with the accuracy to which generalized-alpha agrees.
 """
 
 import json
@@ -97,24 +97,24 @@ def at_error(row, solvers, error):
     points = [point for point in row["points"] if point["solver"] in solvers]
     rounds = zip(*(point["cpu_s"] for point in points))
     errors = [point["error_max"] for point in points]
-    return np.array([cheapest([{"cpu_s": s, "e": e} for s, e in zip(found, errors)], "e", error) for found in rounds])
+    return np.array([cheapest([{"cpu_s": s, "e": e} for s, e in zip(result, errors)], "e", error) for result in rounds])
 
 
 def gains(rows, alpha="alpha"):
     """{figure: median over the rounds of generalized-alpha's seconds over Radau's; "..._s" and "..._alpha_s": both}; and of Radau's with
     steps by rtol over the best of its equal steps and tolerances.
     """
-    found = {}
+    result = {}
     for name, (scene, error) in TARGETS.items():
         for row in rows:
             if row["scene"] == scene and row.get("points"):
                 ours, theirs = (at_error(row, solvers, error) for solvers in (RADAU, (alpha,)))
-                found |= {name: np.median(theirs / ours), f"{name}_s": np.median(ours), f"{name}_alpha_s": np.median(theirs)}
+                result |= {name: np.median(theirs / ours), f"{name}_s": np.median(ours), f"{name}_alpha_s": np.median(theirs)}
     for row in rows:
         if row.get("points"):
-            chosen, equal = (at_error(row, solvers, EQUAL) for solvers in (RADAU[:1], RADAU[1:]))
-            found[f"radau_rtol_over_steps_{row['scene'][-1]}"] = np.median(chosen / equal)
-    return found
+            adaptive, equal = (at_error(row, solvers, EQUAL) for solvers in (RADAU[:1], RADAU[1:]))
+            result[f"radau_rtol_over_steps_{row['scene'][-1]}"] = np.median(adaptive / equal)
+    return result
 
 
 def stiff_row(dof):
@@ -130,11 +130,11 @@ def stiff_row(dof):
 
 def notes(rows):
     """The seconds behind each gain, and how sure the references are."""
-    lines, found = [], gains(rows)
+    lines, result = [], gains(rows)
     for name, (scene, error) in TARGETS.items():
-        if np.isfinite(found.get(name, np.nan)):
+        if np.isfinite(result.get(name, np.nan)):
             lines.append(
-                f"{name}: {scene} at {error:g} m: generalized-alpha {found[f'{name}_alpha_s']:.3g} s, Radau IIA {found[f'{name}_s']:.3g} s"
+                f"{name}: {scene} at {error:g} m: generalized-alpha {result[f'{name}_alpha_s']:.3g} s, Radau IIA {result[f'{name}_s']:.3g} s"
             )
     for row in rows:
         if row.get("points") or row.get("stiff_error"):
@@ -147,13 +147,13 @@ def notes(rows):
 @study_figure
 def figure(rows):
     """Work-precision of generalized-alpha and Radau IIA alone."""
-    found, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
-    made, axes = panels(len(found))
-    for axis, row in zip(axes, found):
+    result, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
+    fig, axes = panels(len(result))
+    for axis, row in zip(axes, result):
         for k, (solver, label) in enumerate(labels.items()):
             points = sorted((point["error_max"], np.median(point["cpu_s"])) for point in row["points"] if point["solver"] == solver)
             if points:
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{row['scene']}, {row['n']} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
-    legend_above(made, axes, 3)
-    return line_picture(made, "radau_gain")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "radau_gain")

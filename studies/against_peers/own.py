@@ -28,7 +28,7 @@ def tip_of(model):
 
 
 def seen(model, integrator):
-    """(counts, tip at TIMES (101, 2)) of a run. RuntimeError where it does not come to its end."""
+    """(counts, tip at TIMES (101, 2)) of a run. RuntimeError if it does not come to its end."""
     run = solve(model, TIMES[-1], integrator, output=TIMES)
     if not run.success:
         raise RuntimeError(run.message)

@@ -1,6 +1,6 @@
-"""Other people's solvers on our models: factorizations, SUNDIALS' sparse direct solver, Radau of solve_dae, exudyn.
+"""Other solvers on our models: factorizations, SUNDIALS' sparse direct solver, Radau of solve_dae, exudyn.
 
-All of them get our compiled elements. Optional packages raise Missing where they are not installed.
+All of them get our compiled elements. Optional packages raise Missing if they are not installed.
 """
 
 import ctypes
@@ -91,11 +91,11 @@ def pardiso(model, blocks, dtype=np.float64):
 
     def phase(number):
         *whole, one, quiet = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n, 1, 0)]
-        given = [pointer(array, kind) for array, kind in zip(arrays, kinds[6:10])]
+        pointers = [pointer(array, kind) for array, kind in zip(arrays, kinds[6:10])]
         solver._mkl_pardiso(
             pointer(solver.pt, kinds[0]),
             *whole,
-            *given,
+            *pointers,
             one,
             pointer(parameters, kinds[11]),
             quiet,
@@ -220,7 +220,7 @@ class FirstOrder:
         return block_array(in_y, format="csc"), block_array(in_yp, format="csc")
 
 
-def radau(model, times, rtol, look):
+def radau(model, times, rtol, watch):
     """solve_dae's Radau IIA of order 5 on form ggl1: (row of CPU seconds and counts, look(q) at `times`).
 
     Absolute tolerances: those of IDA, ten times that of v for the integrated multipliers.
@@ -239,20 +239,20 @@ def radau(model, times, rtol, look):
     if found.status != 0:
         raise RuntimeError(f"solve_dae: {found.message}")
     counts = {"residuals": int(found.nfev), "tangents": int(found.njev), "factorizations": int(found.nlu)}
-    return {"cpu_s": seconds} | counts, np.array([look(q) for q in found.y[:n].T])
+    return {"cpu_s": seconds} | counts, np.array([watch(q) for q in found.y[:n].T])
 
 
 class ExudynScene:
     """A scene's forces, Jacobian and constraints as user functions of exudyn: a generic body, a vector constraint."""
 
-    def __init__(self, model, look):
+    def __init__(self, model, watch):
         try:
             import exudyn
         except ImportError:
             raise Missing("exudyn is not installed (extra peers)") from None
         import exudyn.itemInterface as items
 
-        self.exu, self.model, self.look = exudyn, model, look
+        self.exu, self.model, self.look = exudyn, model, watch
         self.rest, self.counts = np.zeros(model.n), {"residuals": 0, "tangents": 0}
         self.system = exudyn.SystemContainer().AddSystem()
         add, zero = self.system, [0.0] * model.n

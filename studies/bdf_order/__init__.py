@@ -1,1 +1,1 @@
-"""What studies/bdf_order.py is made of: runs of bounded order."""
+"""Modules of studies/bdf_order.py: runs of bounded order."""

@@ -24,7 +24,7 @@ def damped(cells, time, viscosity):
     """
     rubber = plates.RUBBER
     material = Material(E=rubber.E, nu=rubber.nu, rho=rubber.rho, viscosity=viscosity)
-    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
+    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), t_end=time, point="tip")
     coarse, fine = (watched_quantity(job)(solve(job.model, time, GeneralizedAlpha(h=h), every=10**9).q[-1]) for h in (1e-4, 5e-5))
     return job, (4 * fine - coarse) / 3
 
@@ -42,7 +42,7 @@ def run_order(cells, time, viscosity, max_order, rtol=1e-5, cap=60_000):
 def stiff(cells, time, modulus):
     """(Job, tip at the end) of the double plate with Young's modulus in Pa; the tip from Radau IIA."""
     material = replace(plates.RUBBER, E=modulus)
-    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), time=time, point="tip")
+    job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), t_end=time, point="tip")
     return job, watched_quantity(job)(solve(job.model, time, RadauIIA(rtol=1e-8), every=10**9).q[-1])
 
 
@@ -55,7 +55,7 @@ def run_tested(cells, time, modulus, tested, rtol, cap):
 
 
 def _row(job, tip, run):
-    """What a run took, and how far off its tip is at the end, m."""
+    """What a run took, and the error of its tip is at the end, m."""
     return {
         "dof": job.model.n,
         "outcome": "done" if run.success else run.message,

@@ -1,1 +1,1 @@
-"""What studies/conditioning.py is made of: the errors of solves."""
+"""Modules of studies/conditioning.py: the errors of solves."""

@@ -116,11 +116,11 @@ def solve_errors(matrix, rows, columns, unknowns, backend, trials=3, seed=0):
     from scipy.sparse import csc_array
 
     kinds = np.repeat(np.arange(len(unknowns)), [number for number, _ in unknowns])
-    exact, given = matrix.astype(np.longdouble), csc_array(scaled(matrix, rows, columns))
+    exact, scaled_matrix = matrix.astype(np.longdouble), csc_array(scaled(matrix, rows, columns))
     random, worst = np.random.default_rng(seed), np.zeros(len(unknowns))
     for _ in range(trials):
         x = np.array([size for _, size in unknowns])[kinds] * random.standard_normal(len(kinds))
-        found = columns * BACKENDS[backend](given, rows * np.asarray(exact @ x, float))
-        errors = [np.abs(found - x)[kinds == k].max() / np.abs(x[kinds == k]).max() for k in range(len(unknowns))]
+        result = columns * BACKENDS[backend](scaled_matrix, rows * np.asarray(exact @ x, float))
+        errors = [np.abs(result - x)[kinds == k].max() / np.abs(x[kinds == k]).max() for k in range(len(unknowns))]
         worst = np.maximum(worst, errors)
     return tuple(worst.tolist())

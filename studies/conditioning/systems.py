@@ -57,7 +57,7 @@ class Springs(Model):
 
 @lru_cache(maxsize=4)
 def state_of(plates, cells):
-    """(model, State) on its way: "soft", "steel" or "stiffest" plates, or point masses on "springs" of 1e10 N/m."""
+    """(model, State) in motion: "soft", "steel" or "stiffest" plates, or point masses on "springs" of 1e10 N/m."""
     if plates == "springs":
         model = Springs(1e10)
         turned = np.array([0.8, -0.6, 1.6, -1.2])
@@ -66,7 +66,7 @@ def state_of(plates, cells):
 
 
 def moving(modulus, cells, time=0.3):
-    """(model, State) of the driven double plate of Young's modulus `modulus`, Pa, on its way at `time`."""
+    """(model, State) of the driven double plate of Young's modulus `modulus`, Pa, in motion at `time`."""
     rubber = plates.RUBBER
     material = plates.Material(E=modulus, nu=rubber.nu, rho=rubber.rho)
     model = plates.double_plate_motors(cells=cells, material=material).build()

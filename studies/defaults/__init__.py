@@ -1,1 +1,1 @@
-"""What studies/defaults.py is made of: runs with the settings that integrators choose and with given ones, and their errors."""
+"""Modules of studies/defaults.py: runs with the settings that integrators choose and with given ones, and their errors."""

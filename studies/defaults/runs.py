@@ -33,7 +33,7 @@ def problem(name):
 
 @lru_cache(maxsize=2)
 def case(name):
-    """The problem, its size (the scene's extent, or the largest |q|), q at TIMES times by a refined run, and how far that is off."""
+    """The problem, its size (the scene's extent, or the largest |q|), q at TIMES times by a refined run, and its accuracy."""
     p, times = problem(name), np.linspace(0.0, problem(name).t_end, TIMES)
     run = solve(p.model, p.t_end, RadauIIA(rtol=REFINED), q0=p.q0, v0=p.v0, output=times)
     if not run.success:
@@ -47,8 +47,8 @@ def measure(problem, integrator, x=None):
 
     x: of generalized-alpha h over the problem's time, of the others rtol.
     """
-    c, (default, given) = case(problem), MAKERS[integrator]
-    chosen = default() if x is None else given(x, c.p.t_end)
+    c, (default, explicit) = case(problem), MAKERS[integrator]
+    chosen = default() if x is None else explicit(x, c.p.t_end)
     start = {"q0": c.p.q0, "v0": c.p.v0}
     solve(c.p.model, 1e-6 * c.p.t_end, chosen, **start)
     run = solve(c.p.model, c.p.t_end, chosen, output=c.times, **start)

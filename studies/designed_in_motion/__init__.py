@@ -1,1 +1,1 @@
-"""What studies/designed_in_motion.py is made of: the machines, the densities, the optimiser, the analysis of solid designs, the pictures."""
+"""Modules of studies/designed_in_motion.py: the machines, the densities, the optimiser, the analysis of solid designs, the pictures."""

@@ -32,9 +32,9 @@ class Densities:
     def evaluated(self, model, judge, rho, q):
         """(value, slopes in rho) of judge(model with these densities), what `pi.gradient` gives; q: of RAMP."""
         (stiffness, hardening), (mass, growing) = pi.design.ramp(rho, q, VOID), pi.design.mass(rho, void=VOID)
-        found = judge(model.with_factors(**{name: (stiffness[part], mass[part]) for name, part in self.parts.items()}))
-        by_stiffness, by_mass = (np.concatenate([found[f"{name}.{what}"] for name in self.parts]) for what in ("stiffness", "mass"))
-        return found.value, by_stiffness * hardening + by_mass * growing
+        result = judge(model.with_factors(**{name: (stiffness[part], mass[part]) for name, part in self.parts.items()}))
+        by_stiffness, by_mass = (np.concatenate([result[f"{name}.{what}"] for name in self.parts]) for what in ("stiffness", "mass"))
+        return result.value, by_stiffness * hardening + by_mass * growing
 
 
 def along(mesh, sections):

@@ -27,27 +27,27 @@ def design(machine, design, cells, effort):
     if design in ("uniform", "bar"):
         thickness = solids.thickness_for(which, meshes, volume)
         return {"thickness": thickness} | solids.judged(which, solids.moved(which, meshes, thickness))
-    found = optimised(which, design, meshes, optimiser.MOTION[effort])
-    meshes, at, judged = solids.solid(which, meshes, found["rho"], volume)
-    return found | {"at": at, "thickness": solids.thickness_for(which, meshes, volume)} | judged
+    result = optimised(which, design, meshes, optimiser.MOTION[effort])
+    meshes, at, judged = solids.solid(which, meshes, result["rho"], volume)
+    return result | {"at": at, "thickness": solids.thickness_for(which, meshes, volume)} | judged
 
 
 def optimised(which, design, meshes, stages):
     """Densities of a design and how they came about; stages: of the one in motion."""
     densities, spent = Densities(which.names, meshes, which.radius), Spent()
     if design == "in motion":
-        _, kept, history, reached = found_in_motion(which, meshes, densities, stages, spent)
+        _, stages_of, history, reached = found_in_motion(which, meshes, densities, stages, spent)
     else:
-        _, kept, history, reached = found_at_rest(which, meshes, densities, LOADS[design], optimiser.REST, spent)
-    rho = kept[-1]
-    return spent.told() | {
+        _, stages_of, history, reached = found_at_rest(which, meshes, densities, LOADS[design], optimiser.REST, spent)
+    rho = stages_of[-1]
+    return spent.as_row() | {
         "evaluations": len(history),
         "first": history[0],
         "grey_J": reached,
         "volume": float(densities.share @ rho),
         "grey": float(4.0 * densities.share @ (rho * (1.0 - rho))),
         "history": history,
-        "stages": [each.tolist() for each in kept[:-1]],
+        "stages": [each.tolist() for each in stages_of[:-1]],
         "rho": rho.tolist(),
     }
 
@@ -66,7 +66,7 @@ def found_in_motion(which, meshes, densities, stages, spent):
     The first stage begins with what comes of each load, the others with the better of these.
     """
     rest = [found_at_rest(which, meshes, densities, load, optimiser.REST[:-1], spent) for load in LOADS.values()]
-    ways = [(x, kept, [], reached) for x, kept, _, reached in rest]
+    ways = [(x, stages_of, [], reached) for x, stages_of, _, reached in rest]
     value = compiled(densities, ways[0][0], *in_motion(which, meshes))
     with spent:
         for stage in stages:
@@ -100,7 +100,7 @@ class Spent:
         self.wall += time.perf_counter() - self.begun[0]
         self.cpu += time.process_time() - self.begun[1]
 
-    def told(self):
+    def as_row(self):
         return {"wall_s": self.wall, "cpu_s": self.cpu}
 
 

@@ -19,7 +19,7 @@ STOPPED = 1e3  # times the first value: what a design counts as whose run stops,
 def minimised(densities, value, stages, x, volume=VOLUME):
     """(variables, densities at the end of each stage, values of all evaluations, value in the end), beginning with the variables x.
 
-    value(rho, q): (a positive value, its slopes in rho); ArithmeticError where a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
+    value(rho, q): (a positive value, its slopes in rho); ArithmeticError if a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
     the most of the mean of rho over the area.
     """
     nlopt, history, kept = _nlopt(), [], []
@@ -39,12 +39,12 @@ def _objective(densities, q, beta, value, history):
     def objective(x, slope):
         rho, rate = densities.of(x, beta)
         try:
-            found, slopes = value(rho, q)
+            result, slopes = value(rho, q)
         except ArithmeticError:
-            found, slopes = STOPPED * history[0], 0.0 * rho
-        history.append(found)
-        slope[:] = densities.blur.T @ (slopes * rate) / found
-        return math.log(found)
+            result, slopes = STOPPED * history[0], 0.0 * rho
+        history.append(result)
+        slope[:] = densities.blur.T @ (slopes * rate) / result
+        return math.log(result)
 
     return objective
 

@@ -13,12 +13,12 @@ LEVELS = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # densities from which a cell 
 
 def solid(machine, meshes, rho, volume):
     """(meshes of what is solid of each plate, the least density that is, what is judged of its run): of LEVELS the one that moves best."""
-    found = [_solid(machine, meshes, rho, volume, at) for at in LEVELS]
-    return min((one for one in found if one), key=lambda one: one[-1]["J"])
+    result = [_solid(machine, meshes, rho, volume, at) for at in LEVELS]
+    return min((one for one in result if one), key=lambda one: one[-1]["J"])
 
 
 def _solid(machine, meshes, rho, volume, at):
-    """The same with this least density; None where a plate's end is not held to its hinge, or too weakly for the motion."""
+    """The same with this least density; None if a plate's end is not held to its hinge, or too weakly for the motion."""
     made = solid_meshes(meshes, rho, at)
     try:
         return made and (made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume))))
@@ -27,7 +27,7 @@ def _solid(machine, meshes, rho, volume, at):
 
 
 def solid_meshes(meshes, rho, at):
-    """The mesh of the largest piece of each plate; None where one has not both of the kept sections."""
+    """The mesh of the largest piece of each plate; None if one has not both of the kept sections."""
     parts = np.split(np.asarray(rho), np.cumsum([mesh.n_cells for mesh in meshes])[:-1])
     with warnings.catch_warnings(action="ignore", category=pi.mesh.MeshWarning):
         try:

@@ -1,1 +1,1 @@
-"""What studies/energy.py is made of: long runs."""
+"""Modules of studies/energy.py: long runs."""

@@ -43,8 +43,8 @@ def balance(scene, member, x, time, cells, frames=400):
     model, v0 = (thrown if scene == "thrown" else swinging)(cells)
     every = max(1, int((2000 if by_tolerance(member) else time / x) / frames))
     study = energy(model, time, v0=v0, integrators={member: integrator(member, x)}, frames=frames, every=every)
-    (row,), (found,) = study.rows, study.histories.values()
-    scale = float(found["kinetic"][0]) if scene == "thrown" else WEIGHTS_FALL
+    (row,), (result,) = study.rows, study.histories.values()
+    scale = float(result["kinetic"][0]) if scene == "thrown" else WEIGHTS_FALL
     outcome = {
         "dof": model.n,
         "outcome": "done" if row["status"] == "done" else row["message"],
@@ -55,13 +55,13 @@ def balance(scene, member, x, time, cells, frames=400):
     return (
         outcome
         | drift
-        | {"t": found["t"], "energy": found["unbalanced"] / scale}
-        | (_momenta(row, found, model, v0) if scene == "thrown" else {})
+        | {"t": result["t"], "energy": result["unbalanced"] / scale}
+        | (_momenta(row, result, model, v0) if scene == "thrown" else {})
     )
 
 
-def _momenta(row, found, model, v0):
+def _momenta(row, result, model, v0):
     """Drifts of momenta of their size; the angular one over time as well."""
-    linear, angular = float(np.linalg.norm(model.momenta(np.zeros(model.n), v0)[:2])), float(found["angular_momentum"][0])
+    linear, angular = float(np.linalg.norm(model.momenta(np.zeros(model.n), v0)[:2])), float(result["angular_momentum"][0])
     drifts = {"linear_drift": row["momentum_drift"] / linear, "angular_drift": row["angular_drift"] / abs(angular)}
-    return drifts | {"angular": (found["angular_momentum"] - angular) / abs(angular)}
+    return drifts | {"angular": (result["angular_momentum"] - angular) / abs(angular)}

@@ -1,1 +1,1 @@
-"""What studies/gradient_errors.py is made of: scenes, objectives, and gradients beside differences of runs."""
+"""Modules of studies/gradient_errors.py: scenes, objectives, and gradients beside differences of runs."""

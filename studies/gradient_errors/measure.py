@@ -66,7 +66,7 @@ def run_at(scene, cells, t_end, tolerance):
 def differences(scene, cells, t_end):
     """{parameter: (way, {objective: change of J along it})}, of fourth order, of runs at a tight tolerance."""
     model, objectives = setting(scene, cells)
-    found = {}
+    result = {}
     for name, parameter in parameters_of(model).items():
         if parameter.asked or not kind_of(name):
             continue
@@ -76,8 +76,8 @@ def differences(scene, cells, t_end):
         change = {
             each: (8 * (values[1][each] - values[-1][each]) - values[2][each] + values[-2][each]) / (12 * STEP) for each in objectives
         }
-        found[name] = way, change
-    return found
+        result[name] = way, change
+    return result
 
 
 def _changed(parameter, change, t_end):
@@ -92,10 +92,10 @@ def kind_of(name):
 def error_row(scene, objective, tolerance, cells, t_end):
     """The largest relative error of the slopes of each kind: over the difference, or J over a thousand parameters where that is larger."""
     run, (_, objectives) = run_at(scene, cells, t_end, tolerance), setting(scene, cells)
-    found, errors = pi.gradient(run, objectives[objective]), {}
+    result, errors = pi.gradient(run, objectives[objective]), {}
     for name, (way, change) in differences(scene, cells, t_end).items():
-        apart = abs(float(np.sum(found[name] * way)) - change[objective])
-        error = apart / max(abs(change[objective]), LITTLE * abs(found.value))
+        apart = abs(float(np.sum(result[name] * way)) - change[objective])
+        error = apart / max(abs(change[objective]), LITTLE * abs(result.value))
         errors[kind_of(name)] = max(error, errors.get(kind_of(name), 0.0))
     iterations = run.counts.newton_iterations / run.counts.steps
     return {"n": run.model.n, "steps": run.counts.steps, "iterations": iterations, **errors, "slope_error": max(errors.values())}

@@ -41,11 +41,11 @@ def ratio_row(scene, dof, objective, t_end, repeats):
     with one_blas_thread():
         for _ in range(repeats):
             run_s, run = cpu(partial(pi.solve, model, t_end, settings))
-            gradient_s, found = cpu(partial(pi.gradient, run, own))
+            gradient_s, result = cpu(partial(pi.gradient, run, own))
             times.append((run_s, gradient_s))
         parts = sweep_us(model, settings, run, own, repeats)
     run_s, gradient_s = np.transpose(times)
-    steps, solves = run.counts.steps, found.counts.solves / run.counts.steps
+    steps, solves = run.counts.steps, result.counts.solves / run.counts.steps
     per_step = 1e6 / steps
     return {
         "n": model.n,
@@ -56,7 +56,7 @@ def ratio_row(scene, dof, objective, t_end, repeats):
         "run_solves": run.counts.solves / steps,
         "solves": solves,
         "run_factorizations": run.counts.factorizations,
-        "factorizations": found.counts.factorizations,
+        "factorizations": result.counts.factorizations,
         "sweep_us": parts["sweep"],
         "solve_us": solves * parts["solve"],
         "product_us": (solves + 1.0) * parts["product"],
@@ -85,11 +85,11 @@ def sweep_us(model, settings, run, objective, repeats):
     work, system, rows = sweep.table.w, sweep.table.system, np.zeros(model.m)
     solved = system.corotated, system.room, w, rows, np.empty_like(w), rows.copy()
     loops = {"product": (_products, (work["scene"], u, v, w, work["products"])), "solve": (_solves, (work["scene"].links, *solved))}
-    found = {"sweep": cpu(swept)[0] / len(t)}
-    for name, (loop, given) in loops.items():
-        loop(1, *given)
-        found[name] = float(np.median([cpu(partial(loop, count, *given))[0] for _ in range(repeats)])) / count
-    return {name: 1e6 * seconds for name, seconds in found.items()}
+    result = {"sweep": cpu(swept)[0] / len(t)}
+    for name, (loop, arguments) in loops.items():
+        loop(1, *arguments)
+        result[name] = float(np.median([cpu(partial(loop, count, *arguments))[0] for _ in range(repeats)])) / count
+    return {name: 1e6 * seconds for name, seconds in result.items()}
 
 
 def error_row(scene, dof, objective, tolerance, t_end):
@@ -106,6 +106,6 @@ def slopes_of(scene, dof, objective, tolerance, t_end):
     """Slopes in stiffness and mass of all polygons, (cells,) each, and solves a step."""
     model = model_of(scene, dof)
     run = pi.solve(model, t_end, pi.GeneralizedAlpha(h=H, tolerance=tolerance))
-    found = pi.gradient(run, OBJECTIVES[objective]())
-    slopes = {kind: np.concatenate([found[f"{body.name}.{kind}"] for body in model.bodies]) for kind in ("stiffness", "mass")}
-    return slopes | {"solves": found.counts.solves / run.counts.steps}
+    result = pi.gradient(run, OBJECTIVES[objective]())
+    slopes = {kind: np.concatenate([result[f"{body.name}.{kind}"] for body in model.bodies]) for kind in ("stiffness", "mass")}
+    return slopes | {"solves": result.counts.solves / run.counts.steps}

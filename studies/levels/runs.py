@@ -43,7 +43,7 @@ def model_at(name, level):
 
 
 def measure(problem, level, x=None):
-    """Largest distance of the tip, where there is one, and of any joint, mass or load from where it is with full plates, m; CPU seconds.
+    """Largest distance of the tip, if there is one, and of any joint, mass or load from where it is with full plates, m; CPU seconds.
 
     x: step of generalized-alpha over the problem's time; None: Radau IIA, refined, whose distance is that of the level itself.
     """

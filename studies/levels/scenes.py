@@ -37,7 +37,7 @@ def _held(name, part, stand_for):
 
 
 def goes_at_any_level(name):
-    """Whether a problem has an option `level`."""
+    """True if a problem has an option `level`."""
     return "level" in inspect.signature(registry.find(registry.problems, name)).parameters
 
 

@@ -1,1 +1,1 @@
-"""What studies/mbb_beam.py is made of: the beam, its elements, the optimality criteria."""
+"""Modules of studies/mbb_beam.py: the beam, its elements, the optimality criteria."""

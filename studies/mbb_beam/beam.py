@@ -42,10 +42,10 @@ def compliance_of(mesh, element):
     model = scene(mesh, element).build()
 
     def compliance(stiffness):
-        found = pi.gradient(
+        result = pi.gradient(
             pi.static(model.with_factors(beam=(stiffness, 1.0)), linear=True), pi.objective.Compliance(), ["beam.stiffness"]
         )
-        return found.value, found["beam.stiffness"]
+        return result.value, result["beam.stiffness"]
 
     return compliance
 

@@ -1,1 +1,1 @@
-"""What studies/mesh_convergence.py is made of: cases and their selection."""
+"""Modules of studies/mesh_convergence.py: cases and their selection."""

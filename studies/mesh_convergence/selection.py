@@ -33,15 +33,15 @@ def tasks(quick):
     sizes = QUICK if quick else FULL
     loads = [{"load": load, "slenderness": 50} for load in (1, 10)]
     clamps = [{"clamp": clamp} for clamp in ("arc", "straight")]
-    made = grid("elastica", MEMBERS, sizes["elastica"], loads) + grid("csm1", MEMBERS, sizes["csm1"], clamps)
+    selection = grid("elastica", MEMBERS, sizes["elastica"], loads) + grid("csm1", MEMBERS, sizes["csm1"], clamps)
     for members, through in sizes["slender elastica"].items():
-        made += grid("elastica", members, through, [load | {"slenderness": SLENDER} for load in loads])
-    made += grid("csm1", POLYGONS, sizes["csm1 polygons"], clamps[:1])
-    made += grid("csm1", QUADS, sizes["csm1 fine"][:1], clamps)
-    made += grid("csm1", QUADS, sizes["csm1 fine"][1:], clamps[:1] if quick else clamps)
-    made += grid("cantilever", MEMBERS, sizes["cantilever"]) + grid("frequencies", MEMBERS, sizes["frequencies"])
-    made += grid("compliance", POLYGONS, sizes["compliance"], [{"at": at} for at in ("node", "section")])
-    return made + [grid("spin-up", QUADS, (ny,), [{"nx": nx, "h": h}])[0] for nx, ny, h in sizes["spin-up"]]
+        selection += grid("elastica", members, through, [load | {"slenderness": SLENDER} for load in loads])
+    selection += grid("csm1", POLYGONS, sizes["csm1 polygons"], clamps[:1])
+    selection += grid("csm1", QUADS, sizes["csm1 fine"][:1], clamps)
+    selection += grid("csm1", QUADS, sizes["csm1 fine"][1:], clamps[:1] if quick else clamps)
+    selection += grid("cantilever", MEMBERS, sizes["cantilever"]) + grid("frequencies", MEMBERS, sizes["frequencies"])
+    selection += grid("compliance", POLYGONS, sizes["compliance"], [{"at": at} for at in ("node", "section")])
+    return selection + [grid("spin-up", QUADS, (ny,), [{"nx": nx, "h": h}])[0] for nx, ny, h in sizes["spin-up"]]
 
 
 def grid(case, members, sizes, options=({},)):

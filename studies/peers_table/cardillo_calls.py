@@ -5,10 +5,10 @@ import numpy as np
 from peers_table.rows import GRAVITY, T_END, only, require, swung
 
 
-def options(**given):
+def options(**values):
     from cardillo.solver import SolverOptions
 
-    return SolverOptions(newton_atol=1e-10, newton_rtol=1e-10, **given)
+    return SolverOptions(newton_atol=1e-10, newton_rtol=1e-10, **values)
 
 
 def pendulum(mass=None):
@@ -109,7 +109,7 @@ def stops():
 
 
 class Point:
-    """A point mass written anew: what a system asks of a part of one's own."""
+    """A point mass written anew: what a system asks of a part of a user."""
 
     def __init__(self):
         self.nq = self.nu = 3
@@ -159,11 +159,11 @@ class Point:
 
 
 def own_model():
-    found = []
+    result = []
     for solver in (by_dae("Radau"), by_rattle):
         run = solver(pendulum(Point())).solve()
-        found.append(swung(run.q[np.argmin(np.abs(run.t - T_END))][[0, 2]], 1e-3))
-    return "; ".join(found)
+        result.append(swung(run.q[np.argmin(np.abs(run.t - T_END))][[0, 2]], 1e-3))
+    return "; ".join(result)
 
 
 def own_solver():

@@ -24,10 +24,10 @@ def run(peer, row):
         return {"found": "not installed", "version": "", "says": about.install}
     try:
         with silent():
-            says, found = checks_of(peer)[row](), "seen"
+            says, result = checks_of(peer)[row](), "seen"
     except NotThere as reason:
-        says, found = str(reason), "not seen"
-    return {"found": found, "version": version_of(about), "says": says}
+        says, result = str(reason), "not seen"
+    return {"found": result, "version": version_of(about), "says": says}
 
 
 def version_of(about):
@@ -42,13 +42,13 @@ def version_of(about):
 def silent():
     """What the process prints meanwhile, in compiled code too, is dropped."""
     sys.stdout.flush(), sys.stderr.flush()
-    kept, nowhere = [os.dup(number) for number in (1, 2)], os.open(os.devnull, os.O_WRONLY)
+    saved, nowhere = [os.dup(number) for number in (1, 2)], os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1), os.dup2(nowhere, 2)
         yield
     finally:
         sys.stdout.flush(), sys.stderr.flush()
-        for number, before in zip((1, 2), kept):
+        for number, before in zip((1, 2), saved):
             os.dup2(before, number)
-        for number in (*kept, nowhere):
+        for number in (*saved, nowhere):
             os.close(number)

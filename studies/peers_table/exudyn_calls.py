@@ -191,9 +191,9 @@ def condition():
 
 def counts():
     solver, system = after_a_run()
-    found = solver.it.newtonStepsCount, solver.it.newtonJacobiCount
-    require(min(found) > 0, f"counts {found}")
-    return f"Newton steps {found[0]}, Jacobians {found[1]}"
+    result = solver.it.newtonStepsCount, solver.it.newtonJacobiCount
+    require(min(result) > 0, f"counts {result}")
+    return f"Newton steps {result[0]}, Jacobians {result[1]}"
 
 
 def linear():
@@ -208,10 +208,10 @@ def linear():
     return f"a mass on springs rests at {moved:.4f} m, omega^2 = {square:.4g}, M, K, D of the linearised system"
 
 
-def swung_by(given):
+def swung_by(row):
     """Height of the pendulum's end, m, of a run with the step in a dictionary."""
     exudyn, system, mass = pendulum()
-    system.SolveDynamic(settings(exudyn, h=given["h"]))
+    system.SolveDynamic(settings(exudyn, h=row["h"]))
     return float(position(exudyn, system, mass)[1])
 
 

@@ -41,12 +41,12 @@ def turned(element, points, law):
     model, made = part(kratos, len(points[0]))
     for k, point in enumerate(points):
         made.CreateNewNode(k + 1, *point, *[0.0] * (3 - len(point)))
-    given = made.CreateNewProperties(1)
+    properties = made.CreateNewProperties(1)
     for name, value in {"YOUNG_MODULUS": 1e6, "POISSON_RATIO": 0.3, "DENSITY": 1e3, "THICKNESS": 1.0}.items():
-        given[getattr(kratos, name)] = value
-    given[kratos.CONSTITUTIVE_LAW] = getattr(structural, law)()
+        properties[getattr(kratos, name)] = value
+    properties[kratos.CONSTITUTIVE_LAW] = getattr(structural, law)()
     free(kratos, made)
-    made.CreateNewElement(element, 1, [node.Id for node in made.Nodes], given)
+    made.CreateNewElement(element, 1, [node.Id for node in made.Nodes], properties)
     one, matrix, force = made.GetElement(1), kratos.Matrix(), kratos.Vector()
     one.Initialize(made.ProcessInfo)
     turn, largest = np.array([[np.cos(1), -np.sin(1), 0], [np.sin(1), np.cos(1), 0], [0, 0, 1]]), 0.0
@@ -60,8 +60,8 @@ def turned(element, points, law):
     return float(np.abs(np.array(force)).max() / np.abs(np.array(matrix)).max() / largest)
 
 
-def rigid(element, *given):
-    share = turned(element, *given)
+def rigid(element, *properties):
+    share = turned(element, *properties)
     require(share < 1e-10, f"{element}, turned by 1 rad, pushes back: {share:.1e}")
     return f"{element}, turned by 1 rad, has a force of {share:.0e} of its stiffness"
 
@@ -98,11 +98,11 @@ def strategy(kratos, made, scheme):
     """Newton's method with a scheme of time."""
     solver, criterion = kratos.SkylineLUFactorizationSolver(), kratos.ResidualCriteria(1e-10, 1e-12)
     builder = kratos.ResidualBasedBlockBuilderAndSolver(solver)
-    found = kratos.ResidualBasedNewtonRaphsonStrategy(made, scheme, criterion, builder, 10, False, False, False)
-    found.SetEchoLevel(0)
+    result = kratos.ResidualBasedNewtonRaphsonStrategy(made, scheme, criterion, builder, 10, False, False, False)
+    result.SetEchoLevel(0)
     criterion.SetEchoLevel(0)
-    found.Initialize()
-    return found
+    result.Initialize()
+    return result
 
 
 def vibrated(scheme, bound):
@@ -157,9 +157,9 @@ def condition():
 
 def counts():
     away, newton, kratos, made = vibrated(bossak_scheme, 1e-2)
-    found = made.ProcessInfo[kratos.NL_ITERATION_NUMBER]
-    require(found > 0, "no count")
-    return f"Newton iterations of the last step: {found}"
+    result = made.ProcessInfo[kratos.NL_ITERATION_NUMBER]
+    require(result > 0, "no count")
+    return f"Newton iterations of the last step: {result}"
 
 
 def modes():
@@ -171,9 +171,9 @@ def modes():
         kratos.Parameters('{"solver_type": "eigen_eigensystem", "number_of_eigenvalues": 1, "tolerance": 1e-9}')
     )
     builder = kratos.ResidualBasedBlockBuilderAndSolver(solver)
-    found = structural.EigensolverStrategy(made, structural.EigensolverDynamicScheme(), builder, 1.0, 0.0, False)
-    found.Initialize()
-    found.Solve()
+    result = structural.EigensolverStrategy(made, structural.EigensolverDynamicScheme(), builder, 1.0, 0.0, False)
+    result.Initialize()
+    result.Solve()
     square = float(made.ProcessInfo[structural.EIGENVALUE_VECTOR][0])
     require(np.isclose(square, OMEGA**2), f"omega^2 = {square}")
     return f"omega^2 = {square:.4g} of a mass on a spring"
@@ -186,10 +186,10 @@ def restarted():
 
     with tempfile.TemporaryDirectory() as folder:
         place = f'"input_filename": "state", "input_output_path": "{Path(folder).as_posix()}", "restart_load_file_label": "0.0"'
-        given = kratos.Parameters(f"{{{place}}}")
-        RestartUtility(made, given).SaveRestart()
+        properties = kratos.Parameters(f"{{{place}}}")
+        RestartUtility(made, properties).SaveRestart()
         again = kratos.Model().CreateModelPart("part", 6)
-        RestartUtility(again, given).LoadRestart()
+        RestartUtility(again, properties).LoadRestart()
         moved = again.GetNode(1).GetSolutionStepValue(kratos.DISPLACEMENT_X)
     require(moved == 1.0, f"{moved}")
     return "a model part came back from its restart file, with its displacements"

@@ -136,7 +136,7 @@ def order():
     return f"{steps[1]} steps with orders up to 5, {steps[0]} with order 1"
 
 
-def kept():
+def energy_conserved():
     """Energy over ten seconds."""
     run = run_of(pi.EnergyMomentum(h=1e-2), 10.0)
     energy = np.sum(run.v**2, axis=1) / 2 + GRAVITY * run.q[:, 1]
@@ -146,7 +146,7 @@ def kept():
 
 @dataclass(frozen=True)
 class Projected:
-    """Symplectic Euler with q and v put back on the constraint of a mass matrix of 1: an integrator of one's own."""
+    """Symplectic Euler with q and v put back on the constraint of a mass matrix of 1: a user-defined integrator."""
 
     h: float
 
@@ -191,9 +191,9 @@ def swung_by(h):
 
 def counted():
     counts = run_of(pi.GeneralizedAlpha(h=1e-2)).counts
-    found = {name: getattr(counts, name) for name in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
-    require(min(found.values()) > 0, f"{found}")
-    return ", ".join(f"{name} {value}" for name, value in found.items())
+    result = {name: getattr(counts, name) for name in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
+    require(min(result.values()) > 0, f"{result}")
+    return ", ".join(f"{name} {value}" for name, value in result.items())
 
 
 def linear():
@@ -242,7 +242,7 @@ CHECKS = {
     "stabilised index 2 (GGL)": lambda: swings(pi.IDA(form="ggl2", rtol=1e-7), 1e-4),
     "BDF of variable order": order,
     "Radau IIA": lambda: swings(pi.RadauIIA(rtol=1e-7), 1e-4),
-    "energy-momentum": kept,
+    "energy-momentum": energy_conserved,
     "an integrator of one's own": lambda: swings(Projected(h=1e-3), 1e-2),
     "condition number of the iteration matrix": scaled,
     "work-precision studies": precision,

@@ -28,9 +28,9 @@ def block(dimension=3):
     return problem, u, v, material, Integrals([integral]), mesh
 
 
-def forces(given, moved):
+def forces(setup, moved):
     """Largest nodal force of the block under a displacement."""
-    problem, u, v, material, integrals, mesh = given
+    problem, u, v, material, integrals, mesh = setup
     u.set_data(moved.ravel())
     wanted = {"mode": "weak", "dw_mode": "vector", "integrals": integrals, "m": material, "u": u, "v": v, "verbose": False}
     return float(np.abs(problem.evaluate("dw_tl_he_neohook.i.Omega(m.mu, v, u)", **wanted)).max())
@@ -38,10 +38,10 @@ def forces(given, moved):
 
 def turned():
     """A hyperelastic block turned by 1 rad about z has no force; stretched it has."""
-    given = block()
+    setup = block()
     turn = np.array([[np.cos(1), -np.sin(1), 0], [np.sin(1), np.cos(1), 0], [0, 0, 1]])
-    x = given[-1].coors
-    still, stretched = forces(given, x @ turn.T - x), forces(given, x * [0.1, 0.0, 0.0])
+    x = setup[-1].coors
+    still, stretched = forces(setup, x @ turn.T - x), forces(setup, x * [0.1, 0.0, 0.0])
     require(still < 1e-10 * stretched, f"turned {still:.1e} N, stretched {stretched:.1e} N")
     return f"a block turned by 1 rad has {still:.0e} N at its nodes, one stretched by a tenth {stretched:.1f} N"
 
@@ -79,8 +79,8 @@ def elastodynamics(scheme):
 
 def alpha():
     """The scheme against Newmark's on the same block that hits a wall."""
-    other, found = (elastodynamics(f"ts.{name}")[1] for name in ("newmark", "generalized_alpha"))
-    away = float(np.abs(found - other).max() / np.abs(other).max())
+    other, result = (elastodynamics(f"ts.{name}")[1] for name in ("newmark", "generalized_alpha"))
+    away = float(np.abs(result - other).max() / np.abs(other).max())
     require(away < 0.1, f"{away:.1e} from Newmark's")
     return f"generalized-alpha and Newmark's method are {away:.0e} of the displacement apart on a block that hits a wall"
 
@@ -92,7 +92,7 @@ def schemes():
 
 
 def own_scheme():
-    """A class of one's own, registered by its name, takes the example's steps."""
+    """A class of a user, registered by its name, takes the example's steps."""
     from sfepy.solvers import register_solver
     from sfepy.solvers.ts_solvers import NewmarkTS
 
@@ -106,21 +106,21 @@ def own_scheme():
     register_solver(Counted)
     elastodynamics("ts.counted")
     require(Counted.steps > 0, "it was not used")
-    return f"a class of one's own took {Counted.steps} steps"
+    return f"a class of a user took {Counted.steps} steps"
 
 
 def matrix():
     """The matrix of the last step."""
-    found = elastodynamics("ts.newmark")[0].mtx_a
-    require(found is not None and found.nnz, "no matrix")
-    return f"its matrix, {found.shape[0]} by {found.shape[1]}, with {found.nnz} entries, for scipy to look at"
+    result = elastodynamics("ts.newmark")[0].mtx_a
+    require(result is not None and result.nnz, "no matrix")
+    return f"its matrix, {result.shape[0]} by {result.shape[1]}, with {result.nnz} entries, for scipy to look at"
 
 
 def counts():
     status = elastodynamics("ts.newmark")[2].to_dict()
-    found = {key: value for key, value in status.items() if isinstance(value, (int, float))} | dict(status.get("nls_status", {}).to_dict())
-    require(bool(found), "no count")
-    return f"status: {', '.join(f'{key} {value}' for key, value in found.items() if isinstance(value, (int, float)))}"
+    result = {key: value for key, value in status.items() if isinstance(value, (int, float))} | dict(status.get("nls_status", {}).to_dict())
+    require(bool(result), "no count")
+    return f"status: {', '.join(f'{key} {value}' for key, value in result.items() if isinstance(value, (int, float)))}"
 
 
 def restarted():

@@ -33,7 +33,7 @@ def solve_dae_own():
 
     run = solve_dae(pendulum, (0.0, T_END), START, slopes(), method=Counted, rtol=1e-6, atol=1e-6)
     require(run.success and Counted.steps > 0, "the class was not used")
-    return f"a class of one's own took {Counted.steps} steps; {swung(run.y[:2, -1], 1e-3)}"
+    return f"a class of a user took {Counted.steps} steps; {swung(run.y[:2, -1], 1e-3)}"
 
 
 def solve_dae_counts():

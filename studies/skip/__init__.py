@@ -1,1 +1,1 @@
-"""What studies/skip.py is made of: the savings."""
+"""Modules of studies/skip.py: the savings."""

@@ -1,1 +1,1 @@
-"""What studies/small_systems.py is made of: the peer and the times of steps."""
+"""Modules of studies/small_systems.py: the peer and the times of steps."""

@@ -36,8 +36,8 @@ def theirs(rtol):
     y, yp, B = np.zeros(20), np.zeros(20), rows(Q0)[1]
     y[:6], yp[16:] = Q0, -np.linalg.solve(B / MASSES @ B.T, B @ (WEIGHT / MASSES))
     yp[6:12] = -(WEIGHT + B.T @ yp[16:]) / MASSES
-    seconds, found = cpu(lambda: solve_dae(residual, (0.0, T_END), y, yp, method="Radau", rtol=rtol, atol=rtol, t_eval=[0.0, T_END]))
-    x, y, angle = found.y[3:6, -1]
+    seconds, result = cpu(lambda: solve_dae(residual, (0.0, T_END), y, yp, method="Radau", rtol=rtol, atol=rtol, t_eval=[0.0, T_END]))
+    x, y, angle = result.y[3:6, -1]
     return seconds, np.array([x + 0.5 * np.cos(angle), y + 0.5 * np.sin(angle)])
 
 
@@ -57,5 +57,5 @@ def peer_row(model, rounds):
         least[name] = next(rtol for rtol, error in errors.items() if error < ERROR)
         row |= {f"{name}_rtol": least[name], f"{name}_error_m": errors[least[name]]}
     times = [{name: side(least[name])[0] for name, side in sides.items()} for _ in range(rounds)]
-    row |= {f"{name}_s": float(np.median([found[name] for found in times])) for name in sides}
-    return row | {"radau_over_solve_dae": float(np.median([found["radau"] / found["solve_dae"] for found in times]))}
+    row |= {f"{name}_s": float(np.median([result[name] for result in times])) for name in sides}
+    return row | {"radau_over_solve_dae": float(np.median([result["radau"] / result["solve_dae"] for result in times]))}

@@ -1,4 +1,4 @@
-"""Models of one's own: what a run takes beside their functions, with these in Python and compiled; a step beside a loop in numba."""
+"""User-defined models: what a run takes beside their functions, with these in Python and compiled; a step beside a loop in numba."""
 
 import inspect
 import time
@@ -27,19 +27,19 @@ def compiled(model):
 def cpu(call):
     """(CPU seconds of this process that a call takes, what it returns)."""
     begin = time.process_time()
-    found = call()
-    return time.process_time() - begin, found
+    result = call()
+    return time.process_time() - begin, result
 
 
 def functions_row(name, rounds):
     """Of each integrator at rtol 1e-6: a run in Python over the time inside the model's functions, and over a run with these compiled."""
     problem, row = get(name), {}
-    start, given = {"q0": problem.q0, "v0": problem.v0, "every": NO_FRAMES}, compiled(problem.model)
+    start, arguments = {"q0": problem.q0, "v0": problem.v0, "every": NO_FRAMES}, compiled(problem.model)
     for key, integrator in RTOL.items():
         go = partial(pi.solve, t_end=SPANS[name], integrator=integrator, **start)
         calls = calls_of(problem.model, go)
-        go(given)
-        turns = [(cpu(partial(go, problem.model))[0], inside(problem, calls), cpu(partial(go, given))[0]) for _ in range(rounds)]
+        go(arguments)
+        turns = [(cpu(partial(go, problem.model))[0], inside(problem, calls), cpu(partial(go, arguments))[0]) for _ in range(rounds)]
         python, own, fast = np.array(turns).T
         row |= {f"{key}_over_own": float(np.median(python / own)), f"{key}_python_over_compiled": float(np.median(python / fast))}
     return {"n": problem.model.n, "m": problem.model.m} | row
@@ -52,9 +52,9 @@ def calls_of(model, go):
     def counted(name):
         function = getattr(kind, name)
 
-        def call(self, *given):
+        def call(self, *arguments):
             calls[name] += 1
-            return function(self, *given)
+            return function(self, *arguments)
 
         return call
 
@@ -68,15 +68,15 @@ def inside(problem, calls, repeats=200):
     state, seconds = {"t": 0.1, "q": problem.q0, "v": problem.v0 + 0.1, "a": np.ones(n), "lam": np.ones(m)}, 0.0
     for name, count in calls.items():
         function = getattr(problem.model, name)
-        given = [state[key] for key in inspect.signature(function).parameters]
-        seconds += count * cpu(partial(repeated, function, given, repeats))[0] / repeats
+        arguments = [state[key] for key in inspect.signature(function).parameters]
+        seconds += count * cpu(partial(repeated, function, arguments, repeats))[0] / repeats
     return seconds
 
 
-def repeated(function, given, times):
+def repeated(function, arguments, times):
     """Call a function so often."""
     for _ in range(times):
-        function(*given)
+        function(*arguments)
 
 
 @njit
@@ -143,10 +143,10 @@ def pendulum_row(rounds, stepped):
         {name: stepped(model, name, count, **start) for name, count in STEPS.items()} | {"loop": 1e6 * cpu(loop)[0] / steps}
         for _ in range(rounds + 1)
     ]
-    found = {f"{name}_us": float(np.median([row[name] for row in rows[1:]])) for name in rows[0]}
+    result = {f"{name}_us": float(np.median([row[name] for row in rows[1:]])) for name in rows[0]}
     return {
         "n": 2,
         "m": 1,
         "iterations": iterations,
         "alpha_over_loop": float(np.median([row["alpha"] / row["loop"] for row in rows[1:]])),
-    } | found
+    } | result

@@ -1,1 +1,1 @@
-"""What studies/step_cost.py is made of: measurements of a step."""
+"""Modules of studies/step_cost.py: measurements of a step."""

@@ -38,7 +38,7 @@ LIMIT = 1.02  # at which a step counts as slower than before
 
 
 def against(commit):
-    """The study of a commit's steps. InputError where this is no clone that has it."""
+    """The study of a commit's steps. InputError if this is no clone that has it."""
     whole = whole_name(commit)
     return Study(
         "step_cost",
@@ -139,11 +139,11 @@ def in_turn(before, now, turned):
 def summary(rows):
     """{"ratio": median of now over before, ...} of pairs of measurements."""
     ratios = [now["ms_per_step"] / before["ms_per_step"] for before, now in rows]
-    found = {"ratio": float(np.median(ratios)), "lowest": min(ratios), "highest": max(ratios)}
+    result = {"ratio": float(np.median(ratios)), "lowest": min(ratios), "highest": max(ratios)}
     for side, measurements in zip(("before", "now"), zip(*rows)):
         for short, name in (("ms", "ms_per_step"), ("iterations", "newton_iterations"), ("steps", "steps"), ("factors", "factorizations")):
-            found[f"{side}_{short}"] = float(np.median([row[name] for row in measurements]))
-    return found
+            result[f"{side}_{short}"] = float(np.median([row[name] for row in measurements]))
+    return result
 
 
 def figures(rows):

@@ -23,11 +23,11 @@ RUNS = {  # figure: coordinates, steps of a run, pairs of runs, the same of the 
 
 def tasks(quick):
     """A task for each figure."""
-    made = []
+    selection = []
     for name, (dof, whole, short, streams) in RUNS.items():
         if chosen := short if quick else whole:
-            made.append({"part": "frames", "figure": name, "dof": dof, "steps": chosen[0], "pairs": chosen[1], "streams": streams})
-    return made
+            selection.append({"part": "frames", "figure": name, "dof": dof, "steps": chosen[0], "pairs": chosen[1], "streams": streams})
+    return selection
 
 
 def frames_row(figure, dof, steps, pairs, streams):

@@ -149,14 +149,14 @@ def parts_of_a_step(model, row):
 
 def fronts(model, blocks):
     """(factor, solve) of our own multifrontal factor: in double, kept and solved with in single."""
-    known, kept, b, x = model.once(symbolic_of), {}, np.ones(model.n, np.float32), np.empty(model.n, np.float32)
+    known, factors, b, x = model.once(symbolic_of), {}, np.ones(model.n, np.float32), np.empty(model.n, np.float32)
 
     def factor():
-        kept["panels"] = factorize(known, blocks)
+        factors["panels"] = factorize(known, blocks)
 
     def solved():
         x[:] = b
-        solve_fronts(known, kept["panels"], x)
+        solve_fronts(known, factors["panels"], x)
         return x
 
     return factor, solved
@@ -168,7 +168,7 @@ BACKENDS = {"fronts": fronts} | peers.BACKENDS
 def floor_row(dof, backend, repeats):
     """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python.
 
-    The analysis is apart where it can be. Raises peers.Missing where the back-end is not installed.
+    The analysis is apart where it can be. Raises peers.Missing if the back-end is not installed.
     """
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)

@@ -135,13 +135,13 @@ def tasks(quick):
 def own_row(function, method, rounds):
     """{variant: microseconds of CPU of a step}, medians of rounds in which all take turns."""
     made = {name: (make(), options) for name, (make, options) in CASES[function].items()}
-    found: dict = {name: [] for name in made}
+    result: dict = {name: [] for name in made}
     short, long = STEPS[method]
     for _ in range(rounds + 1):
         for name, (model, options) in made.items():
             ends = [cpu(lambda: solve(model, steps * H, METHODS[method], every=NO_FRAMES, **options))[0] for steps in (short, long)]  # noqa: B023
-            found[name].append(1e6 * (ends[1] - ends[0]) / (long - short))
-    return {f"{name}_us": float(np.median(times[1:])) for name, times in found.items()}
+            result[name].append(1e6 * (ends[1] - ends[0]) / (long - short))
+    return {f"{name}_us": float(np.median(times[1:])) for name, times in result.items()}
 
 
 def notes(rows):

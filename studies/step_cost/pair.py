@@ -15,15 +15,15 @@ SOLVES = 3  # with each factor, one an iteration
 
 def fronts(model, blocks):
     """(factor, solve) of our own multifrontal factor, kept and solved with in single precision."""
-    known, kept, b = model.once(symbolic_of), {}, np.ones(model.n, single(blocks))
+    known, factors, b = model.once(symbolic_of), {}, np.ones(model.n, single(blocks))
     x = b.copy()
 
     def factor():
-        kept["panels"] = factorize(known, blocks)
+        factors["panels"] = factorize(known, blocks)
 
     def solved():
         x[:] = b
-        solve_fronts(known, kept["panels"], x)
+        solve_fronts(known, factors["panels"], x)
         return x[known.order]
 
     return factor, solved

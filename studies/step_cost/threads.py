@@ -57,7 +57,7 @@ def wall(call):
 def threads_row(dof, steps, repeats):
     """Steps and triads in one thread and in two: medians of wall times measured in turn, and of the ratios of a turn.
 
-    triad: a = b + c/2 on arrays that no cache holds, 24 bytes a number. Raises ArithmeticError where results differ by the threads.
+    triad: a = b + c/2 on arrays that no cache holds, 24 bytes a number. Raises ArithmeticError if results differ by the threads.
     """
     one, two, halves = Run(dof), Run(dof, THREADS), [Run(dof // THREADS) for _ in range(THREADS)]
     require_same(one.take(steps), two.take(steps))
@@ -73,7 +73,7 @@ def threads_row(dof, steps, repeats):
             "triad_two": lambda: list(pool.map(lambda triad: triad(), triads)),
         }
         times = np.array([[wall(call) for call in measured.values()] for _ in range(repeats)])
-    found = dict(zip(measured, np.median(times, axis=0).tolist()))
+    result = dict(zip(measured, np.median(times, axis=0).tolist()))
     ratios = times[:, ::2] / times[:, 1::2]
     speedup, limit, triad = np.median(ratios, axis=0).tolist()
     return {
@@ -84,8 +84,8 @@ def threads_row(dof, steps, repeats):
         "highest": float(ratios[:, 0].max()),
         "limit": limit,
         "triad_speedup": triad,
-        **{f"{name}_ms": 1e3 * found[name] / steps for name in list(measured)[:4]},
-        **{f"{name}_gb_s": THREADS * 3e-9 * MANY / found[name] for name in list(measured)[4:]},
+        **{f"{name}_ms": 1e3 * result[name] / steps for name in list(measured)[:4]},
+        **{f"{name}_gb_s": THREADS * 3e-9 * MANY / result[name] for name in list(measured)[4:]},
     }
 
 

@@ -53,18 +53,18 @@ WAITS = {"comparison": comparison, "animation": animation, "figure": largest_fig
 def panels_written(folder):
     """Write the figure of `largest_figure` as PNG and PDF; its paths."""
     x = 10.0 ** np.arange(-8, 0)
-    made, axes = panels(PANELS, width=9.0, height=2.1, columns=4)
+    fig, axes = panels(PANELS, width=9.0, height=2.1, columns=4)
     for k, axis in enumerate(axes):
         for i in range(5):
             loglog(axis, x, x ** (0.5 + 0.1 * i), i, f"line {i}")
         axis.set(title=f"panel {k}", xlabel="error, m", ylabel="work")
-    legend_above(made, axes)
-    (sheet,) = line_picture(made, "panels")
+    legend_above(fig, axes)
+    (sheet,) = line_picture(fig, "panels")
     return [save(sheet.figure, folder / f"panels.{kind}") for kind in ("png", "pdf")]
 
 
 def command(*arguments):
-    """(wall s, CPU s with those of its own processes) of a command of polyida in a new process; RuntimeError where it fails."""
+    """(wall s, CPU s with those of its own processes) of a command of polyida in a new process; RuntimeError if it fails."""
     paths = os.pathsep.join([str(Path(polyida.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     given, settings = [sys.executable, "-c", COMMAND, *map(str, arguments)], os.environ | {"PYTHONPATH": paths}
     return clocked(partial(_ended, given, settings))
@@ -91,9 +91,9 @@ def tasks(quick):
 def figures(rows):
     """Wall seconds of each; of the comparison CPU seconds too, for it works in two processes."""
     waits = {"compare_wall_s": "comparison", "animation_100_s": "animation", "figure_s_max": "figure"}
-    found = {name: number(rows, "wall_s", part="wait", what=what) for name, what in waits.items()}
-    found["compare_cpu_s"] = number(rows, "cpu_s", part="wait", what="comparison")
-    return {name: value for name, value in found.items() if np.isfinite(value)}
+    result = {name: number(rows, "wall_s", part="wait", what=what) for name, what in waits.items()}
+    result["compare_cpu_s"] = number(rows, "cpu_s", part="wait", what="comparison")
+    return {name: value for name, value in result.items() if np.isfinite(value)}
 
 
 def notes(rows):

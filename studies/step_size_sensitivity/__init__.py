@@ -1,1 +1,1 @@
-"""What studies/step_size_sensitivity.py is made of: slopes."""
+"""Modules of studies/step_size_sensitivity.py: slopes."""

@@ -79,7 +79,7 @@ def _farthest(run, exact, stride):
 
 @lru_cache(maxsize=4)
 def moving_reference(scene, cells, smallest, largest):
-    """(model, [(State on its way, {h: (q, v, a, lam) STEPS steps of h later})]) for h on the decades from smallest to
+    """(model, [(State in motion, {h: (q, v, a, lam) STEPS steps of h later})]) for h on the decades from smallest to
     largest from the first of STARTS states, to SHORT from the others.
     """
     model = plates.double_plate_motors(cells).build() if scene == "scene 2" else smooth("motors", cells)
@@ -104,8 +104,8 @@ def decades(smallest, largest):
 def tiny_steps(scene, cells, h, smallest, largest, **settings):
     """`after_steps` by generalized-alpha, and where its Newton iteration stalls."""
     integrator = GeneralizedAlpha(h=h, tolerance=1e-9, max_halvings=0, **settings)
-    found, model, states = after_steps(scene, cells, h, smallest, largest, integrator)
-    return found | stall(model, states, integrator) if found["outcome"] == "done" else found
+    result, model, states = after_steps(scene, cells, h, smallest, largest, integrator)
+    return result | stall(model, states, integrator) if result["outcome"] == "done" else result
 
 
 def after_steps(scene, cells, h, smallest, largest, integrator):
@@ -116,16 +116,16 @@ def after_steps(scene, cells, h, smallest, largest, integrator):
     starts = [(state, ends[h]) for state, ends in starts if h in ends]
     runs = [solve(model, state.t + STEPS * h, integrator, state=state) for state, _ in starts]
     stopped = [run.message for run in runs if not run.success]
-    found = {
+    result = {
         "outcome": stopped[0] if stopped else "done",
         "starts": len(runs),
         "iterations": sum(run.counts.newton_iterations for run in runs) / max(1, sum(run.counts.steps for run in runs)),
     }
     states = [state for state, _ in starts]
     if stopped:
-        return found, model, states
+        return result, model, states
     errors = [_relative(run, exact) for run, (_, exact) in zip(runs, starts)]
-    return found | {f"error_{part}": float(value) for part, value in zip(PARTS, np.median(errors, axis=0))}, model, states
+    return result | {f"error_{part}": float(value) for part, value in zip(PARTS, np.median(errors, axis=0))}, model, states
 
 
 def _relative(run, exact):
@@ -136,7 +136,7 @@ def _relative(run, exact):
 def stall(model, states, settings):
     """Where Newton's iteration stops falling in one step: |dq| over beta h^2 |a| and |dlam| over |lam|.
 
-    Medians over the states. NaN where the iteration with one matrix runs away.
+    Medians over the states. NaN if the iteration with one matrix runs away.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         floor = np.median([_stall(model, state, settings) for state in states], axis=0)

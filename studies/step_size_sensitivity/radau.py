@@ -17,13 +17,13 @@ KINDS, SCENE = ("load", "motors"), "scene 2"
 
 def tasks(cells, largest):
     """Every form on both smooth motions, and from 1e-9 s up."""
-    made = [
+    selection = [
         {"part": ORDER, "scene": kind, "cells": cells, "form": form, "halvings": k}
         for kind in KINDS
         for form in FORMS
         for k in range(HALVINGS)
     ]
-    return made + [
+    return selection + [
         {"part": TINY, "scene": SCENE, "cells": cells, "form": form, "h": h, "largest": largest}
         for form in FORMS
         for h in decades(1e-9, largest)
@@ -40,28 +40,28 @@ def run(part, scene, cells, form, halvings=0, h=0.0, largest=0.0):
         return after_steps(scene, cells, h, 1e-9, largest, method(h, max_halvings=0))[0]
     errors = order_errors(scene, cells, COARSEST, halvings, TIME, method)
     floor = reference_floor(scene, cells, COARSEST, TIME)
-    found = {f"error_{name}": x for name, x in errors.items()} | {f"floor_{name}": x for name, x in floor.items()}
-    return found | {"h": COARSEST / 2**halvings}
+    result = {f"error_{name}": x for name, x in errors.items()} | {f"floor_{name}": x for name, x in floor.items()}
+    return result | {"h": COARSEST / 2**halvings}
 
 
 def figures(rows):
     """Fitted orders of each form on smooth motion, the errors of lam and a at the smallest step."""
-    found = {}
+    result = {}
     for form in FORMS:
         name = form.replace(",", "").replace(" ", "_")
         for kind in KINDS:
             for part in PARTS:
                 runs = above_floor(runs_of(rows, part=ORDER, scene=kind, form=form), part)
-                found[f"radau_{name}_order_{part}_{kind}"] = fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
+                result[f"radau_{name}_order_{part}_{kind}"] = fit_slope(column(runs, "h"), column(runs, f"error_{part}"))
         for part in ("lam", "a"):
-            found[f"radau_{name}_{part}_error_h1e-9"] = value(last(rows, part=TINY, form=form, h=1e-9), f"error_{part}")
-    return {name: x for name, x in found.items() if np.isfinite(x)}
+            result[f"radau_{name}_{part}_error_h1e-9"] = value(last(rows, part=TINY, form=form, h=1e-9), f"error_{part}")
+    return {name: x for name, x in result.items() if np.isfinite(x)}
 
 
 @study_figure
 def figure(rows):
     """Errors of q, v and lam against the step: on smooth motion driven by motors, and after four tiny steps."""
-    made, axes = panels(6, width=7.4, height=2.6, columns=3)
+    fig, axes = panels(6, width=7.4, height=2.6, columns=3)
     for row, (part, scene, title) in enumerate(((ORDER, "motors", "smooth motors"), (TINY, SCENE, "four steps, scene 2"))):
         for axis, name in zip(axes[3 * row : 3 * row + 3], ("q", "v", "lam")):
             for i, form in enumerate(FORMS):
@@ -75,5 +75,5 @@ def figure(rows):
             if any(len(line.get_xdata()) for line in axis.get_lines()):
                 axis.set(xscale="log", yscale="log")
         axes[3 * row].set_ylabel("largest relative error")
-    legend_above(made, axes, 3)
-    return line_picture(made, "radau")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "radau")

@@ -84,6 +84,6 @@ def in_words(rows):
     lines = {}
     for _, what, solve, slope, theory in table(rows):
         if np.isfinite(slope):
-            told = "" if abs(slope - theory) <= WITHIN else f" (not within {WITHIN:g})"
-            lines.setdefault((what, theory), []).append(f"{solve} {slope:+.2f}{told}")
-    return [f"slope in h, {what}: theory {theory:+d}; {', '.join(found)}" for (what, theory), found in lines.items()]
+            suffix = "" if abs(slope - theory) <= WITHIN else f" (not within {WITHIN:g})"
+            lines.setdefault((what, theory), []).append(f"{solve} {slope:+.2f}{suffix}")
+    return [f"slope in h, {what}: theory {theory:+d}; {', '.join(result)}" for (what, theory), result in lines.items()]

@@ -1,1 +1,1 @@
-"""What studies/stress.py is made of: axes, what is driven along them, what counts as right."""
+"""Modules of studies/stress.py: axes, what is driven along them, what counts as right."""

@@ -18,7 +18,7 @@ STIFFLY = ("ggl2", "ggl1", "radau")
 class Axis:
     """case(value, integrator's name) -> (Trajectory, checks); all values, from benign to harsh; those of the quick selection.
 
-    foreseen(value, integrator's name): the Stop that is right for a row, None where coming to the end alone is.
+    foreseen(value, integrator's name): the Stop that is right for a row, None if coming to the end alone is.
     slow: integrators that the quick selection leaves out, because they take long.
     """
 

@@ -70,7 +70,7 @@ def refined(model, t_end, h):
 
 
 def off_by_refined(run, known, bound):
-    """The Check of the tip's place: NaN where the refined runs failed, or are too far apart to judge."""
+    """The Check of the tip's place: NaN if the refined runs failed, or are too far apart to judge."""
     if known.failed:
         return Check(f"tip; a refined run stops: {known.failed[:80]}", float("nan"), 1.0)
     kept = bound + 3 * known.apart if 3 * known.apart < bound else float("nan")

@@ -82,5 +82,5 @@ def _exact(acceleration, x, v, t_end):
     """The place x of `x'' = acceleration(x)` at t_end."""
     from scipy.integrate import solve_ivp
 
-    found = solve_ivp(lambda t, y: [y[1], acceleration(y[0])], (0.0, t_end), [x, v], "DOP853", rtol=1e-11, atol=1e-13, max_step=1e-3)
-    return float(found.y[0, -1])
+    result = solve_ivp(lambda t, y: [y[1], acceleration(y[0])], (0.0, t_end), [x, v], "DOP853", rtol=1e-11, atol=1e-13, max_step=1e-3)
+    return float(result.y[0, -1])

@@ -73,8 +73,8 @@ def killed_runs(kills, name, seed=0, t_end=0.4):
             if not path.exists():
                 continue
             part = load(path)
-            told = struct.unpack("q", accepted[:8])[0]
-            lost = max(lost, told - FLUSH - INSTANTS - (len(part) - 1))
+            written = struct.unpack("q", accepted[:8])[0]
+            lost = max(lost, written - FLUSH - INSTANTS - (len(part) - 1))
             deviation = max(deviation, _apart(part, whole, name))
             if part.status == "done":
                 path.unlink()
@@ -91,7 +91,7 @@ def killed_runs(kills, name, seed=0, t_end=0.4):
 
 
 def _going_on(path, model, method, t_end, accepted):
-    """What a victim does: go on from the file where there is one, tell every accepted step."""
+    """What a victim does: go on from the file if there is one, tell every accepted step."""
     done = len(load(path)) - 1 if path.exists() else 0
 
     def tell(t, steps=[done]):  # noqa: B006, the list is the counter

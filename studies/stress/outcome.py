@@ -27,7 +27,7 @@ class Check:
 
     @property
     def share(self):
-        """Deviation over bound; infinite where it cannot be told."""
+        """Deviation over bound; infinite if it cannot be told."""
         share = self.deviation / self.bound if self.bound > 0 else float("nan")
         return float(share) if np.isfinite(share) else float("inf")
 
@@ -43,7 +43,7 @@ class Stop:
     only: bool = True
 
     def covers(self, status, message):
-        """Whether a stop is this one."""
+        """True if a stop is this one."""
         return status in self.statuses and any(word in message for word in self.words)
 
 
@@ -95,9 +95,9 @@ def judged(run, checks, foreseen=None):
     """Outcome, status and reason of a run, and the check that is nearest to its bound; run None: the checks alone."""
     if run is None:
         return {"status": "done"} | _by_checks(checks)
-    kept = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
+    finite = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
     row = {"status": run.status, "reason": run.message}
-    if not kept:
+    if not finite:
         return row | {"outcome": "wrong", "reason": "the frames hold values that are not finite"}
     if not run.success:
         return row | _stopped(run, [check for check in checks if check.at_stop], foreseen)
@@ -109,9 +109,9 @@ def judged(run, checks, foreseen=None):
 def _stopped(run, checks, foreseen):
     """Outcome of a run that stopped: its frames must be sound, its message must say why, the checks of a stop must hold."""
     drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
-    found = _by_checks([drift, *checks])
-    if found["outcome"] == "wrong" or not run.message:
-        return found | {"outcome": "wrong"}
+    result = _by_checks([drift, *checks])
+    if result["outcome"] == "wrong" or not run.message:
+        return result | {"outcome": "wrong"}
     return {"outcome": _kind(run.status, run.message, foreseen)}
 
 

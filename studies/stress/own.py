@@ -1,4 +1,4 @@
-"""Cases of the stress study with bodies, joints, forces and models of one's own: right against a formula, or refused by name."""
+"""Cases of the stress study with user-defined bodies, joints, forces and models: right against a formula, or refused by name."""
 
 import warnings
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ BESIDE = ("nothing", "spring", "torque")
 
 
 def own_body_beside(what, name):
-    """A body of one's own, 1 kg on its own spring of 30 N/m, starts with 1 m/s beside a built-in force: it moves as
+    """A user-defined body, 1 kg on its own spring of 30 N/m, starts with 1 m/s beside a built-in force: it moves as
     `sin(omega t) / omega`, a built-in spring of 20 N/m adds to its stiffness, a torque turns another body by `M t^2 / (2 I)`."""
     scene, t_end, extra = Scene(), 0.3, 20.0 if what == "spring" else 0.0
     point = scene.add(Anchored(1.0, 30.0, name="own"))
@@ -132,8 +132,8 @@ def _all_roots(model, known):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that modes grow is what is looked for
         roots = modes(model, damped=True, count=2 * model.n).roots
-    found = np.concatenate([roots, roots.conj()])
-    apart = np.abs(found[None, :] - known[:, None]).min(axis=1).max()
+    result = np.concatenate([roots, roots.conj()])
+    apart = np.abs(result[None, :] - known[:, None]).min(axis=1).max()
     return Check("roots of the modes, of the largest", float(apart / np.abs(known).max()), 1e-9)
 
 
@@ -162,7 +162,7 @@ HOLDS = {"Slot": Slot, "Rail": Rail, "Mirrored": Mirrored, "Pin": Pin}
 
 
 def reaction_of(kind, name):
-    """A body of 2 kg slides down or hangs at a joint: its reaction is what the joint does to side b, `m (a - g)`, for joints of one's own as
+    """A body of 2 kg slides down or hangs at a joint: its reaction is what the joint does to side b, `m (a - g)`, for user-defined joints as
     for the built-in one."""
     scene = Scene(gravity=(0.0, -G))
     body = scene.add(RigidBody(mass=2.0, inertia=0.1, points={"pin": (0.0, 0.0)}, name="body"))
@@ -202,7 +202,7 @@ class Promising(Model):
 
 
 def promised(broken, name):
-    """A model of one's own says of everything that it does not vary: right where that is true, against a run of it that promises nothing."""
+    """A user-defined model says of everything that it does not vary: right where that is true, against a run of it that promises nothing."""
     model = Promising(broken)
     run = solve(model, 0.5, integrator(name))
     return run, _against_honest(run, Promising(broken), needs=Needs())
@@ -244,7 +244,7 @@ class Circling(Model):
 
 
 def circled(wrong, name):
-    """A pendulum of one's own that writes phi_rate and phi_bias: right where they are the derivatives of phi."""
+    """A user-defined pendulum that writes phi_rate and phi_bias: right where they are the derivatives of phi."""
     run = solve(Circling(wrong), 0.5, integrator(name), q0=[1.0, 0.0])
     return run, _against_honest(run, Circling("none"))
 
@@ -282,7 +282,7 @@ class Attraction(ForceElement):
 
 
 def own_energy(share, name):
-    """A force of one's own with `share` of its potential as energy: checked by `check_derivatives`, then the run must keep its energy."""
+    """A user-defined force with `share` of its potential as energy: checked by `check_derivatives`, then the run must keep its energy."""
     scene = Scene()
     body = scene.add(RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(1.0, 0.0), name="body"))
     scene.add(Attraction(body.at("c"), 20.0, share, name="own"))

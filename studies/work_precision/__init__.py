@@ -1,1 +1,1 @@
-"""What studies/work_precision.py is made of: the selection, errors of the tip."""
+"""Modules of studies/work_precision.py: the selection, errors of the tip."""

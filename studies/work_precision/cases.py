@@ -102,13 +102,13 @@ def case(name, quick):
 
 def measure(name, member, x, quick):
     """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
-    chosen = case(name, quick)
-    motion, made = chosen.ivp, integrator(member, x, chosen.sizes, chosen.ivp.t_end / 20, chosen.newton)
+    selected = case(name, quick)
+    motion, made = selected.ivp, integrator(member, x, selected.sizes, selected.ivp.t_end / 20, selected.newton)
     start = {"q0": motion.q0, "v0": motion.v0}
-    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: made}, reference=chosen.reference).rows
-    told = {
+    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: made}, reference=selected.reference).rows
+    reference_columns = {
         "outcome": "done" if row["status"] == "done" else row["message"],
-        "reference": "; ".join(chosen.reference["made_by"]),
-        "known": chosen.reference["known_to"],
+        "reference": "; ".join(selected.reference["made_by"]),
+        "known": selected.reference["known_to"],
     }
-    return {key: value for key, value in row.items() if key != "integrator" and value == value} | told
+    return {key: value for key, value in row.items() if key != "integrator" and value == value} | reference_columns

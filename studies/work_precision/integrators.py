@@ -29,7 +29,7 @@ MAX_STEPS = {"index3": 2000}  # raw index 3 takes tens of thousands of tiny step
 
 
 def by_tolerance(name):
-    """Whether an integrator's x is a tolerance, rather than a step."""
+    """True if an integrator's x is a tolerance, rather than a step."""
     return name in ("alpha, adaptive", "radau") or name.startswith("IDA ")
 
 
@@ -70,12 +70,12 @@ def cheapest(rows, error, level):
     """
     pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
     before = None
-    for cpu, found in pairs:
-        if found <= level:
+    for cpu, result in pairs:
+        if result <= level:
             if before is None:
                 return cpu
-            weight = np.log(before[1] / level) / np.log(before[1] / found)
+            weight = np.log(before[1] / level) / np.log(before[1] / result)
             return float(np.exp((1 - weight) * np.log(before[0]) + weight * np.log(cpu)))
-        if before is None or found < before[1]:
-            before = (cpu, found)
+        if before is None or result < before[1]:
+            before = (cpu, result)
     return float("nan")

@@ -35,11 +35,11 @@ def order(rows, problem, part):
 
 def orders(rows):
     """Fitted orders, and of each part the one farthest from 5."""
-    found = {}
+    result = {}
     for part in PARTS:
         each = {f"radau_order_{part}_{problem.replace('-', '_')}": order(rows, problem, part) for problem in ASYMPTOTIC}
-        found |= each | {f"radau_order_{part}": farthest(list(each.values()), ORDER)}
-    return found
+        result |= each | {f"radau_order_{part}": farthest(list(each.values()), ORDER)}
+    return result
 
 
 def at_tight_tolerance(rows):
@@ -48,11 +48,11 @@ def at_tight_tolerance(rows):
         problem: [row for row in rows if (row["problem"], row["integrator"], row["x"]) == (problem, "radau", TIGHT)]
         for problem in CLASSICAL
     }
-    return {f"radau_{problem.replace('-', '_')}_error_q": number(found, "error_q") for problem, found in runs.items() if found}
+    return {f"radau_{problem.replace('-', '_')}_error_q": number(result, "error_q") for problem, result in runs.items() if result}
 
 
 def error_over_rtol(rows):
-    """The largest tip error over rtol, m, on both scenes; NaN where a run failed."""
+    """The largest tip error over rtol, m, on both scenes; NaN if a run failed."""
     runs = [row for row in tip_accuracy.of_integrator(rows, tip_accuracy.RADAU_DEFAULT) if JUDGED[1] / 1.01 < row["x"] < 1.01 * JUDGED[0]]
     shares = column(runs, "error_tip") / column(runs, "x")
     return {"radau_error_over_rtol": float(shares.max()) if len(shares) else float("nan")}
@@ -62,8 +62,8 @@ def notes(rows):
     """What was fitted."""
     lines = []
     for problem in ASYMPTOTIC:
-        told = [
+        texts = [
             f"{part} {order(rows, problem, part):.2f} ({len(runs)} steps)" for part in PARTS if (runs := fitted_rows(rows, problem, part))
         ]
-        lines += [f"{problem}: order of {FIXED}, steps below {ASYMPTOTIC[problem]:g} s: {', '.join(told)}"] if told else []
+        lines += [f"{problem}: order of {FIXED}, steps below {ASYMPTOTIC[problem]:g} s: {', '.join(texts)}"] if texts else []
     return lines

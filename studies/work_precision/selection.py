@@ -48,27 +48,27 @@ IN_SHORT = (
 
 
 def left_out(problem, member, quick):
-    """Why a member is not run on a problem; empty where it is."""
+    """Why a member is not run on a problem; empty if it is."""
     rules = ALWAYS + IN_SHORT if quick else ALWAYS
     return next((why for members, problems, why in rules if member in members and problem in problems), "")
 
 
 def tasks(quick):
     """One a run: problem, integrator and x, its step, s, or tolerance."""
-    chosen = SHORT if quick else FULL
-    made = [
+    selected = SHORT if quick else FULL
+    selection = [
         {"problem": problem, "integrator": member, "x": float(f"{x:.3g}"), "quick": quick}
-        for problem in chosen["problems"]
-        for member in chosen["members"]
+        for problem in selected["problems"]
+        for member in selected["members"]
         if not left_out(problem, member, quick)
         for x in ladder(problem, member, quick)
     ]
     tolerances, steps = [10.0**-k for k in range(3, 9)], [8e-3 / 2**k for k in range(7 if quick else 9)]
     blow = {"alpha": steps, "radau, fixed": steps[:6], "alpha, adaptive": tolerances, "radau": tolerances}
-    made += [
+    selection += [
         {"problem": EVENT, "integrator": name, "x": float(f"{x:.3g}"), "quick": quick} for name, ladder in blow.items() for x in ladder
     ]
-    return made
+    return selection
 
 
 def ladder(problem, member, quick):

@@ -66,7 +66,7 @@ def of_integrator(rows, name):
 
 
 def newton_share(rows):
-    """The largest newton_tip / error_tip of the points whose error is above what is known; NaN where a run failed."""
+    """The largest newton_tip / error_tip of the points whose error is above what is known; NaN if a run failed."""
     runs = of_integrator(rows, ALPHA)
     error, newton, known = (column(runs, name) for name in ("error_tip", "newton_tip", "known_tip"))
     above = error > known
@@ -75,7 +75,7 @@ def newton_share(rows):
 
 
 def ida_error_slope(rows):
-    """Fitted slope of error_tip over rtol, of the points above what is known; NaN where a run failed."""
+    """Fitted slope of error_tip over rtol, of the points above what is known; NaN if a run failed."""
     runs = of_integrator(rows, IDA_DEFAULT)
     rtol, error, known = (column(runs, name) for name in ("x", "error_tip", "known_tip"))
     whole = len(runs) and np.isfinite(error).all()
