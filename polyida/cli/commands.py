@@ -312,7 +312,10 @@ def show(context: typer.Context, file: options.RunFile, json: options.Json = Fal
         rows = [
             ["run", run.summary()],
             ["frames", f"{len(run.t)}" + (f", t = {run.t[0]:g} .. {run.t[-1]:g} s" if len(run.t) else "")],
-            ["model", f"{type(run.model).__name__}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints"],
+            [
+                "model",
+                f"{'not in the file' if run.model is None else type(run.model).__name__}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints",
+            ],
             ["integrator", repr(run.integrator)],
             ["counts", counts],
             ["time", f"{run.cpu_seconds:.2f} CPU s, {run.wall_seconds:.2f} s"],
