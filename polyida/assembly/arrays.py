@@ -1,4 +1,7 @@
-"""A scene as plain arrays: what the compiled kernels take, and nothing else."""
+"""A scene as plain arrays, all that the compiled kernels read.
+
+Lists of unequal length are concatenated; list k has the entries `start[k]` to `start[k + 1]`. Complex numbers are pairs (re, im).
+"""
 
 from typing import NamedTuple
 
@@ -10,15 +13,9 @@ from polyida.jit import pack
 
 @pack
 class Plates(NamedTuple):
-    """The plates and their loads. Bodies' nodes are concatenated; equal meshes share one operator.
+    """The plates and their loads. Nodes of the plates are concatenated; equal meshes share one operator (element.operator.ReferenceOperator)."""
 
-    Operators: concatenated arrays of `element.operator.ReferenceOperator` with the start of each (`at`, (operators + 1, 7): layout,
-    corners, gradients, weights, pairs, indptr, nnz). stabilisation: like mass, of virtual elements. Bodies: operator
-    number, first node, first block of the tangent, c1, nu, rho t, mass damping (1/s), viscosity (s), factor of the stabilisation (N/m).
-    weight: gravity on every pair of q, (pairs, 2). Loads: forces on pairs times a drive.
-    """
-
-    at: np.ndarray
+    at: np.ndarray  # (operators + 1, 7) starts in layout, corners, gradients, weights, pairs, indptr, indices
     layout: np.ndarray
     corners: np.ndarray
     gradients: np.ndarray
@@ -26,110 +23,80 @@ class Plates(NamedTuple):
     pairs: np.ndarray
     indptr: np.ndarray
     indices: np.ndarray
-    mass: np.ndarray
-    stabilisation: np.ndarray
+    mass: np.ndarray  # on the node pattern, like stabilisation
+    stabilisation: np.ndarray  # of virtual elements
     body_operator: np.ndarray
-    body_node: np.ndarray
-    body_block: np.ndarray
-    body_c1: np.ndarray
+    body_node: np.ndarray  # first node of each plate
+    body_block: np.ndarray  # first block of the tangent of each plate
+    body_c1: np.ndarray  # E t / (1 - nu^2), N/m
     body_nu: np.ndarray
-    body_density: np.ndarray
-    body_drag: np.ndarray
-    body_viscosity: np.ndarray
-    body_stabilisation: np.ndarray
-    weight: np.ndarray
-    load_ptr: np.ndarray
+    body_density: np.ndarray  # rho t, kg/m^2
+    body_drag: np.ndarray  # mass-proportional damping, 1/s
+    body_viscosity: np.ndarray  # s
+    body_stabilisation: np.ndarray  # factor of the stabilisation, N/m
+    weight: np.ndarray  # (pairs, 2) steady gravity on each pair of q, N
+    load_ptr: np.ndarray  # starts of the loads in load_nodes and load_values
     load_nodes: np.ndarray
-    load_values: np.ndarray
+    load_values: np.ndarray  # (., 2) N, times the drive of the load
     load_drive: np.ndarray
 
 
 @pack
 class Coupling(NamedTuple):
-    """Which points are coupled beyond phi_z, by the curvature of rows, by force elements, and each with itself by its mass.
+    """Blocks (2, 2) of pairs of points that the curvature of rows, force elements or, on the diagonal, masses at points couple."""
 
-    Blocks (2, 2) of pairs of points, by rows: those of point p are `start[p]` to `start[p + 1]`, with the points `columns`.
-
-    mirror: the transposed block of each. mass: the block of each point with itself, -1 where it has no mass. products: the blocks (E, F) of
-    the products whose vectors both have points, in the order of `joint_curvature`. laws: those of each force element's sides, row by row,
-    -1 where a side stays with the ground, from `law_start` on.
-    """
-
-    start: np.ndarray
-    columns: np.ndarray
-    mirror: np.ndarray
-    mass: np.ndarray
-    products: np.ndarray
-    laws: np.ndarray
+    start: np.ndarray  # blocks of point p in its row: start[p] to start[p + 1]
+    columns: np.ndarray  # the other point of each block
+    mirror: np.ndarray  # number of the transposed block
+    mass: np.ndarray  # diagonal block of each point; -1 without mass
+    products: np.ndarray  # block (E, F) of each product whose vectors both have points, in the order of `joint_curvature`
+    laws: np.ndarray  # blocks of the sides of each force element, row by row; -1 for a side on the ground
     law_start: np.ndarray
 
 
 @pack
 class Links(NamedTuple):
-    """The points that joints and masses hold on to, and the rows of phi.
+    """The points that joints and masses hold on to, `dz = A u`, and the rows of phi (joints.py)."""
 
-    Points: weighted sums of pairs of q in CSR form (`dz = A u`), weights complex numbers (., 2); the mass they carry.
-    Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Shifts: a factor
-    times a drive that is added to a row. Products
-    `R(theta) E . F`: their row, the vectors E and F, the drive of theta (-1: none), whether only one of two positions half a turn apart
-    is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each. coupling: of the points.
-    """
-
-    point_ptr: np.ndarray
+    point_ptr: np.ndarray  # starts of the points in point_nodes and point_weights
     point_nodes: np.ndarray
-    point_weights: np.ndarray
-    point_mass: np.ndarray
-    gravity: np.ndarray
+    point_weights: np.ndarray  # (., 2) complex weights of pairs of q
+    point_mass: np.ndarray  # kg
+    gravity: np.ndarray  # (2,) steady gravity, m/s^2
     row_constant: np.ndarray
-    row_start: np.ndarray
-    row_columns: np.ndarray
-    row_slopes: np.ndarray
-    shift_row: np.ndarray
+    row_start: np.ndarray  # starts of the rows in row_columns and row_slopes
+    row_columns: np.ndarray  # components `2 point + axis` that a row depends on
+    row_slopes: np.ndarray  # of the linear part
+    shift_row: np.ndarray  # shifts: factor times drive, added to a row
     shift_drive: np.ndarray
     shift_factor: np.ndarray
-    product_row: np.ndarray
-    product_first: np.ndarray
-    product_second: np.ndarray
-    product_drive: np.ndarray
-    product_one_way: np.ndarray
-    vector_rest: np.ndarray
-    vector_start: np.ndarray
+    product_row: np.ndarray  # products R(theta) E . F
+    product_first: np.ndarray  # vector E
+    product_second: np.ndarray  # vector F
+    product_drive: np.ndarray  # drive of theta; -1 without
+    product_one_way: np.ndarray  # True if one of two positions half a turn apart is wrong
+    vector_rest: np.ndarray  # (vectors, 2) value at rest
+    vector_start: np.ndarray  # starts of the vectors in vector_points and vector_weights
     vector_points: np.ndarray
-    vector_weights: np.ndarray
+    vector_weights: np.ndarray  # (., 2) complex
     coupling: Coupling | None = None
 
 
 @pack
 class SceneArrays(NamedTuple):
-    """A scene: what changes with the number of elements, what with the number of joints, and the bodies of few coordinates."""
+    """A scene: its plates, the points and rows of its joints, and its bodies of few coordinates."""
 
     plates: Plates
     links: Links
     compact: Compact
 
 
-def bilinear(links):
-    """Which products have points in both of their vectors, (products,): those that make phi_q vary with q."""
-    size = np.diff(links.vector_start)
-    return (size[links.product_first] > 0) & (size[links.product_second] > 0)
-
-
-def turning_drives(links):
-    """The drives that turn vectors of rows, sorted: angles, rad."""
-    return np.unique(links.product_drive[links.product_drive >= 0])
-
-
-def shifting_drives(links):
-    """The drives that are added to rows, sorted: lengths, m."""
-    return np.unique(links.shift_drive)
-
-
 def concatenated(arrays, dtype, tail=()):
-    """One C-contiguous writeable array of the parts, of the given dtype, also where there is no part."""
+    """The arrays joined to one writeable C-contiguous array of a dtype, (., *tail); empty without arrays."""
     parts = [np.asarray(part, dtype).reshape((-1, *tail)) for part in arrays]
     return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, *tail), dtype)
 
 
-def starts(parts):
-    """Offsets of concatenated parts, (parts + 1,) int64."""
-    return np.concatenate([[0], np.cumsum([len(part) for part in parts], dtype=np.int64)]).astype(np.int64)
+def starts(lists):
+    """Starts of the lists when concatenated, (lists + 1,) int64."""
+    return np.cumsum([0, *map(len, lists)], dtype=np.int64)

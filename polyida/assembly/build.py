@@ -20,41 +20,40 @@ from polyida.joint.formula import in_words, rows_of
 from polyida.joint.joint import Joint
 from polyida.validation import pairs_of
 
-ROUND = 1e-12  # of the scene's size: what the round-off of a formula leaves at rest
-CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are taken to meet
-SAME_PLACE = 1e-14  # of places, by which those of points that are in one place may differ
-LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock
+ROUND = 1e-12  # of the scene's size: round-off of a formula at rest
+CLOSED = 1e-6  # of the scene's size: largest gap at rest between sides that meet
+SAME_PLACE = 1e-14  # relative difference of coordinates of points at one place
+LOCKING = 0.45  # Poisson's ratio in plane strain above which cells with full integration lock
 
 
 class RowTable:
-    """Collects rows of phi; `labels` says what to call each, `rows` which rows are whose, `joints` holds the joints.
+    """Collects the rows of phi. labels, units: of each row; rows: {name: slice of its rows}; joints: {name: joint or body}.
 
-    points, drives: where attachments and profiles get their numbers. size: of the scene, m. left_out: numbers of rows, of all that are
-    given, that it has not.
+    points, drives: number the attachments and the profiles. size: of the scene, m. left_out: numbers, among all rows, of rows to omit.
     """
 
     def __init__(self, points, drives, size, left_out=()):
-        self._points, self._drives, self._size, self._left_out, self._given = points, drives, size, frozenset(left_out), 0
+        self._points, self._drives, self._size, self._left_out, self._count = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
     def add(self, name, part):
-        """Append the rows of a joint or body. Raises InputError where they are no rows, or do not hold at rest."""
+        """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold at rest."""
         first, rows = len(self.labels), given_rows(name, part)
-        for row, label in zip(rows, _called(name, [row.label for row in rows])):
-            self._given += 1
-            if self._given - 1 in self._left_out:
+        for number, row in enumerate(rows):
+            self._count += 1
+            if self._count - 1 in self._left_out:
                 continue
             if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
-                raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_apart(part)}")
-            self._row(name, row)
-            self.labels.append(label)
+                raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_how_to_close(part)}")
+            self._append(name, row)
+            self.labels.append(f"{name} {row.label or (number if len(rows) > 1 else '')}".rstrip())
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
 
-    def _row(self, name, row):
-        """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
-        small = abs(_at_rest(row)) <= ROUND * self._size
+    def _append(self, name, row):
+        """Append a row. Round-off at rest is subtracted, so that phi starts at exactly zero."""
+        round_off = abs(_at_rest(row)) <= ROUND * self._size
         linear = [product for product in row.products if product.linear]
         slopes = {}
         for product in linear:
@@ -62,21 +61,20 @@ class RowTable:
                 for point, w in self._weights(one).items():
                     slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
-        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not row.driven else 0.0))
+        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if round_off or not row.driven else 0.0))
         self._slopes.append(slopes)
         self._shifts += [(number, self._drives.add(profile, name), factor) for factor, profile in row.drives]
         for product in row.products:
             if not product.linear:
-                profile = product.turning.profile
+                profile, vectors = product.turning.profile, []
                 drive = -1 if profile is None else self._drives.add(profile, name)
-                self._products.append((number, self._vector(product.turning), self._vector(product.still), drive, product.one_way))
-
-    def _vector(self, piece):
-        """Number of a vector: its value at rest, and the weight of each point."""
-        self._vectors.append((piece.rest, self._weights(piece)))
-        return len(self._vectors) - 1
+                for piece in (product.turning, product.still):
+                    vectors.append(len(self._vectors))
+                    self._vectors.append((piece.rest, self._weights(piece)))
+                self._products.append((number, *vectors, drive, product.one_way))
 
     def _weights(self, piece):
+        """{point: weight} of a piece of a formula."""
         weights = {}
         for side, part, w in piece.terms:
             point = self._points.add(side, part)
@@ -87,9 +85,7 @@ class RowTable:
         """The fields of Links that describe the rows."""
         row, first, second, drive, one_way = zip(*self._products) if self._products else [()] * 5
         shifted, shift, factor = zip(*self._shifts) if self._shifts else [()] * 3
-        rest = np.array([value for value, _ in self._vectors], complex)
         points = [list(weights) for _, weights in self._vectors]
-        weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
         touched = [dict.fromkeys(slopes) for slopes in self._slopes]  # the points of each row, in the order of its formula
         for number, one, other, *_ in self._products:
             touched[number] |= dict.fromkeys([*self._vectors[one][1], *self._vectors[other][1]])
@@ -99,7 +95,7 @@ class RowTable:
             "row_constant": np.array(self._constants, float),
             "row_start": starts(columns),
             "row_columns": np.array([c for row in columns for c in row], np.int64),
-            "row_slopes": _pairs(slopes).ravel(),
+            "row_slopes": pairs_of(slopes).ravel(),
             "shift_row": np.array(shifted, np.int64),
             "shift_drive": np.array(shift, np.int64),
             "shift_factor": np.array(factor, float),
@@ -108,18 +104,18 @@ class RowTable:
             "product_second": np.array(second, np.int64),
             "product_drive": np.array(drive, np.int64),
             "product_one_way": np.array(one_way, np.bool_),
-            "vector_rest": _pairs(rest),
+            "vector_rest": pairs_of(np.array([value for value, _ in self._vectors], complex)),
             "vector_start": starts(points),
             "vector_points": np.array([p for row in points for p in row], np.int64),
-            "vector_weights": _pairs(weights),
+            "vector_weights": pairs_of(np.array([w for _, weights in self._vectors for w in weights.values()], complex)),
         }
 
 
 class Points:
-    """Collects weighted sums of pairs of q; equal sums are one point. places: {id of a body: its place in the scene}."""
+    """Collects weighted sums of pairs of q; equal sums are one point. places: {id of a body: PlacedPlate or PlacedBody}."""
 
     def __init__(self, places):
-        self._places, self._index = places, {}
+        self._places, self._numbers = places, {}
         self.nodes, self.weights, self.mass = [], [], []
 
     def add(self, attachment, part="point"):
@@ -128,32 +124,22 @@ class Points:
             raise InputError(f"a row of phi is made of {attachment.body.label}, which is not in the scene; add it with scene.add")
         pairs, weights = self._places[id(attachment.body)].held(attachment, part)
         key = (pairs.tobytes(), weights.tobytes())
-        if key not in self._index:
-            self._index[key] = len(self.nodes)
+        if key not in self._numbers:
+            self._numbers[key] = len(self.nodes)
             self.nodes.append(pairs)
             self.weights.append(weights)
             self.mass.append(0.0)
-        return self._index[key]
-
-    def arrays(self):
-        """The fields of Links that describe the points."""
-        weights = concatenated(self.weights, complex)
-        return {
-            "point_ptr": starts(self.nodes),
-            "point_nodes": concatenated(self.nodes, np.int32),
-            "point_weights": np.stack([weights.real, weights.imag], axis=1),
-            "point_mass": np.array(self.mass, float),
-        }
+        return self._numbers[key]
 
 
 class Drives:
-    """The profiles of a scene, each once."""
+    """Collects the profiles of a scene, each once. names: of the part that added a profile first."""
 
     def __init__(self):
         self.profiles, self.names = [], []
 
     def add(self, profile, name):
-        """Number of the profile, which a part of that name has."""
+        """Number of the profile of a part."""
         for number, known in enumerate(self.profiles):
             if known is profile:
                 return number
@@ -163,7 +149,7 @@ class Drives:
 
 
 def given_rows(name, part):
-    """The Rows of a part, a list, empty of a body alone. Raises InputError, naming part and entry, for anything else."""
+    """The list of Rows of a joint or body; a body may have none. Raises InputError, naming part and entry, for anything else."""
     what = f"{name}: rows() of {type(part).__name__}"
     try:
         rows = part.rows()
@@ -188,20 +174,16 @@ def _line(error):
     return f", in `{lines[-1]}`" if lines else ""
 
 
-def _apart(part):
-    """What to do about a part whose rows do not hold at rest."""
+def _how_to_close(part):
+    """Advice about a part whose rows do not hold at rest."""
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
-    a, b = part.a, part.b
-    apart = np.linalg.norm(a.point - b.point)
-    sides = " and ".join(repr(side) if isinstance(side, Ground) else f"{side!r} at {_place(side)}" for side in (a, b))
-    return f"its sides are {sides}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
-
-
-def _called(name, labels):
-    """Labels of a joint's rows: as they are named, or by number where they are not and there are several."""
-    many = len(labels) > 1
-    return [f"{name} {label or (number if many else '')}".rstrip() for number, label in enumerate(labels)]
+    sides = []
+    for side in (part.a, part.b):
+        x, y = (round(float(value), 12) + 0.0 for value in side.point)  # without round-off of zero, which differs between machines
+        sides.append(repr(side) if isinstance(side, Ground) else f"{side!r} at ({x:.6g}, {y:.6g})")
+    apart = np.linalg.norm(part.a.point - part.b.point)
+    return f"its sides are {' and '.join(sides)}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
 
 
 def _at_rest(row):
@@ -212,56 +194,41 @@ def _value_at_rest(product):
     return (product.turning.rest.conjugate() * product.still.rest).real
 
 
-def _pairs(numbers):
-    return np.ascontiguousarray(np.stack([numbers.real, numbers.imag], axis=-1).reshape(-1, 2))
-
-
-def _place(attachment):
-    x, y = (round(float(value), 12) + 0.0 for value in attachment.point)  # without round-off of zero, which differs from machine to machine
-    return f"({x:.6g}, {y:.6g})"
-
-
 def of_kind(parts, *kinds):
-    """{name: part} of the given kinds, in order."""
+    """{name: part} of the parts of these kinds, in order."""
     return {name: part for name, part in parts.items() if isinstance(part, kinds)}
-
-
-def plates_of(parts):
-    """The plates in order; those on one mesh share one reference operator."""
-    operators, placed, first = {}, [], 0
-    for name, plate in of_kind(parts, Plate).items():
-        warn_of_locking(name, plate)
-        key = (id(plate.placed), plate.element, plate.tau)
-        if key not in operators:
-            operators[key] = operator_of(plate)
-        placed.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
-        first = placed[-1].nodes.stop
-    return placed
-
-
-def few_of(parts, first):
-    """The bodies of few coordinates in order, their pairs numbered from `first`."""
-    sides, placed = [side for name, part in parts.items() for side in sides_held(name, part)], []
-    for name, body in of_kind(parts, Body).items():
-        placed.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
-        if body.plate is not None and placed[-1].deforms:
-            warn_of_locking(name, body.plate)
-        first = placed[-1].pairs.stop
-    return placed
 
 
 def sides_held(name, part):
     """The attachments that a part holds on to."""
-    sides = (
-        [side.at for side in sides_of(name, part)]
-        if isinstance(part, ForceElement)
-        else [getattr(part, key, None) for key in ("a", "b", "at")]
-    )
+    if isinstance(part, ForceElement):
+        sides = [side.at for side in sides_of(name, part)]
+    else:
+        sides = [getattr(part, key, None) for key in ("a", "b", "at")]
     return [side for side in sides if isinstance(side, Attachment)]
 
 
-def warn_of_locking(name, plate):
-    """LockingWarning where cells keep their volume at the cost of bending: plane strain, nu near 1/2, too few corners a cell."""
+def place_bodies(parts):
+    """([PlacedPlate], [PlacedBody]) of the parts in order. Plates on one mesh share one reference operator."""
+    operators, plates, few, first = {}, [], [], 0
+    for name, plate in of_kind(parts, Plate).items():
+        _warn_of_locking(name, plate)
+        key = (id(plate.placed), plate.element, plate.tau)
+        if key not in operators:
+            operators[key] = operator_of(plate)
+        plates.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
+        first = plates[-1].nodes.stop
+    sides = [side for name, part in parts.items() for side in sides_held(name, part)]
+    for name, body in of_kind(parts, Body).items():
+        few.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
+        if body.plate is not None and few[-1].deforms:
+            _warn_of_locking(name, body.plate)
+        first = few[-1].pairs.stop
+    return plates, few
+
+
+def _warn_of_locking(name, plate):
+    """LockingWarning for plane strain, nu near 1/2 and cells with few corners."""
     material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
     if material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
         warnings.warn(
@@ -273,7 +240,7 @@ def warn_of_locking(name, plate):
 
 
 def extent_of(plates, few):
-    """Size of the scene, m: of the places of nodes, and of the points and the spread of mass of other bodies; 1 where all are in one place."""
+    """Size of the scene, m: of all nodes, named points, and centres of mass plus and minus radii of gyration; 1 if all are at one place."""
     places = [body.points for body in plates]
     for placed in few:
         whole = placed.body.plate is not None
@@ -284,8 +251,9 @@ def extent_of(plates, few):
 
 
 def assemble(plates, few, places, parts, gravity, size, left_out=()):
-    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi `left_out`, by number; gravity: numbers
-    and profiles.
+    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi with the numbers `left_out`.
+
+    gravity: two numbers or profiles, m/s^2.
     """
     points, drives = Points(places), Drives()
     table = RowTable(points, drives, size, left_out)
@@ -296,10 +264,36 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
             table.add(placed.name, placed.body)
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass
-    fields = operator_arrays(plates) | body_arrays(plates) | load_arrays(dead_loads(parts, gravity, places), drives)
-    fields["weight"] = np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)])
+    loads, operators = dead_loads(parts, gravity, places), [body.operator for body in plates]
+    materials, (modulus, nu) = (
+        [body.plate.material for body in plates],
+        np.array([body.plate.material.in_plane for body in plates]).reshape(-1, 2).T,
+    )
+    thickness = np.array([body.plate.thickness for body in plates], float)
+    fields = operator_arrays(plates) | {
+        "body_node": starts([range(body.mesh.n_nodes) for body in plates]),
+        "body_block": starts([operator.indices for operator in operators]),
+        "body_c1": thickness * modulus / (1 - nu**2),
+        "body_nu": nu.copy(),
+        "body_density": thickness * [material.rho for material in materials],
+        "body_drag": np.array([material.mass_damping for material in materials], float),
+        "body_viscosity": np.array([material.viscosity for material in materials], float),
+        "body_stabilisation": np.array([stabilisation_factor(body.plate, body.operator) for body in plates], float),
+        "weight": np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)]),
+        "load_ptr": starts([load.pairs for load in loads]),
+        "load_nodes": concatenated([load.pairs for load in loads], np.int32),
+        "load_values": concatenated([load.forces for load in loads], float, (2,)),
+        "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
+    }
     laws = laws_of(of_kind(parts, ForceElement), [placed for placed in few if placed.elastic], points, drives, size)
-    links = Links(**points.arrays(), **table.arrays(), gravity=np.array(steady(gravity)))
+    links = Links(
+        point_ptr=starts(points.nodes),
+        point_nodes=concatenated(points.nodes, np.int32),
+        point_weights=pairs_of(concatenated(points.weights, complex)),
+        point_mass=np.array(points.mass, float),
+        gravity=np.array(steady(gravity)),
+        **table.arrays(),
+    )
     links = links._replace(coupling=coupling_of(links, laws))
     first = plates[-1].nodes.stop if plates else 0
     arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
@@ -307,13 +301,13 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
 
 
 def coupling_of(links, laws):
-    """The Coupling of a scene's links, without their own one, and force elements, Laws or None."""
+    """The Coupling of links and force elements, Laws or None."""
     vectors = np.split(links.vector_points, links.vector_start[1:-1])
     products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
     sides = [] if laws is None else [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
-    pushed = [(a, b) for group in sides for a in group for b in group]
+    forced = [(a, b) for group in sides for a in group for b in group]
     heavy = [(p, p) for p in np.flatnonzero(links.point_mass)]
-    known = {pair for pair in products + pushed + heavy if min(pair) >= 0}
+    known = {pair for pair in products + forced + heavy if min(pair) >= 0}
     blocks = sorted(known | {(b, a) for a, b in known})
     number = {pair: block for block, pair in enumerate(blocks)}
     rows, columns = np.array(blocks, np.int64).reshape(-1, 2).T
@@ -326,13 +320,13 @@ def coupling_of(links, laws):
         mirror=np.array([number[b, a] for a, b in blocks], np.int64),
         mass=mass,
         products=np.array([number[pair] for pair in products], np.int64),
-        laws=np.array([number.get(pair, -1) for pair in pushed], np.int64),
-        law_start=np.concatenate([[0], np.cumsum([len(group) ** 2 for group in sides])]).astype(np.int64),
+        laws=np.array([number.get(pair, -1) for pair in forced], np.int64),
+        law_start=starts([range(len(group) ** 2) for group in sides]),
     )
 
 
 def compact_of(few, first, block):
-    """The Compact of the bodies of few coordinates, behind `first` pairs and `block` blocks of plates."""
+    """The Compact of the bodies of few coordinates, after `first` pairs and `block` blocks of plates."""
     pairs = [len(placed.rest) for placed in few]
     masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in few]
     forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in few)) if few else ((), ())
@@ -354,57 +348,15 @@ def compact_of(few, first, block):
 
 
 def operator_arrays(bodies):
-    """Concatenated reference operators, each once."""
+    """The fields of Plates that concatenate the reference operators, each once."""
     operators = list({id(body.operator): body.operator for body in bodies}.values())
-    parts = {
-        "layout": (np.int64, (6,)),
-        "corners": (np.int32, ()),
-        "gradients": (float, ()),
-        "weights": (float, ()),
-        "pairs": (np.int32, ()),
-        "indptr": (np.int32, ()),
-        "indices": (np.int32, ()),
-        "mass": (float, ()),
-    }
-    lists = {name: [getattr(operator, name) for operator in operators] for name in parts}
-    fields = {name: concatenated(lists[name], dtype, tail) for name, (dtype, tail) in parts.items()}
-    parts_of = [np.zeros_like(o.mass) if o.stabilisation is None else o.stabilisation for o in operators]
-    fields["stabilisation"] = concatenated(parts_of, float)
-    order = ("layout", "corners", "gradients", "weights", "pairs", "indptr", "indices")
     number = {id(operator): k for k, operator in enumerate(operators)}
-    return fields | {
-        "at": np.ascontiguousarray(np.stack([starts(lists[name]) for name in order], axis=1)),
+    dtypes = {"layout": np.int64, "corners": np.int32, "gradients": float, "weights": float, "pairs": np.int32, "indptr": np.int32}
+    lists = {name: [getattr(operator, name) for operator in operators] for name in (*dtypes, "indices")}
+    return {name: concatenated(lists[name], dtype, (6,) if name == "layout" else ()) for name, dtype in dtypes.items()} | {
+        "indices": concatenated(lists["indices"], np.int32),
+        "mass": concatenated([o.mass for o in operators], float),
+        "stabilisation": concatenated([np.zeros_like(o.mass) if o.stabilisation is None else o.stabilisation for o in operators], float),
+        "at": np.ascontiguousarray(np.stack([starts(each) for each in lists.values()], axis=1)),
         "body_operator": np.array([number[id(body.operator)] for body in bodies], np.int64),
-    }
-
-
-def body_arrays(bodies):
-    """Per-body coefficients."""
-    c1, ratio, density, factor = [], [], [], []
-    for body in bodies:
-        plate, operator = body.plate, body.operator
-        modulus, nu = plate.material.in_plane
-        c1.append(plate.thickness * modulus / (1 - nu**2))
-        ratio.append(nu)
-        factor.append(stabilisation_factor(plate, operator))
-        density.append(plate.material.rho * plate.thickness)
-    return {
-        "body_node": starts([range(body.mesh.n_nodes) for body in bodies]),
-        "body_block": starts([body.operator.indices for body in bodies]),
-        "body_c1": np.array(c1),
-        "body_nu": np.array(ratio),
-        "body_density": np.array(density),
-        "body_drag": np.array([body.plate.material.mass_damping for body in bodies]),
-        "body_viscosity": np.array([body.plate.material.viscosity for body in bodies]),
-        "body_stabilisation": np.array(factor),
-    }
-
-
-def load_arrays(loads, drives):
-    """Forces of the loads, Dead ones, on pairs of q, and the number of the profile that scales each."""
-    return {
-        "load_ptr": starts([load.pairs for load in loads]),
-        "load_nodes": concatenated([load.pairs for load in loads], np.int32),
-        "load_values": concatenated([load.forces for load in loads], float, (2,)),
-        "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
     }

@@ -1,4 +1,4 @@
-"""Closing of loops: bodies are moved as rigid, by as little as closes them, from a nearby drawing onto their joints."""
+"""Closing of loops: the least rigid moves of the bodies, from a nearby drawing, that close their joints."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,20 +13,28 @@ from polyida.joint.joint import Joint
 from polyida.validation import complex_of_pairs, pairs_of, settle
 
 STILL = 1e-13  # of the scene's size: moves and steps that are round-off
-ROUNDS = 200  # steps at most; from a nearby drawing about five, where links are stretched out some thirty
-CLOSED = 1e-9  # of the scene's size: what is left of a gap that is closed
-HOPELESS = 1e12  # damping at which no step helps
-DEPENDENT = 1e-10  # singular values of the rows that count as none
-MISPLACED = 1e-9  # of a body's size and distance, by which its points may miss the place that its origin and angle give them
+ROUNDS = 200  # most steps; a nearby drawing takes about five, stretched links some thirty
+CLOSED = 1e-9  # of the scene's size: gap of a closed joint
+MOST_DAMPING = 1e12  # above which no step helps
+DEPENDENT = 1e-10  # singular values of the rows that count as zero
+MISPLACED = 1e-9  # of a body's size and distance: largest difference of its points from the places that origin and angle give
 NAMED = 3  # bodies or joints that a message names
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """By how much `scene.assemble()` moved the bodies, each as rigid: shift, {name: m} of its centre, turn, {name: rad}.
+    """How `scene.assemble()` moved the bodies.
 
-    largest: the longest way that a point of a body went, m. gap: the widest that was open before, m, and `open` the joint it was in,
-    empty where all were closed.
+    Attributes
+    ----------
+    shift, turn : dict
+        {name: move of its centre, m}, {name: rotation, rad} of each body.
+    largest : float
+        Longest move of a point of a body, m.
+    gap : float
+        Widest gap of a joint before, m.
+    open : str
+        Name of the joint with that gap; empty if all joints were closed.
     """
 
     shift: dict[str, float]
@@ -36,7 +44,7 @@ class Assembly:
     open: str
 
     def summary(self) -> str:
-        """One line: what was open, and who moved by how much."""
+        """One line: which joint was open, and how the bodies moved."""
         moved = [name for name in self.shift if self.shift[name] or self.turn[name]]
         if not moved:
             return "all joints are closed as drawn; nothing moved"
@@ -45,25 +53,25 @@ class Assembly:
 
 
 def close(parts, held=()):
-    """Move the bodies of {name: part} onto the rows of its joints, those that are driven at t = 0; an Assembly.
+    """Move the bodies of {name: part} until the rows of the joints hold at t = 0; return an Assembly.
 
-    Raises InputError, with every body where it was drawn, naming the joints that stay open, or bodies that would have to move and are
-    held, by name.
+    held: names of bodies that must not move. Raises InputError, with all bodies as drawn, that names joints that stay open, or held bodies
+    that would have to move.
     """
     known = of_kind(parts, Plate, Body)
     size = float(np.ptp(pairs_of(np.concatenate([places_of(body) for body in known.values()])), axis=0).max()) or 1.0
     bodies = [Placed(name, body, size) for name, body in known.items()]
     loops = Loops(parts, [body for body in bodies if body.part], size)
-    x, drawn, left = loops.solve()
-    loops.require_closed(x, drawn, left)
+    x, drawn, gaps = loops.solve()
+    loops.require_closed(x, drawn, gaps)
     moves = dict.fromkeys(known, (0.0, 0.0, 0.0)) | _moved(parts, loops, x, held)
-    shift, turn, ways = ({name: move[k] for name, move in moves.items()} for k in range(3))
+    shift, turn, longest = ({name: move[k] for name, move in moves.items()} for k in range(3))
     gap = float(drawn.max(initial=0.0))
-    return Assembly(shift, turn, max(ways.values(), default=0.0), gap, loops.names[drawn.argmax()] if gap else "")
+    return Assembly(shift, turn, max(longest.values(), default=0.0), gap, loops.names[drawn.argmax()] if gap else "")
 
 
 def _moved(parts, loops, x, held):
-    """{name: (shift, m, turn, rad, longest way of a point, m)} of the bodies that are moved, those by more than round-off."""
+    """Move the bodies that move by more than round-off: {name: (shift, m, turn, rad, longest move of a point, m)}."""
     chosen = [(body, move) for body, move in zip(loops.bodies, x) if np.abs(move).max() > STILL]
     if stuck := [body.name for body, _ in chosen if body.name in held]:
         raise InputError(
@@ -80,7 +88,10 @@ def _moved(parts, loops, x, held):
     for joint in of_kind(parts, Joint).values() if chosen else ():
         joint.keep_drawing()
     try:
-        moves = {body.name: loops.place(body, *move) for body, move in chosen}
+        moves = {}
+        for body, (x, y, turn) in chosen:
+            turn = float(turn * loops.size / body.size)
+            moves[body.name] = float(loops.size * np.hypot(x, y)), turn, body.move(loops.size * complex(x, y), turn)
         Loops(parts, loops.bodies, loops.size).require_closed_as_drawn()
     except InputError:
         for body, placement in before:
@@ -90,10 +101,10 @@ def _moved(parts, loops, x, held):
 
 
 class Loops:
-    """The rows of all joints, as functions of how the bodies move: x (bodies, 3), shift and own size times turn of each, over that of the scene.
+    """The rows of all joints as functions of x (bodies, 3): shift and turn times own size of each body, over the size of the scene.
 
-    Rows are read as drawn and keep what they take from the drawing: the place of plain ground, the angle between two directions.
-    Each is divided by its slope along a shift of a body, or where it has none along a turn: so it says how far apart its sides are.
+    Rows are read once, as drawn, with what they take from the drawing: the place of the ground, the angle between two directions. Each is
+    divided by its slope along a shift of a body, or, if that is zero, along a turn: the value is then the distance of its sides.
     """
 
     def __init__(self, parts, bodies, size):
@@ -104,12 +115,12 @@ class Loops:
         self.scale = np.ones(len(rows))
         slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(rows), -1, 3))
         along = np.hypot(slope[..., 0], slope[..., 1]).max(axis=1, initial=0.0), slope[..., 2].max(axis=1, initial=0.0)
-        self.scale = 1.0 / np.select([shown > DEPENDENT for shown in along], along, 1.0)
+        self.scale = 1.0 / np.select([slopes > DEPENDENT for slopes in along], along, 1.0)
 
     def __call__(self, x):
         """(phi (rows,), its slope (rows, 3 bodies)), over the scene's size."""
-        found = [self._row(row, x.reshape(-1, 3)) for row in self.rows]
-        phi, slope = np.array([value for value, _ in found]), np.array([slope for _, slope in found]).reshape(len(found), x.size)
+        rows = [self._row(row, x.reshape(-1, 3)) for row in self.rows]
+        phi, slope = np.array([value for value, _ in rows]), np.array([slope for _, slope in rows]).reshape(len(rows), x.size)
         return self.scale * phi / self.size, self.scale[:, None] * slope
 
     def _row(self, row, x):
@@ -127,22 +138,19 @@ class Loops:
         for side, part, w in piece.terms:
             k = self.index.get(id(side.body))
             if k is not None:
-                moved, along = self._moved(self.bodies[k], side, part, x[k])
-                value, slope[k] = value + w * moved, slope[k] + w * along
+                body = self.bodies[k]
+                whole, arm = body.arm(side, part)
+                turn = np.exp(1j * x[k, 2] * self.size / body.size)
+                value += w * (whole * self.size * complex(*x[k, :2]) + (turn - 1.0) * arm)
+                slope[k] += w * np.array([whole, 1j * whole, 1j * turn * arm / body.size])
         turn = 1.0 if piece.profile is None else np.exp(1j * piece.profile(0.0))
         return turn * value, turn * slope.ravel()
 
-    def _moved(self, body, side, part, x):
-        """By how much a point or direction of a body moves, and its slope, (3,), complex."""
-        whole, arm = body.arm(side, part)
-        turn = np.exp(1j * x[2] * self.size / body.size)
-        return whole * self.size * complex(x[0], x[1]) + (turn - 1.0) * arm, np.array([whole, 1j * whole, 1j * turn * arm / body.size])
-
     def solve(self):
-        """(x (bodies, 3), gaps as drawn, gaps behind, (rows,) each, m): steps of Gauss and Newton of least length, damped by what is open.
+        """(x (bodies, 3), gaps as drawn, gaps at x, (rows,) each, m), by Levenberg-Marquardt steps with damping |phi|^2.
 
-        Damped by its square they end as fast as Newton's also where rows depend on each other. Source: Yamashita, Fukushima, On the rate
-        of convergence of the Levenberg-Marquardt method, Computing Suppl. 15 (2001).
+        They converge quadratically also if rows depend on each other (Yamashita and Fukushima, On the rate of convergence of the
+        Levenberg-Marquardt method, Computing Suppl. 15, 2001).
         """
         x = np.zeros(3 * len(self.bodies))
         phi, slope = self(x)
@@ -150,33 +158,28 @@ class Loops:
         for _ in range(ROUNDS if phi.size and x.size else 0):
             u, s, v = np.linalg.svd(slope, full_matrices=False)
             shares, damping, nearer = np.where(s > DEPENDENT * s[0], s, 0.0), phi @ phi, False
-            while damping < HOPELESS and not nearer:
+            while damping < MOST_DAMPING and not nearer:
                 step = -(shares / (s * s + damping + (shares == 0.0)) * (phi @ u)) @ v
-                found = self(x + step)
-                nearer = found[0] @ found[0] < phi @ phi
+                ahead = self(x + step)
+                nearer = ahead[0] @ ahead[0] < phi @ phi
                 if np.abs(step).max() < STILL:
                     break
                 damping = 4.0 * damping + STILL
             if not nearer:
                 break
-            x, (phi, slope) = x + step, found
+            x, (phi, slope) = x + step, ahead
         return x.reshape(-1, 3), self.size * np.abs(drawn), self.size * np.abs(phi)
 
-    def place(self, body, x, y, turn):
-        """Move a body as x says; (shift, m, turn, rad, longest way of a point, m)."""
-        turn = float(turn * self.size / body.size)
-        return float(self.size * np.hypot(x, y)), turn, body.move(self.size * complex(x, y), turn)
-
-    def require_closed(self, x, drawn, left):
-        """Raise InputError where a row stays open, or stands on the wrong half-turn; drawn, left: gaps (rows,), m."""
+    def require_closed(self, x, drawn, gaps):
+        """Raise InputError if a row is open at x, or on the wrong half-turn. drawn, gaps: as drawn and at x, (rows,), m."""
         widest = {}
-        for name, gap in zip(self.names, left):
+        for name, gap in zip(self.names, gaps):
             widest[name] = max(widest.get(name, 0.0), gap)
         open_ = sorted((name for name in widest if widest[name] > CLOSED * self.size), key=widest.get, reverse=True)
         if open_:
-            told = ", ".join(f"{name!r} by {widest[name]:.3g} m" for name in open_[:NAMED])
+            joints = ", ".join(f"{name!r} by {widest[name]:.3g} m" for name in open_[:NAMED])
             raise InputError(
-                f"Scene.assemble: the joints do not close: {told} stay open where the bodies come nearest, from {drawn.max():.3g} m as "
+                f"Scene.assemble: the joints do not close: {joints} stay open at the best position, from {drawn.max():.3g} m as "
                 "drawn; check the lengths of the bodies, or draw them nearer to where they close"
             )
         one_way = [(name, product) for name, row in zip(self.names, self.rows) for product in row.products if product.one_way]
@@ -186,7 +189,7 @@ class Loops:
                 raise InputError(f"Scene.assemble: {name!r} would close on the wrong half-turn; draw its sides within a quarter turn of it")
 
     def require_closed_as_drawn(self):
-        """Raise InputError where a row is open: one whose bodies were moved has taken something else from where they are now."""
+        """Raise InputError if a row, read again, is open: it took other data from the new position of its bodies."""
         gaps = self.size * np.abs(self(np.zeros(3 * len(self.bodies)))[0])
         if gaps.max(initial=0.0) > CLOSED * self.size:
             raise InputError(
@@ -196,9 +199,9 @@ class Loops:
 
 
 class Placed:
-    """A body in its place: centre, complex, m, the mean of its nodes or named points; size, m, their root mean square from there.
+    """A body as drawn. centre: mean of its nodes or named points, complex, m; size: their root mean square distance from it, m.
 
-    A body without `origin` and `angle`, of its own or of the plate that it is made of, cannot be moved: `part` is None.
+    part: the object with `origin` and `angle`, the body or the plate that it is made of; None if it cannot be moved.
     """
 
     def __init__(self, name, body, extent):
@@ -209,35 +212,35 @@ class Placed:
         self.size = float(np.sqrt(np.mean(np.abs(places - self.centre) ** 2))) or extent
 
     def arm(self, side, part):
-        """(how far it goes with a shift by one, its arm in a turn, complex) of an attachment's "point" or "direction", which only turns.
+        """(move for a unit shift, lever arm, complex) of an attachment's "point", or its "direction", which only turns.
 
-        Directions at named points of a body made of a plate do not: they are given in the axes of the drawing.
+        Directions at named points of a body made of a plate do not turn: they are given in the axes of the drawing.
         """
         if part == "point":
             return 1.0, complex(*side.point) - self.centre
         return 0.0, 0j if self.part is not self.body and isinstance(side, BodyPoint) else complex(*side.direction)
 
     def move(self, shift, turn):
-        """Move it by `shift`, complex, m, and turn it about its centre by `turn`, rad, in place; the longest way of a point, m."""
+        """Shift it by `shift`, complex, m, turn it about its centre by `turn`, rad; return the longest move of a point, m."""
         before = places_of(self.body)
         rotation = np.exp(1j * turn)
         origin = complex(rotation * (complex(*self.part.origin) - self.centre) + self.centre + shift)
         self.settle((origin.real, origin.imag), float(self.part.angle + turn))
-        wanted = rotation * (before - self.centre) + self.centre + shift
-        if np.abs(places_of(self.body) - wanted).max() > MISPLACED * (self.size + np.abs(wanted).max()):
+        after = rotation * (before - self.centre) + self.centre + shift
+        if np.abs(places_of(self.body) - after).max() > MISPLACED * (self.size + np.abs(after).max()):
             raise InputError(
                 f"Scene.assemble: {self.body.label} has origin and angle, but its points do not follow them; let its "
                 "coordinates() be those of angle 0 at (0, 0), turned by the angle and moved to the origin"
             )
-        return float(np.abs(wanted - before).max())
+        return float(np.abs(after - before).max())
 
     @property
     def placement(self):
-        """(origin, angle) as they are now."""
+        """(origin, angle)."""
         return self.part.origin, self.part.angle
 
     def settle(self, origin, angle):
-        """Give it an origin and an angle, and forget what was derived from others."""
+        """Set origin and angle, and clear the cached properties that depend on them."""
         settle(self.part, origin=origin, angle=angle)
         for part in (self.part, self.body):
             for kind in type(part).__mro__:
@@ -247,7 +250,7 @@ class Placed:
 
 
 def places_of(body):
-    """Nodes of a plate or of that which a body is made of, named points of another, (k,) complex, m."""
+    """Nodes of a plate, or of the plate of a body, or else named points of a body, (k,) complex, m."""
     plate = body if isinstance(body, Plate) else body.plate
     points = np.array([point.point for point in points_of(body)]) if plate is None else plate.points
     return complex_of_pairs(points)

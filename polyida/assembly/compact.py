@@ -5,7 +5,7 @@ y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j), so that `W = d^T form d
 
     dW/dz_i += (s_R - i s_I) z_j,   dW/dz_j += (s_R + i s_I) z_i      for each pair i <= j
 
-(Gerstmayr and Ambrosio 2008; Pechstein, Reischl, Gerstmayr 2013). Nothing here grows with the cells of a body.
+(Gerstmayr and Ambrosio 2008; Pechstein, Reischl, Gerstmayr 2013). The cost does not depend on the cells of a body.
 """
 
 from typing import NamedTuple
@@ -17,37 +17,32 @@ from polyida.jit import entry, fast, leaf, pack, part
 
 @pack
 class Compact(NamedTuple):
-    """The bodies: `pair` (bodies + 1,) their first pair of q, `block` their first block of the tangent, which is full on a body's pairs.
+    """The bodies of few coordinates. The vectors z_i of an elastic body are its pairs from the second on."""
 
-    rest (pairs, 2): z at rest, from the first of these bodies on. mass: Hermitian matrices, rows of entries (re, im), from `mass_start`.
-    axis (pairs, 2): complex weights of the vector that turns with its body, zero where there is none. form, shift: of elastic bodies, from
-    `form_start`, `shift_start`; their vectors z_i are the pairs from the second on. drag (1/s), viscosity (s): as of a plate's material.
-    """
-
-    pair: np.ndarray
-    block: np.ndarray
-    rest: np.ndarray
+    pair: np.ndarray  # (bodies + 1,) first pair of q
+    block: np.ndarray  # (bodies + 1,) first block of the tangent, which is full on a body's pairs
+    rest: np.ndarray  # (pairs, 2) z at rest, from the first of these bodies on
     mass_start: np.ndarray
-    mass: np.ndarray
-    axis: np.ndarray
+    mass: np.ndarray  # (., 2) complex: Hermitian matrices, row by row
+    axis: np.ndarray  # (pairs, 2) complex weights of the vector that turns with the body; zero without
     form_start: np.ndarray
-    form: np.ndarray
+    form: np.ndarray  # of elastic bodies
     shift_start: np.ndarray
     shift: np.ndarray
-    drag: np.ndarray
-    viscosity: np.ndarray
+    drag: np.ndarray  # mass-proportional damping, 1/s
+    viscosity: np.ndarray  # s
 
 
 @leaf
 def vectors(c, b):
-    """(first pair of the vectors z_i, how many they are, how many numbers y has); no vectors where the body is not elastic."""
+    """(first pair of the vectors z_i, their number, size of y); no vectors for a rigid body."""
     size = c.shift_start[b + 1] - c.shift_start[b]
     return c.pair[b] + 1, (c.pair[b + 1] - c.pair[b] - 1 if size else 0), size
 
 
 @leaf
 def lesser(a, b):
-    """The smaller of two, nan where one is nan."""
+    """The smaller of two; nan if one is nan."""
     return a if a < b or a != a else b
 
 
@@ -75,7 +70,7 @@ def place(c, first, count, u, z):
 
 @part
 def quadratic(count, x, w, y):
-    """y = half of (conj(x_i) w_j + conj(w_i) x_j): of x = w its products, of x = z and w = z' half their rates."""
+    """y = half of (conj(x_i) w_j + conj(w_i) x_j): the products of z for x = w = z, half their rates for x = z, w = z'."""
     at = 0
     for i in range(count):
         for j in range(i, count):
@@ -89,16 +84,13 @@ def quadratic(count, x, w, y):
 
 @part
 def strained(c, b, u, d):
-    """d = y - y_0 at displacements u: as 2 of z_0 and u and 1 of u alone, so that nothing cancels."""
+    """d = y - y_0 at displacements u, as the sum of terms linear and quadratic in u, without cancellation."""
     first, count, _ = vectors(c, b)
-    rest, moved, more = np.empty((count, 2)), np.empty((count, 2)), np.empty(d.shape[0])
-    for i in range(count):
-        for k in range(2):
-            rest[i, k], moved[i, k] = c.rest[first - c.pair[0] + i, k], u[first + i, k]
-    quadratic(count, rest, moved, more)
+    rest, moved, linear = c.rest[first - c.pair[0] :], u[first:], np.empty(d.shape[0])
+    quadratic(count, rest, moved, linear)
     quadratic(count, moved, moved, d)
     for e in range(d.shape[0]):
-        d[e] += 2.0 * more[e]
+        d[e] += 2.0 * linear[e]
 
 
 @fast
@@ -133,7 +125,7 @@ def push(count, first, s, z, r):
 
 @leaf
 def turn(c, b, u, rotation):
-    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) where there is none; its square, nan where u is."""
+    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) without one; return its square, nan if u is nan."""
     x = y = some = 0.0
     for i in range(c.pair[b], c.pair[b + 1]):
         k = i - c.pair[0]
@@ -151,7 +143,7 @@ def turn(c, b, u, rotation):
 
 @part
 def forces(c, u, a, r, rotation):
-    """r += M a + dW/dz of all; rotation as `turn` has it. Returns the least square of a frame's vector, 1e300 without bodies."""
+    """r += M a + dW/dz of all; rotation: as of `turn`. Returns the least square of a frame's vector, 1e300 without bodies."""
     least = 1e300
     for b in range(c.drag.shape[0]):
         add_mass(c, b, 1.0, a, r)
@@ -170,7 +162,7 @@ def forces(c, u, a, r, rotation):
 
 @part
 def forces_middle(c, h, u0, u1, um, vm, a, r, rotation):
-    """The same at the middle of a step of h, with s from the mean strain of its ends, which keeps the energy, and damping."""
+    """The same at the middle of a step of h, with damping. s is that of the mean strain of the ends, which conserves the energy."""
     least = 1e300
     for b in range(c.drag.shape[0]):
         add_mass(c, b, 1.0, a, r)
@@ -238,16 +230,16 @@ def body_energy(c, b, u):
 
 
 @entry
-def energies(c, frames, found):
-    """Fill found (frames, bodies) with the elastic energy, J, of each body at displacements (frames, nodes, 2)."""
+def energies(c, frames, out):
+    """Fill out (frames, bodies) with the elastic energy, J, of each body at displacements (frames, nodes, 2)."""
     for k in range(frames.shape[0]):
         for b in range(c.drag.shape[0]):
-            found[k, b] = body_energy(c, b, frames[k])
+            out[k, b] = body_energy(c, b, frames[k])
 
 
 @part
 def blocks(c, u, v, c_m, c_v, c_q, out):
-    """out (nnz, 2, 2) += `c_m M + c_v dg/dv + c_q dg/dq` of all, where it is made anew: zero before on their blocks."""
+    """out (nnz, 2, 2) += `c_m M + c_v dg/dv + c_q dg/dq` of all."""
     for b in range(c.drag.shape[0]):
         count = c.pair[b + 1] - c.pair[b]
         factor = c_m + c_v * c.drag[b]
@@ -268,10 +260,10 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
     first, count, size = vectors(c, b)
     s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
-    here, ahead = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
+    slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)
-    slopes(count, z, 1.0, here)
-    slopes(count, z, c_q + c_v * c.viscosity[b], ahead)
+    add_slopes(count, z, 1.0, slopes)
+    add_slopes(count, z, c_q + c_v * c.viscosity[b], factored)
     if c_q != 0.0:
         strained(c, b, u, d)
         if c.viscosity[b] != 0.0:
@@ -279,19 +271,19 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
             quadratic(count, z, moving, rate)
             for e in range(size):
                 d[e] += 2.0 * c.viscosity[b] * rate[e]
-            slopes(count, moving, c_q * c.viscosity[b], ahead)
+            add_slopes(count, moving, c_q * c.viscosity[b], factored)
         stresses(c, b, d, s)
         for e in range(size):
             s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
         curve(count, s, c.block[b], out)
     stiff = np.zeros((2 * count, size))
-    product(c.form[c.form_start[b] : c.form_start[b + 1]].reshape((size, size)), ahead, stiff)
-    project(count, here, stiff, c.block[b], out)
+    product(c.form[c.form_start[b] : c.form_start[b + 1]].reshape((size, size)), factored, stiff)
+    project(count, slopes, stiff, c.block[b], out)
 
 
 @part
-def slopes(count, z, factor, out):
-    """out (numbers of y, 2 count) += factor dy/dz; of z' instead of z that of y'."""
+def add_slopes(count, z, factor, out):
+    """out (size of y, 2 count) += factor dy/dz; with z' in place of z: dy'/dz."""
     at = 0
     for i in range(count):
         for j in range(i, count):
@@ -310,7 +302,7 @@ def slopes(count, z, factor, out):
 
 @part
 def curve(count, s, first, out):
-    """The blocks' part of s d2y/dz2; a body's vectors are its pairs from the second on."""
+    """Add s d2y/dz2 to the blocks."""
     at, wide = 0, count + 1
     for i in range(count):
         for j in range(i, count):
@@ -330,7 +322,7 @@ def curve(count, s, first, out):
 
 @fast
 def product(form, slopes, out):
-    """out += (form slopes)^T, slopes with few entries in a row."""
+    """out += (form slopes)^T; rows of slopes have few entries."""
     for f in range(slopes.shape[0]):
         for i in range(slopes.shape[1]):
             if slopes[f, i] != 0.0:
@@ -339,10 +331,10 @@ def product(form, slopes, out):
 
 
 @part
-def project(count, here, stiff, first, out):
-    """The blocks' part of here^T stiff^T."""
-    for e in range(here.shape[0]):
+def project(count, slopes, stiff, first, out):
+    """Add slopes^T stiff^T to the blocks."""
+    for e in range(slopes.shape[0]):
         for i in range(2 * count):
-            if here[e, i] != 0.0:
+            if slopes[e, i] != 0.0:
                 for j in range(2 * count):
-                    out[first + (i // 2 + 1) * (count + 1) + j // 2 + 1, i % 2, j % 2] += here[e, i] * stiff[j, e]
+                    out[first + (i // 2 + 1) * (count + 1) + j // 2 + 1, i % 2, j % 2] += slopes[e, i] * stiff[j, e]

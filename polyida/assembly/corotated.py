@@ -1,13 +1,13 @@
-"""The saddle-point solve of a scene with a stale factor in the frame of the nodal rotations, constraints exact.
+"""The saddle-point solve of a scene with an old factor in the frame of the nodal rotations and current constraints.
 
 ```
 [ S + A^T C A    A^T Bz^T ] [ dq   ]     [ r   ]     S = c_m M + K of the plates, A: q -> points, C = curvature of the rows
 [ Bz A           0        ] [ dlam ] = - [ phi ]         + c_m masses at points, Bz = phi_z
 ```
-`S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T node by node: elastic plates that turn keep their factor. All joints act through the
-few points z = A q, so the border costs `X = S^-1 A^T`, made once a factor, and a sparse system of its own a solve (border.py). X is as
-stale as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = -phi` to round-off however stale it is.
-S, r and phi may be complex, and are symmetric then, not Hermitian; frames and Bz stay real.
+`S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T at each node: the factor of an elastic plate stays valid while it turns. Joints act through
+few points z = A q: the border costs `X = S^-1 A^T` once for each factor, and one small sparse system (border.py) for each solve. X is as old as
+the factor, but `G = A X` uses the same X: therefore dq satisfies `Bz A dq = -phi` to round-off. S, r and phi may be complex; S is then
+symmetric, not Hermitian. Frames and Bz are real.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, solve_border
-from polyida.assembly.equilibrium import combined, symmetric_blocks
+from polyida.assembly.equilibrium import blocks_at, combined, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.jit import entry, pack, part, shared
 from polyida.linear.dissection import Symbolic, symbolic_of
@@ -28,67 +28,61 @@ from polyida.linear.team import Team, solve_together
 
 @pack
 class Corotated(NamedTuple):
-    """A factor, its fronts and panels, with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
-
-    place: of each point the first and last node of its body, and where its two columns X begin in `reach` (., 2), which has them on that
-    body's nodes alone. border: the pattern of the unknowns at the points. turns: whether the factor turns with the nodes, P, or stays as
-    it was made, P = I, which is there to be compared with.
-    """
+    """A factor with its frame, and the columns X of the points."""
 
     fronts: Symbolic
     panels: np.ndarray
-    frame: np.ndarray
-    place: np.ndarray
-    reach: np.ndarray
-    border: Border
-    turns: bool = True
+    frame: np.ndarray  # (nodes, 2) cos and sin of the nodal rotations
+    place: np.ndarray  # (points, 3) first and last node of the point's body, and where its two columns X begin in reach
+    reach: np.ndarray  # (., 2) columns X, each on the nodes of one body
+    border: Border  # the pattern of the unknowns at the points
+    turns: bool = True  # False: P = I, for comparisons
 
 
 @pack
 class Room(NamedTuple):
-    """Scratch of a solve; own: slopes of the force elements, blocks of the coupling, as old as the factor, or (0, 2, 2). team: of threads
-    that serve it."""
+    """Workspace of a solve."""
 
     x: np.ndarray
-    turn: np.ndarray
-    spin: np.ndarray
-    moved: np.ndarray
+    turn: np.ndarray  # (nodes, 2) cos and sin of P
+    spin: np.ndarray  # (points, 2) the same, averaged at the points
+    moved: np.ndarray  # (points, 2)
     border: BorderRoom
-    pull: np.ndarray
-    own: np.ndarray
-    team: Team | None = None
+    pull: np.ndarray  # (2 points,) forces at the points
+    own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements, as old as the factor; (0, 2, 2) without
+    team: Team | None = None  # of threads that share the solves
 
 
 def corotated(model, blocks, rotation, before=None):
-    """Corotated for the tangent blocks and raw nodal rotations at hand. Raises SingularSystem.
+    """The Corotated of tangent blocks and raw nodal rotations. Raises SingularSystem.
 
-    before: a Corotated of the model that is no longer needed: it is filled anew, if it has the same kind of numbers.
+    before: a Corotated of the model that is overwritten, if its numbers have the same type.
     """
     fronts = model.once(symbolic_of, of_shape=True)
     before = None if before is None or before.panels.dtype != single(blocks) else before
     panels = factorize(fronts, blocks, panels=None if before is None else before.panels)
     if before is None:
-        place = model.once(column_places, of_shape=True)
+        place = model.once(_column_places, of_shape=True)
         reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
         before = Corotated(fronts, panels, np.empty_like(rotation), place, reach, model.once(border, of_shape=True))
     fill_reach(before, before.reach, rotation, model.once(unit_loads, of_shape=True), np.empty(model.n, panels.dtype))
     return before
 
 
-def column_places(model):
-    """(points, 3): the first and last pair of each point's body, and where its two columns on these pairs begin, one behind the other."""
+def _column_places(model):
+    """`place` of Corotated."""
     bodies = body_of_points(model)
     first, end = model.first_pairs[bodies], model.first_pairs[bodies + 1]
     return np.stack([first, end, 2 * (np.cumsum(end - first) - (end - first))], axis=1).astype(np.int64).reshape(-1, 3)
 
 
 def columns_together(border):
-    """How many columns X there are on one body at most: those of other bodies are solved with them."""
+    """Largest number of columns X on one body: the number of solves, because one solve finds a column of each body."""
     return 2 * int(np.diff(border.point_start).max(initial=0))
 
 
 def unit_loads(model):
-    """A^T of unit forces at points, (columns, nodes, 2): the first, second ... column of all bodies together, for these are not coupled."""
+    """A^T of unit forces at points, (columns, nodes, 2): column k of all bodies together, because bodies are not coupled in S."""
     pattern, weights = model.once(border, of_shape=True), model.point_weights.conj()
     groups, loads = np.split(pattern.points, pattern.point_start[1:-1]), np.zeros((columns_together(pattern), model.n_nodes), complex)
     for k in range(0, len(loads), 2):
@@ -99,7 +93,7 @@ def unit_loads(model):
 
 @entry
 def fill_reach(c, reach, rotation, loads, x):
-    """reach = S_ref^-1 loads by the columns of the points, in the factor's own frame; rotation: raw, of that frame, or empty."""
+    """reach = S_ref^-1 loads, by the columns of the points, in the factor's frame. rotation: raw, becomes that frame; may be empty."""
     for i in range(rotation.shape[0]):
         size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
         c.frame[i, 0], c.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
@@ -118,7 +112,7 @@ def fill_reach(c, reach, rotation, loads, x):
 
 
 def room(model, system):
-    """Scratch for solves with `system`."""
+    """The workspace of solves with `system`."""
     dtype, coupled = np.result_type(system.panels, float), len(model.arrays.links.coupling.columns)
     return Room(
         np.zeros(model.n, system.panels.dtype),
@@ -133,13 +127,13 @@ def room(model, system):
 
 @shared
 def solve_panels(fronts, panels, x):
-    """x <- S_ref^-1 x in the factor's order: `solve_fronts`, compiled once for all who call it."""
+    """x <- S_ref^-1 x in the factor's order: `solve_fronts`, compiled once for all callers."""
     solve_fronts(fronts, panels, x)
 
 
 @part
 def solve_in_place(c, team, x):
-    """The same, by a team where there is one. A function of its own, for numba drops a branch only where an argument is None."""
+    """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
     if team is None:
         solve_panels(c.fronts, c.panels, x)
     else:
@@ -148,14 +142,14 @@ def solve_in_place(c, team, x):
 
 @part
 def solve_plates(s, c, w, rotation, r, x):
-    """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
+    """x (nodes, 2) = P S_ref^-1 P^T r; sets the frames of nodes and points."""
     turn_frames(s, c, w, rotation)
     solve_turned(c, w, r, x)
 
 
 @part
 def solve_turned(c, w, r, x):
-    """The same with the frames at hand."""
+    """The same with the frames already set."""
     order, b, turn = c.fronts.order, w.x, w.turn
     for i in range(r.shape[0]):
         b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]
@@ -169,7 +163,7 @@ def solve_turned(c, w, r, x):
 
 @shared
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
-    """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
+    """Fill dq (nodes, 2) and dlam (m,). rotation, dz: of `equilibrium` at the current q. Returns False if the system is singular."""
     solve_plates(s, c, w, rotation, r, dq)
     for i in range(r.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
@@ -210,7 +204,7 @@ def turn_frames(s, c, w, rotation):
 
 @part
 def points_matrix(s, c, w, b, blocks, layer):
-    """G = A X at the present rotations, body by body, into the first rows of its matrices, behind `layer` others of its kind."""
+    """G = A X at the current rotations, body by body, in the first rows of its matrices, after `layer` others of its kind."""
     for n in range(b.block.shape[0] - 1):
         first, end = b.point_start[n], b.point_start[n + 1]
         wide = 2 * b.layers * (end - first)
@@ -236,7 +230,7 @@ def points_matrix(s, c, w, b, blocks, layer):
 
 @part
 def fill_curvature(s, w, curvature, drives, lam, c_m):
-    """Blocks of the coupling = C: that of the rows, c_m times the masses at points, slopes of force elements."""
+    """Blocks of the coupling = C: curvature of the rows, c_m times the masses at points, derivatives of force elements."""
     for k in range(curvature.shape[0]):
         for i in range(2):
             for j in range(2):
@@ -257,14 +251,14 @@ def add_masses(s, c_m, curvature):
 
 @part
 def hold_border(s, c, w, drives, dz):
-    """G of the bodies and Bz of a state, whose frames are at hand."""
+    """G of the bodies and Bz of a state whose frames are set."""
     points_matrix(s, c, w, c.border, w.border.blocks, 0)
     joints.joint_jacobian(s, drives, dz, w.border.slopes)
 
 
 @part
 def close(s, c, w, phi, dlam):
-    """The points' forces w.pull and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. False where it is singular.
+    """The points' forces w.pull and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
 
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
@@ -295,7 +289,7 @@ def pull_of(s, b, w, pull, dlam):
 
 @part
 def pull_points(s, c, w, dq):
-    """dq -= X pull at the present rotations."""
+    """dq -= X pull at the current rotations."""
     for f in range(w.spin.shape[0]):
         co, si = w.spin[f, 0], w.spin[f, 1]
         x, y = w.pull[2 * f], w.pull[2 * f + 1]
@@ -313,10 +307,10 @@ def pull_points(s, c, w, dq):
 
 
 class SceneStepMatrix(StepMatrix):
-    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone.
+    """`S = c_m M + c_v C + K` of a scene, computed from q; C and K are those of zero velocity, and so symmetric.
 
-    c_m and c_v are both real, or both complex: c^2 and c, the real part of c positive.
-    corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
+    c_m and c_v are both real, or both complex: c^2 and c, the real part of c positive. corotated, room: the factor and its workspace, for
+    compiled loops. solves: number of solves for the border.
     """
 
     backend = "multifrontal L D L^T"
@@ -327,12 +321,14 @@ class SceneStepMatrix(StepMatrix):
         self.solves, self.corotated = columns_together(model.once(border, of_shape=True)), None
 
     def factor(self, t, q, v, a, lam, c_m, c_v, parts=None):
-        """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem.
+        """Factor S at q. Force elements depend on t and v, the joints' curvature in `solve` on t and lam. Raises SingularSystem.
 
-        parts: `symmetric_parts` at q, for who wants several matrices there.
+        parts: `symmetric_parts` at q, if they are known.
         """
         model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
-        blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v) if parts is None else combined(c_m, c_v, *parts)
+        u = q.reshape(-1, 2)
+        parts = symmetric_parts(model, u) if parts is None and isinstance(c_v, complex) else parts
+        blocks = blocks_at(model, u, np.zeros_like(u), c_m, c_v, 1.0) if parts is None else combined(c_m, c_v, *parts)
         before, self.corotated = self.corotated, None
         self.corotated = corotated(model, blocks, model.rotation(q), before)
         self.room = self.room if self.corotated is before else room(model, self.corotated)
@@ -341,17 +337,17 @@ class SceneStepMatrix(StepMatrix):
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
     def beside(self, c_m, c_v, change):
-        """The same with other c_m and c_v, of C and M as if at rest: not those of change."""
+        """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""
         other = type(self)(self.model)
         other.again(self.made_at, c_m, c_v)
         return other
 
     def stands_alone(self):
-        """True: every node of a plate has mass."""
+        """True: each node of a plate has mass."""
         return True
 
     def solve(self, q, b, transposed=False):
-        """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; all of S but forces of one's own is symmetric. Raises SingularSystem."""
+        """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; only users' forces are not symmetric. Raises SingularSystem."""
         free, own = self.corotated._replace(border=self.model.once(border_without_rows, of_shape=True)), self.room.own
         if transposed and len(own):
             own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
@@ -374,5 +370,5 @@ class SceneStepMatrix(StepMatrix):
 
 
 def border_without_rows(model):
-    """The Border of a scene for S alone."""
+    """The Border of a scene for S without constraints."""
     return border(model, rows=False)

@@ -1,4 +1,4 @@
-"""The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
+"""Residual `r = M a + g + phi_q^T lam`, constraints, tangent, energy and damping of a scene in compiled code."""
 
 import numpy as np
 
@@ -27,9 +27,8 @@ def on_pattern(s, o, values):
 def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
 
-    rotation is the area-weighted sum of (F11 + F22, F21 - F12), whose direction is the nodal rotation, or the vector of a body's frame;
-    pass (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); the first is nan where u is not
-    finite.
+    rotation: area-weighted sums of (F11 + F22, F21 - F12), in the direction of the nodal rotation, or the vector of a body's frame; pass
+    (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); det F is nan if u is not finite.
     """
     s, links = scene.plates, scene.links
     for i in range(r.shape[0]):
@@ -63,7 +62,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = `c_m M + c_v dg/dv + c_q dg/dq` of the bodies on their pattern, without masses at points and joints.
 
-    v: velocities (nodes, 2), or None of bodies without damping; dg/dq is not symmetric where v is not zero.
+    v: velocities (nodes, 2), or None without damping; dg/dq is symmetric only for v = 0.
     """
     s = scene.plates
     blocks[:] = 0.0
@@ -98,7 +97,7 @@ def strain_energy(scene, u):
 
 @entry
 def momentum(scene, a, r):
-    """r += M a with the masses at points left out."""
+    """r += M a without the masses at points."""
     s = scene.plates
     compact.momentum(scene.compact, a, r)
     for b in range(s.body_operator.shape[0]):
@@ -106,20 +105,8 @@ def momentum(scene, a, r):
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], s.body_node[b], a, r)
 
 
-def symmetric_blocks(model, u, c_m, c_v):
-    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's bodies at u (nodes, 2), c_m and c_v both real or both complex.
-
-    C and K are those at rest there: what K has of velocities beside is not symmetric, and small; Newton does without.
-    """
-    if isinstance(c_v, complex):
-        return combined(c_m, c_v, *symmetric_parts(model, u))
-    return blocks_at(model, u, np.zeros_like(u), c_m, c_v, 1.0)
-
-
 def symmetric_parts(model, u):
-    """K (nnz, 2, 2), C alike or None where there is no damping, and the complex numbers m (nnz,) that M's blocks stand for: their real
-    parts, and their imaginary parts or None where there are none.
-    """
+    """(K (nnz, 2, 2), C or None without damping, real and imaginary part (nnz,) of the complex numbers in M's blocks, None if all are real)."""
     v = np.zeros_like(u)
     K, M = blocks_at(model, u, v, 0.0, 0.0, 1.0), blocks_at(model, u, v, 1.0, 0.0, 0.0)
     C = blocks_at(model, u, v, 0.0, 1.0, 0.0) if model.damped else None
@@ -146,7 +133,7 @@ def combined(c_m, c_v, K, C, m, across):
 
 @entry
 def add_damping(scene, u, v, elastic, r):
-    """r (nodes, 2) += the damping forces of all bodies; elastic (nodes, 2) is scratch, rotation is not wanted."""
+    """r (nodes, 2) += damping forces of all bodies; elastic (nodes, 2) is workspace."""
     s = scene.plates
     compact.damping(scene.compact, u, v, r)
     for b in range(s.body_operator.shape[0]):

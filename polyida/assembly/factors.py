@@ -1,7 +1,7 @@
-"""Plates whose cells are scaled, each by factors of its own, and the slopes of a run's work in these factors.
+"""Plates whose cells have factors of stiffness and mass, and the derivatives of a run's work in these factors.
 
-r is linear in the factors of each plate, `r = sum_e s_e f_e(q, v) + m_e M_e (a - g + d v) + ...`, g the gravity, d the mass damping: the
-virtual works of every cell's forces along w at factor 1 are the derivatives of `w . r` at any factors.
+r is linear in the factors, `r = sum_e s_e f_e(q, v) + m_e M_e (a - g + d v) + ...`, g the gravity, d the mass damping: the derivatives of `w . r`
+are the virtual works of each cell's forces at factor 1 along w.
 """
 
 from dataclasses import replace
@@ -18,15 +18,15 @@ from polyida.jit import entry
 from polyida.jit.intrinsics import LANES
 from polyida.validation import read_only, reals
 
-OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # what a model keeps that follows from them, its arrays and bodies apart
+OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # cached properties of a model that depend on the factors
 WHAT = ("stiffness", "mass")
 
 
 def scaled(model, given):
     """A copy of the model with the factors `given`, {plate: (stiffness, mass)}; other plates keep theirs. Raises InputError."""
-    shares, checked = model.once(Shares, of_shape=True), _checked(model, given)
+    contributions, checked = model.once(CellContributions, of_shape=True), _checked(model, given)
     factors = [checked.get(body.name, body.factors) for body in model.bodies]
-    plates = shares.scaled(*(concatenated(each, float) for each in zip(*factors))) if factors else shares.plates
+    plates = contributions.scaled(*(concatenated(each, float) for each in zip(*factors))) if factors else contributions.plates
     other = object.__new__(type(model))
     other.__dict__.update({name: value for name, value in model.__dict__.items() if name not in OF_FACTORS})
     other.bodies = []
@@ -34,47 +34,39 @@ def scaled(model, given):
         pattern, operator = slice(first[6], last[6]), body.operator
         stabilisation = None if operator.stabilisation is None else plates.stabilisation[pattern]
         operator = replace(operator, weights=plates.weights[first[3] : last[3]], mass=plates.mass[pattern], stabilisation=stabilisation)
-        other.bodies.append(replace(body, operator=operator, factors=factor))
+        other.bodies.append(body.scaled(operator, factor))
     other.places = model.places | {id(body.plate): body for body in other.bodies}
     loads = dead_loads(other.parts, other.gravity, other.places)
     weight = np.concatenate([placed.weight(steady(other.gravity)) for placed in (*other.bodies, *other.few)])
     plates = plates._replace(weight=weight, load_values=concatenated([load.forces for load in loads], float, (2,)))
-    other.arrays, other._kept = model.arrays._replace(plates=plates), {}
+    other.arrays, other._derived = model.arrays._replace(plates=plates), {}
     return other
 
 
-def factors_of(model):
-    """{plate: (stiffness, mass)} of all its full plates."""
-    return {body.name: body.factors for body in model.bodies}
-
-
-def told(model):
-    """{plate: (stiffness, mass)} of the plates that are not full."""
-    return {name: factors for name, factors in factors_of(model).items() if not all((factor == 1.0).all() for factor in factors)}
+def given_factors(model):
+    """{plate: (stiffness, mass)} of the plates with factors other than 1."""
+    return {name: factors for name, factors in model.factors.items() if not all((factor == 1.0).all() for factor in factors)}
 
 
 def _checked(model, given):
-    """{plate: (stiffness, mass)}, each (cells,), of what was given. Raises InputError."""
-    known, found = {body.name: body for body in model.bodies}, {}
+    """{plate: (stiffness, mass)}, (cells,) each, read-only. Raises InputError."""
+    known, checked = {body.name: body for body in model.bodies}, {}
     for name, pair in given.items():
         if name not in known:
-            raise InputError(_unknown(model, name, known))
+            part = model.parts.get(name)
+            what = "no part of the scene" if part is None else f"a {type(part).__name__}"
+            advice = f"; plates: {', '.join(map(repr, known)) or 'none'}"
+            if any(placed.name == name for placed in model.few):
+                advice = ": only the cells of full plates have factors, take its plate into the scene itself"
+            raise InputError(f"with_factors: {name!r} is {what}{advice}")
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:
             raise InputError(f"with_factors: {name} = {pair!r:.100} must be a pair (stiffness, mass); None for a factor of 1")
-        found[name] = tuple(_factor(name, what, one, known[name].mesh.n_cells) for what, one in zip(WHAT, pair))
-    return found
-
-
-def _unknown(model, name, known):
-    part = model.parts.get(name)
-    if any(placed.name == name for placed in model.few):
-        return f"with_factors: {name!r} is a {type(part).__name__}: only the cells of full plates have factors, take its plate into the scene itself"
-    what = "no part of the scene" if part is None else f"a {type(part).__name__}"
-    return f"with_factors: {name!r} is {what}; plates: {', '.join(map(repr, known)) or 'none'}"
+        checked[name] = tuple(_factor(name, what, one, known[name].mesh.n_cells) for what, one in zip(WHAT, pair))
+    return checked
 
 
 def _factor(name, what, given, cells):
-    """A factor of every cell, (cells,), that nobody can write."""
+    """A factor of each cell, (cells,), read-only."""
     label = f"with_factors: the {what} of {name!r}"
     array = np.ones(()) if given is None else reals(given)
     if array is None or array.shape not in ((), (cells,)):
@@ -86,33 +78,33 @@ def _factor(name, what, given, cells):
     return read_only(np.array(np.broadcast_to(array, cells)))
 
 
-class Shares:
-    """The arrays of a model's plates, an operator of its own for each, as functions of one factor a cell, plate after plate.
+class CellContributions:
+    """The arrays of a model's plates, each with its own operator, as functions of one factor per cell, plate after plate.
 
-    plates: the arrays of full cells. first (plates + 1,): the first cell of each plate. lane_cells, weight_cells: the cell of every lane
-    and of every weight. mass, stabilisation: matrices on the node pattern as Sums.
+    plates: the arrays at factor 1. first (plates + 1,): first cell of each plate. lane_cells, weight_cells: the cell of each lane and of
+    each weight. mass, stabilisation: the matrices on the node pattern as CellSums.
     """
 
     def __init__(self, model):
-        bodies = [replace(body, operator=replace(body.operator)) for body in model.bodies]
+        bodies = [body.scaled(replace(body.operator), body.factors) for body in model.bodies]
         operators, plates = [body.operator for body in bodies], model.arrays.plates
         shared = len({id(body.operator) for body in model.bodies}) < len(bodies)
         self.plates = plates._replace(**operator_arrays(bodies)) if shared else plates
         self.names, self.first = [body.name for body in bodies], starts([o.areas for o in operators])
         self.lane_cells = self._cells([o.lane_cells for o in operators])
         self.weight_cells = self._cells([_cells_of(o, 4, o.layout[:, 1]) for o in operators])
-        places = concatenated([o.pairs + place for o, place in zip(operators, self.plates.at[:, 6])], np.int32)
+        entries = concatenated([o.pairs + first for o, first in zip(operators, self.plates.at[:, 6])], np.int32)
         cells = self._cells([_cells_of(o, 5, o.layout[:, 0] ** 2) for o in operators])
-        self.mass = Sums(places, cells, concatenated([o.cell_mass for o in operators], float))
+        self.mass = CellSums(entries, cells, concatenated([o.cell_mass for o in operators], float))
         stabilised = [np.zeros(len(o.pairs)) if o.cell_stabilisation is None else o.cell_stabilisation for o in operators]
-        self.stabilisation = Sums(places, cells, concatenated(stabilised, float))
+        self.stabilisation = CellSums(entries, cells, concatenated(stabilised, float))
 
     def _cells(self, parts):
-        """Numbers of cells of each plate as such of all."""
+        """Cell numbers within plates as numbers of all cells."""
         return concatenated([cells + first for cells, first in zip(parts, self.first)], np.int32)
 
     def scaled(self, stiffness, mass):
-        """The plates' arrays for factors (cells,) of all cells."""
+        """The plates' arrays for factors (cells,)."""
         return self.plates._replace(
             weights=self.plates.weights * stiffness[self.weight_cells],
             mass=self.mass(mass, np.zeros_like(self.plates.mass)),
@@ -128,53 +120,58 @@ class Shares:
         return dict(zip(self.names, np.split(values, self.first[1:-1])))
 
 
-class Sums:
-    """Numbers on the node pattern as sums over cells: `out[place] = sum of values * factors[cell]`.
+class CellSums:
+    """Numbers on the node pattern as sums over cells: `out[entry] = sum of values * factors[cell]`.
 
-    They are added up as the operator's own were: factors of 1 give the same to the bit. Where all values are zero there are none.
+    The order of summation is that of the operator: factors of 1 give identical numbers. Empty if all values are zero.
     """
 
-    def __init__(self, places, cells, values):
+    def __init__(self, entries, cells, values):
         some = slice(None if values.any() else 0)
-        self.places, self.cells, self.values = places[some], cells[some], values[some]
+        self.entries, self.cells, self.values = entries[some], cells[some], values[some]
 
     def __call__(self, factors, out):
-        """out (nnz,), zero before."""
-        kernels.sums(self.places, self.cells, self.values, factors, out)
+        """Add to out (nnz,) and return it."""
+        kernels.sums(self.entries, self.cells, self.values, factors, out)
         return out
 
     def slopes(self, work, count):
-        """Slopes of `work . out` in the factors of that many cells."""
-        return np.bincount(self.cells, self.values * work[self.places], count)
+        """Derivatives of `work . out` in the factors of `count` cells."""
+        return np.bincount(self.cells, self.values * work[self.entries], count)
 
 
 def _cells_of(operator, column, vectors):
-    """The cells of the lanes of all vectors in blocks that begin where a column of the layout says, each with so many vectors."""
+    """The cells of the lanes of all vectors, in blocks that begin at the values of a column of the layout, with `vectors` vectors each."""
     order = np.argsort(operator.layout[:, column])
     return np.repeat(operator.lane_cells.reshape(-1, LANES)[order], vectors[order], axis=0).ravel()
 
 
 def stiffness_work(model, q, v, w):
-    """{plate: (cells,)}, J: sums over frames of `w . f_e(q, v)`, f_e the elastic force of cell e at factor 1 with its viscosity and
-    stabilisation; q, v, w (frames, n).
+    """{plate: (cells,)}, J: sums over frames of `w . f_e(q, v)`; q, v, w (frames, n).
+
+    f_e: elastic force of cell e at factor 1, with its viscosity and stabilisation.
     """
-    shares = model.once(Shares, of_shape=True)
-    lanes, pairs = np.zeros(len(shares.lane_cells)), np.zeros(len(shares.plates.mass))
-    _force_works(shares.plates, *(_nodal(model, x) for x in (q, v, w)), lanes, pairs)
-    stabilising = shares.of_cells(shares.plates.body_stabilisation) * shares.stabilisation.slopes(pairs, shares.first[-1])
-    return shares.by_plate(np.bincount(shares.lane_cells, lanes, shares.first[-1]) + stabilising)
+    contributions = model.once(CellContributions, of_shape=True)
+    lanes, pairs = np.zeros(len(contributions.lane_cells)), np.zeros(len(contributions.plates.mass))
+    _force_works(contributions.plates, *(_nodal(model, x) for x in (q, v, w)), lanes, pairs)
+    count = contributions.first[-1]
+    factors = contributions.of_cells(contributions.plates.body_stabilisation)
+    works = np.bincount(contributions.lane_cells, lanes, count) + factors * contributions.stabilisation.slopes(pairs, count)
+    return contributions.by_plate(works)
 
 
 def mass_work(model, b, w, pull=None):
-    """{plate: (cells,)}: sums over frames of `w . M_e (b - pull)`, M_e the mass matrix of cell e at factor 1; b, w (frames, n), pull
-    (frames, 2): the same everywhere.
+    """{plate: (cells,)}: sums over frames of `w . M_e (b - pull)`; b, w (frames, n), pull (frames, 2): the same at all nodes.
+
+    M_e: mass matrix of cell e at factor 1.
     """
-    shares = model.once(Shares, of_shape=True)
-    pairs = np.zeros(len(shares.plates.mass))
-    _mass_works(shares.plates, *(_nodal(model, x) for x in (b, w)), pairs)
+    contributions = model.once(CellContributions, of_shape=True)
+    pairs = np.zeros(len(contributions.plates.mass))
+    _mass_works(contributions.plates, *(_nodal(model, x) for x in (b, w)), pairs)
     if pull is not None:
-        _mass_works(shares.plates, _nodal(model, np.tile(np.eye(2), model.n_nodes)), _nodal(model, -(pull.T @ w)), pairs)
-    return shares.by_plate(shares.of_cells(shares.plates.body_density) * shares.mass.slopes(pairs, shares.first[-1]))
+        _mass_works(contributions.plates, _nodal(model, np.tile(np.eye(2), model.n_nodes)), _nodal(model, -(pull.T @ w)), pairs)
+    density = contributions.of_cells(contributions.plates.body_density)
+    return contributions.by_plate(density * contributions.mass.slopes(pairs, contributions.first[-1]))
 
 
 def _nodal(model, x):
@@ -183,30 +180,20 @@ def _nodal(model, x):
 
 @entry
 def _force_works(s, q, v, w, lanes, pairs):
-    """Add up over frames: w . f of the cells in their lanes, products for the stabilisation on the pattern."""
+    """Add over frames: w . f of the cells in their lanes, products for the stabilisation on the pattern."""
     for frame in range(q.shape[0]):
+        u, speed, way = q[frame], v[frame], w[frame]
         for o in range(s.body_operator.shape[0]):
-            p, e = s.at[o], s.at[o + 1]
-            kernels.force_work(
-                *cells(s, o),
-                s.body_node[o],
-                s.body_c1[o],
-                s.body_nu[o],
-                s.body_viscosity[o],
-                q[frame],
-                v[frame],
-                w[frame],
-                lanes[LANES * p[0] : LANES * e[0]],
-            )
+            p, e, n0 = s.at[o], s.at[o + 1], s.body_node[o]
+            own = lanes[LANES * p[0] : LANES * e[0]]
+            kernels.force_work(*cells(s, o), n0, s.body_c1[o], s.body_nu[o], s.body_viscosity[o], u, speed, way, own)
             if s.body_stabilisation[o] != 0.0:
-                kernels.difference_products(
-                    s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.body_node[o], q[frame], w[frame], pairs[p[6] : e[6]]
-                )
+                kernels.difference_products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], n0, u, way, pairs[p[6] : e[6]])
 
 
 @entry
 def _mass_works(s, b, w, pairs):
-    """Add up over frames: products for the mass on the pattern."""
+    """Add over frames: products for the mass on the pattern."""
     for frame in range(b.shape[0]):
         for o in range(s.body_operator.shape[0]):
             p, e = s.at[o], s.at[o + 1]

@@ -1,4 +1,4 @@
-"""What phi of a scene gains in a step, from its drives and from what the step adds to the places of its points."""
+"""Increments of phi of a scene in a step, from the increments of its profiles and of the places of its points."""
 
 from typing import NamedTuple
 
@@ -12,15 +12,15 @@ from polyida.profile import SHAPES
 EPS = 2.0**-52
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]
 AT, LATE = 0.5 + NODES, WEIGHTS * (0.5 - NODES)
-SMALL = 1e-5  # of the numbers, a difference that has lost so many digits
+SMALL = 1e-5  # of the numbers: a difference below it has lost digits
 POLYNOMIAL, SINE, MOVE = range(3)
 
 
 def drive_table(model, times, ends):
-    """Values and two derivatives of every profile at the times, (times, profiles, 3).
+    """Values and two derivatives of each profile at the times, (times, profiles, 3).
 
-    ends: the first and the last time, or one beside it within the steps where there is a kink: loads and all derivatives are of
-    that side. What drives phi is continuous.
+    ends: the first and the last time, or times beside them inside the steps at a kink: loads and all derivatives are one-sided. Values that
+    drive phi are continuous.
     """
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
@@ -35,16 +35,16 @@ def drive_table(model, times, ends):
 
 
 def _driving(model):
-    """Whether each profile drives rows of phi."""
-    found = np.zeros(len(model.profiles), bool)
-    found[model.motor_profiles] = found[model.path_profiles] = True
-    return found
+    """True for each profile that drives rows of phi."""
+    driving = np.zeros(len(model.profiles), bool)
+    driving[model.motor_profiles] = driving[model.path_profiles] = True
+    return driving
 
 
 def gain_table(model, times, drives, h):
-    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate.
+    """Increments of each profile in each step of size h, (steps, profiles, 3): of value, of value - h rate, of rate.
 
-    Differences; of what drives phi, where the integrals of its second derivative are the same to round-off, those, which are sharper.
+    Differences. For profiles that drive phi the more accurate integrals of the second derivative, if both agree to round-off.
     """
     return _gains(model, times[:-1], times[1:], drives[:-1], drives[1:], np.full(len(times) - 1, h))
 
@@ -52,7 +52,7 @@ def gain_table(model, times, drives, h):
 def stage_tables(model, starts, times, edge, h):
     """(drives (k, s + 1, profiles, 3) at the starts (k,) of steps and the times (k, s) of their stages, gains (k, s, profiles, 3) between).
 
-    h (s,): how much later the stages are; edge: the first of the starts, or beside it within the steps where there is a kink.
+    h (s,): times of the stages since the start of the step. edge: the first start, or a time beside it inside the step at a kink.
     """
     at = np.column_stack([starts, times])
     drives = drive_table(model, at.ravel(), (edge, at[-1, -1])).reshape(*at.shape, -1, 3)
@@ -77,7 +77,7 @@ def _gains(model, begin, times, before, after, h):
 
 @entry
 def change_each(driving, h, times, before, after, gains, lost):
-    """Gains by differences (steps, profiles, 3); lost: where they may have lost digits."""
+    """Gains by differences (steps, profiles, 3). lost: True if they may have lost digits."""
     for i in range(h.shape[0]):
         for k in range(driving.shape[0]):
             lost[i, k] = change(driving[k], h[i], times[i], before[i, k], after[i, k], gains[i, k])
@@ -85,7 +85,7 @@ def change_each(driving, h, times, before, after, gains, lost):
 
 @entry
 def sharpen_each(k, rows, second, h, times, before, after, gains):
-    """Sharpen the gains of profile k in some steps, with its second derivatives (rows, 4)."""
+    """`sharpen` the gains of profile k in some steps; second (rows, 4): its second derivatives."""
     for e in range(rows.shape[0]):
         i = rows[e]
         sharpen(h[i], times[i], before[i, k], after[i, k], second[e], gains[i, k])
@@ -93,13 +93,13 @@ def sharpen_each(k, rows, second, h, times, before, after, gains):
 
 @part
 def sizes(t, before, after):
-    """The size of the numbers of which the gains of value and rate are differences."""
+    """Size of the numbers whose differences are the gains of value and rate."""
     return abs(before[0]) + abs(after[0]) + abs(t * after[1]), abs(before[1]) + abs(after[1]) + abs(t * after[2])
 
 
 @part
 def change(driving, h, t, before, after, gain):
-    """Fill the gain of a profile in a step of h to t by differences. Whether it drives phi and may have lost digits."""
+    """Fill the gain of a profile in a step of h to t by differences. True if it drives phi and may have lost digits."""
     gain[0], gain[2] = after[0] - before[0], after[1] - before[1]
     gain[1] = gain[0] - h * before[1]
     value, rate = sizes(t, before, after)
@@ -108,7 +108,7 @@ def change(driving, h, t, before, after, gain):
 
 @part
 def sharpen(h, t, before, after, second, gain):
-    """Take the integrals of the second derivative (4,) instead, where they are the same to round-off."""
+    """Replace the gain by integrals of the second derivative (4,), if both agree to round-off."""
     total = late = 0.0
     for i in range(4):
         total += second[i] * WEIGHTS[i]
@@ -121,8 +121,10 @@ def sharpen(h, t, before, after, second, gain):
 
 @pack
 class Moves(NamedTuple):
-    """The profiles of a scene as numbers, from `start` on: POLYNOMIAL: its coefficients; SINE: the sizes of value and derivatives, angular
-    frequency, phase; MOVE: start, span, duration, begin, the sizes of value and derivatives, coefficients. driving: as of `_driving`.
+    """The profiles of a scene as numbers, list after list. driving: as of `_driving`.
+
+    POLYNOMIAL: coefficients. SINE: amplitudes of value and derivatives, angular frequency, phase. MOVE: first value, span, duration, start time,
+    amplitudes of value and derivatives, coefficients.
     """
 
     kind: np.ndarray
@@ -132,26 +134,26 @@ class Moves(NamedTuple):
 
 
 def moves(model):
-    """(the Moves of a scene, whether all of its profiles are in it: those that have a formula are)."""
+    """(Moves of a scene, True if all of its profiles have a formula and are in it)."""
     kinds, rows = [], []
     for profile in model.profiles:
-        kind, *given = profile.formula or ("",)
+        kind, *numbers = profile.formula or ("",)
         if kind == "sine":
-            w = 2 * np.pi * given[1]
-            given = [given[0], given[0] * w, -given[0] * w * w, w, given[2]]
+            w = 2 * np.pi * numbers[1]
+            numbers = [numbers[0], numbers[0] * w, -numbers[0] * w * w, w, numbers[2]]
         elif kind in SHAPES:
-            begin, end, duration, start = given
+            begin, end, duration, start = numbers
             span = end - begin
-            given = [begin, span, duration, start, span, span / duration, span / duration**2, *SHAPES[kind]]
+            numbers = [begin, span, duration, start, span, span / duration, span / duration**2, *SHAPES[kind]]
         kinds.append({"polynomial": POLYNOMIAL, "sine": SINE}.get(kind, MOVE))
-        rows.append(np.array(given, float))
+        rows.append(np.array(numbers, float))
     start = np.cumsum([0, *map(len, rows)])
     return Moves(np.array(kinds, np.int64), start, np.concatenate([*rows, np.zeros(0)]), _driving(model)), all(map(len, rows))
 
 
 @part
 def profile_at(m, k, t, order):
-    """Value, first or second derivative, by the order, of a profile of Moves."""
+    """Derivative of an order 0, 1 or 2 of profile k of Moves."""
     x = m.numbers[m.start[k] : m.start[k + 1]]
     if m.kind[k] == SINE:
         angle = x[3] * t + x[4]
@@ -176,9 +178,9 @@ def series(c, order, x):
 
 @part
 def take_step(m, h, begin, inner, times, c, drives, gains):
-    """Fill drives (s + 1, profiles, 3) and gains, from row 1 on, of a step of h from `begin` with stages at times (s,) and c.
+    """Fill drives (s + 1, profiles, 3) and gains, from row 1 on, of a step of h from `begin` with stages c (s,) at times (s,).
 
-    inner: begin, or beside it within the step where there is a kink.
+    inner: begin, or a time beside it inside the step at a kink.
     """
     second = np.empty(4)
     for k in range(m.kind.shape[0]):
@@ -195,10 +197,7 @@ def take_step(m, h, begin, inner, times, c, drives, gains):
 
 
 class Increments:
-    """What phi and rate = phi_q v + phi_t of a scene gain in one step of h from (q, v) at t0 to t1, for any dd and dv.
-
-    ends: as of `drive_table`.
-    """
+    """Change of phi and rate = phi_q v + phi_t of a scene in one step of h from (q, v) at t0 to t1. ends: as of `drive_table`."""
 
     def __init__(self, model, t0, t1, ends, h, q, v):
         times = np.array([t0, t1])
@@ -208,8 +207,7 @@ class Increments:
         self.dz, self.vz = model.dz(q), model.dz(v)
 
     def __call__(self, dd, dv, phi, rate):
-        """(phi, rate), (m,) each, behind the step, where q moves by h v + dd and v by dv, from those before it."""
-        phi, rate, model = phi.copy(), rate.copy(), self.model
-        start, step = (self.drives, self.gain, self.h, self.dz, self.vz), (model.dz(dd), model.dz(dv))
-        joints.joint_change(model.arrays.links, *start, *step, phi, rate)
+        """(phi, rate), (m,) each, at the end of the step, from those at its start; q changes by h v + dd and v by dv."""
+        phi, rate, step = phi.copy(), rate.copy(), (self.model.dz(dd), self.model.dz(dv))
+        joints.joint_change(self.model.arrays.links, self.drives, self.gain, self.h, self.dz, self.vz, *step, phi, rate)
         return phi, rate

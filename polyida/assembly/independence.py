@@ -1,4 +1,15 @@
-"""Independence of the constraints: redundant rows of phi at the start, and a compiled proof along a run that the rows of phi_q stay independent."""
+"""Independence of the constraints: redundant rows of phi at the start, and a compiled proof along a run that rows of phi_q are independent.
+
+**Redundant rows.** B_k are the independent rows; the others are `B_d = C B_k` in all states of the mechanism. Multipliers with equal forces,
+`B^T lam = B_k^T lam_k`, are `(lam_k, 0) + N y`, `N = (-C^T, 1)`. The ones of least norm on the rows of joints are taken; multipliers of rows
+that keep a body rigid do not enter the norm.
+
+**Proof.** B are the rows of phi_q with unit length, columns in units of the coordinates' sizes, G = B B^T, s the least singular value of B:
+`s >= tr(G^-1)^(-1/2)`. If B changes by D, no singular value changes by more than D's Frobenius norm. With the bound s_0 at a reference state,
+rows are independent while `|B - B_0| < s_0 / 2`. Beyond this the state becomes the reference, if s_0 + s_1 exceeds the distance, or if
+`det(B_0 B_1^T)` shows that the row space has not returned reversed. With rows in an order of small bandwidth k (Cuthill, McKee 1969) factors
+cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (Takahashi 1973).
+"""
 
 from typing import NamedTuple
 
@@ -12,23 +23,23 @@ from polyida.jit.intrinsics import address, call
 from polyida.joint.joint import Joint
 from polyida.linear.saddle import DEPENDENT, coordinate_sizes
 
-AWAY = 1e-3  # of the scene's size: how far from the start it is looked at whether rows still follow from others
-FIRST = 1e3  # so much longer are rows that keep a body in shape when it is chosen which to leave out
-SAME = 1e-9  # of the scene's size: what is left of a row there that does
-UNIQUE = 1e-8  # shares in a dependence that are none
-ROUNDS = 20  # of Newton, back onto the rows that are kept
+AWAY = 1e-3  # of the scene's size: distance from the start at which redundancy is checked again
+PREFERRED = 1e3  # factor on the length of rows that keep a body rigid: these are chosen first as independent rows
+SAME = 1e-9  # of the scene's size: largest |phi| of a redundant row there
+UNIQUE = 1e-8  # coefficients of a dependence that count as zero
+ROUNDS = 20  # Newton steps back onto the independent rows
 NAMED = 6  # rows that a message names
-CLOSE = 1e-5  # a bound of the least singular value that proves enough
-SHARE = 0.5  # of that bound: how far rows may go before they are looked at more closely
-REVERSED = 0.5  # cosine of the turn of the rows' space that proves enough
-LEAST, VOLUME = range(2)  # of Scratch.marks: the bound at the state that is referred to, and half of log det G
+CLOSE = 1e-5  # least singular value that proves independence
+SHARE = 0.5  # of the bound of the least singular value: change of the rows that needs no new bound
+REVERSED = 0.5  # least cosine between the row spaces of two states
+LEAST, VOLUME = range(2)  # of ProofWorkspace.marks: the bound at the reference state, and half of log det G
 
 
 class Redundant:
-    """The redundant rows of a model of all rows, `whole`: `left_out` and `kept` are their numbers, `labels` what those left out are called.
+    """The redundant rows of a model with all rows, `whole`. left_out, independent: numbers of rows; labels: of the rows left out.
 
-    Rows are compared at t = 0, q = 0 in the units of `coordinate_sizes`, by a rank-revealing QR of phi_q^T.
-    Raises InputError where rows depend on others in this position alone, or contradict them nearby.
+    Rows are compared at t = 0, q = 0 in units of `coordinate_sizes`, by a rank-revealing QR of phi_q^T. Raises InputError if rows depend on
+    others in this position only, or contradict them nearby.
     """
 
     def __init__(self, whole):
@@ -39,117 +50,111 @@ class Redundant:
             self._of_joints[whole.rows[name]] = isinstance(joint, Joint)
         B = self._slopes(0.0, np.zeros(whole.n))
         lengths = np.linalg.norm(B, axis=1)
-        first = np.where(self._of_joints, 1.0, FIRST)
-        R, order = qr((B * (first / np.where(lengths > 0, lengths, 1.0))[:, None]).T, mode="r", pivoting=True)
+        scale = np.where(self._of_joints, 1.0, PREFERRED) / np.where(lengths > 0, lengths, 1.0)
+        R, order = qr((B * scale[:, None]).T, mode="r", pivoting=True)
         self.left_out = np.sort(order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :])
-        self.kept = np.setdiff1d(np.arange(whole.m), self.left_out)
+        self.independent = np.setdiff1d(np.arange(whole.m), self.left_out)
         self.labels = tuple(whole.constraint_name(int(row)) for row in self.left_out)
-        places = (np.zeros(whole.n), self._nearby()) if len(self.left_out) else ()
-        shares = [np.abs(self._free(0.0, q)).max(axis=1) for q in places]
+        states = (np.zeros(whole.n), self._nearby()) if len(self.left_out) else ()
+        shares = [np.abs(self._null_space(0.0, q)).max(axis=1) for q in states]
         self._unique = np.max(shares, axis=0, initial=0.0) < UNIQUE if shares else np.ones(whole.m, bool)
 
     def phi(self, t, q):
-        """phi of the rows that are left out."""
+        """phi of the rows left out."""
         return self.whole.phi(t, q)[self.left_out]
 
     def multipliers(self, t, q, lam):
-        """Those of all rows, of least norm, (frames, rows), from those that are kept over frames t, q, lam."""
-        found = np.zeros((len(lam), self.whole.m))
-        found[:, self.kept] = lam
+        """Multipliers of all rows, of least norm, (frames, rows), from those of the independent rows over frames t, q, lam."""
+        result = np.zeros((len(lam), self.whole.m))
+        result[:, self.independent] = lam
         needs, N = self.whole.needs, None
-        for row, *at in zip(found, t, q):
+        for row, *at in zip(result, t, q):
             if N is None or needs.driven or needs.phi_q_varies:
-                N = self._free(*at)
+                N = self._null_space(*at)
             row -= N @ np.linalg.lstsq(N[self._of_joints], row[self._of_joints], rcond=None)[0]
-        return found
+        return result
 
     def unique(self, name):
-        """Whether the multipliers of a part's rows are the only ones."""
+        """True if the multipliers of a part's rows are unique."""
         return bool(self._unique[self.rows[name]].all())
 
     def remark(self):
-        """What a summary says of it."""
-        loose = [repr(name) for name, joint in self.whole.joints.items() if isinstance(joint, Joint) and not self.unique(name)]
-        return f"redundant rows left out: {_some(self.labels)}; reactions not unique: {_some(loose)}" if self.labels else ""
+        """A note for the summary of a run."""
+        several = [repr(name) for name, joint in self.whole.joints.items() if isinstance(joint, Joint) and not self.unique(name)]
+        return f"redundant rows left out: {_some(self.labels)}; reactions not unique: {_some(several)}" if self.labels else ""
 
     def _slopes(self, t, q):
-        """phi_q in the sizes of the coordinates, (rows, columns that are not zero), dense."""
+        """phi_q in units of the coordinates' sizes, (rows, nonzero columns), dense."""
         from scipy.sparse import diags_array
 
         B = (self.whole.phi_q(t, q) @ diags_array(self._sizes)).tocsc()
         return B[:, np.flatnonzero(np.diff(B.indptr))].toarray()
 
-    def _free(self, t, q):
-        """N, (rows, left out)."""
+    def _null_space(self, t, q):
+        """N, (rows, rows left out)."""
         B, N = self._slopes(t, q), np.zeros((self.whole.m, len(self.left_out)))
-        N[self.kept] = -np.linalg.lstsq(B[self.kept].T, B[self.left_out].T, rcond=None)[0]
+        N[self.independent] = -np.linalg.lstsq(B[self.independent].T, B[self.left_out].T, rcond=None)[0]
         N[self.left_out] = np.eye(len(self.left_out))
         return N
 
     def _nearby(self):
-        """A state some way from the start on the rows that are kept. Raises InputError unless the others hold there too."""
+        """A state near the start on the independent rows. Raises InputError unless the other rows hold there too."""
         whole, n = self.whole, self.whole.n
         way = self._sizes * np.random.default_rng(0).standard_normal(n)
-        q = way - self._back(np.zeros(n), (whole.phi_q(0.0, np.zeros(n)) @ way)[self.kept])
+        q = way - self._back(np.zeros(n), (whole.phi_q(0.0, np.zeros(n)) @ way)[self.independent])
         q *= AWAY * whole.extent / max(np.abs(q).max(), AWAY * np.abs(way).max())
         for _ in range(ROUNDS):
-            q = q - self._back(q, whole.phi(0.0, q)[self.kept])
-        left = np.abs(self.phi(0.0, q))
-        if not left.max() <= SAME * whole.extent:
+            q = q - self._back(q, whole.phi(0.0, q)[self.independent])
+        gaps = np.abs(self.phi(0.0, q))
+        if not gaps.max() <= SAME * whole.extent:
             raise InputError(
-                f"Scene.build: {self.labels[int(np.argmax(left))]} follows from the other constraints in this position alone, or contradicts "
-                f"them: nearby it is open by {left.max():.3g}; remove it, or start where it is independent"
+                f"Scene.build: {self.labels[int(np.argmax(gaps))]} follows from the other constraints in this position alone, or contradicts "
+                f"them: nearby it is open by {gaps.max():.3g}; remove it, or start where it is independent"
             )
         return q
 
     def _back(self, q, phi):
-        """The least move, in the sizes of the coordinates, by which the rows that are kept change by phi at q."""
+        """The least move, in units of the coordinates' sizes, that changes the independent rows by phi at q."""
         from scipy.sparse import csr_array, diags_array
 
-        B = csr_array(self.whole.phi_q(0.0, q))[self.kept] @ diags_array(self._sizes)
+        B = csr_array(self.whole.phi_q(0.0, q))[self.independent] @ diags_array(self._sizes)
         gram = (B @ B.T).toarray()
         return self._sizes * (B.T @ np.linalg.solve(gram, phi))
 
 
 def _some(names):
-    """The first of some names, and how many more there are."""
+    """The first NAMED names, and how many more there are."""
     return ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
 
 
 @pack
 class Pattern(NamedTuple):
-    """The numbers of phi_q that may not be zero, row after row in an order of small bandwidth: row k has those from start[k] to start[k + 1].
+    """The entries of phi_q that may differ from zero, row after row in an order of small bandwidth, as sums of weights times slopes of phi_z."""
 
-    Number i is in column columns[i], the sum of weights x slopes[sources] over terms[i] to terms[i + 1], slopes those of phi in the points.
-    """
-
-    start: np.ndarray
-    columns: np.ndarray
-    terms: np.ndarray
-    sources: np.ndarray
-    weights: np.ndarray
+    start: np.ndarray  # first entry of each row
+    columns: np.ndarray  # column of each entry
+    terms: np.ndarray  # first term of each entry
+    sources: np.ndarray  # slope of each term
+    weights: np.ndarray  # weight of each term
 
 
 @pack
-class Scratch(NamedTuple):
-    """rows (2, numbers): the unit rows of the state that is referred to and of that which is looked at. band (m, 2 k + 1): products of rows with
-    those up to k before and behind; lower (m, k + 1): factors, inverse (m, k + 1): entries of an inverse. past (2, 1 + n): t and q of
-    the state that is referred to and of the one before it.
-    """
+class ProofWorkspace(NamedTuple):
+    """The reference state, and workspace."""
 
-    rows: np.ndarray
+    rows: np.ndarray  # (2, entries) unit rows at the reference state, and at the state examined
     slopes: np.ndarray
-    points: np.ndarray
-    row: np.ndarray
-    band: np.ndarray
-    lower: np.ndarray
-    inverse: np.ndarray
-    marks: np.ndarray
-    past: np.ndarray
+    points: np.ndarray  # (points, 2)
+    row: np.ndarray  # (n,)
+    band: np.ndarray  # (m, 2 k + 1) products of rows with those up to k before and after
+    lower: np.ndarray  # (m, k + 1) factors of G
+    inverse: np.ndarray  # (m, k + 1) entries of G^-1
+    marks: np.ndarray  # LEAST, VOLUME
+    past: np.ndarray  # (2, 1 + n) t and q of the reference state, and of the one before
 
 
 def pattern_of(model):
-    """(Pattern, bandwidth, number of slopes in the points, sizes of the coordinates) of a scene."""
+    """(Pattern, bandwidth, number of slopes, sizes of the coordinates) of a scene."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -179,7 +184,7 @@ def pattern_of(model):
 
 
 def dense_pattern(model, sizes):
-    """The Pattern of a phi_q without zeros, its numbers row after row."""
+    """The Pattern of a full phi_q."""
     n, m = model.n, model.m
     numbers = np.arange(m * n + 1)
     columns = np.tile(np.arange(n), m)
@@ -188,7 +193,7 @@ def dense_pattern(model, sizes):
 
 @part
 def fill_slopes(links, drives, times, k, q, w):
-    """Those of a scene at its drives; of a model without links phi_q, by a C function at an address that reads data at another one."""
+    """Fill w.slopes at state k: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
     if links is None:
         return call(drives[0], drives[1], 0, address(times) + 8 * k, address(q), 0, 0, 0, address(w.slopes)) == DONE
     joints.point_values(links, q.reshape((q.shape[0] // 2, 2)), w.points)
@@ -198,7 +203,7 @@ def fill_slopes(links, drives, times, k, q, w):
 
 @part
 def fill_rows(u, links, drives, times, at, q, w):
-    """The unit rows at q, nan where the model does not give them."""
+    """The unit rows at q; nan if the model raises."""
     rows = w.rows[1]
     if not fill_slopes(links, drives, times, at, q, w):
         w.slopes[:] = np.nan
@@ -216,7 +221,7 @@ def fill_rows(u, links, drives, times, at, q, w):
 
 @part
 def fill_band(u, x, y, w):
-    """The products of unit rows x with rows y that are near them."""
+    """The products of unit rows x with rows y within the band."""
     m, k = w.band.shape[0], w.band.shape[1] // 2
     for i in range(m):
         for e in range(u.start[i], u.start[i + 1]):
@@ -232,7 +237,7 @@ def fill_band(u, x, y, w):
 
 @part
 def bound(u, w):
-    """(bound from below of the least singular value of the rows looked at, half of log det G); (0, -inf) where G is not positive definite."""
+    """(lower bound of the least singular value of the rows examined, half of log det G); (0, -inf) if G is not positive definite."""
     fill_band(u, w.rows[1], w.rows[1], w)
     m, k, low, inverse = w.band.shape[0], w.band.shape[1] // 2, w.lower, w.inverse
     volume = 0.0
@@ -259,7 +264,7 @@ def bound(u, w):
 
 @part
 def same_side(u, w, volume):
-    """Whether elimination without exchanges proves that the space of the rows has not turned far."""
+    """True if elimination without pivoting proves that the row space has not turned far."""
     fill_band(u, w.rows[0], w.rows[1], w)
     m, k, turned = w.band.shape[0], w.band.shape[1] // 2, -w.marks[VOLUME] - volume
     for i in range(m):
@@ -276,7 +281,7 @@ def same_side(u, w, volume):
 
 @part
 def refer(t, q, size, volume, w):
-    """Refer to the state that is looked at from now on."""
+    """Make the state examined the reference."""
     w.marks[LEAST], w.marks[VOLUME] = size, volume
     w.rows[0] = w.rows[1]
     w.past[1] = w.past[0]
@@ -286,7 +291,7 @@ def refer(t, q, size, volume, w):
 
 @entry
 def begin(u, links, drives, times, q, w):
-    """Refer to a state, whatever it is, at the one of the times; whether it is proven sound."""
+    """Make a state at the only one of the times the reference; return True if its rows are proven independent."""
     fill_rows(u, links, drives, times, 0, q, w)
     size, volume = bound(u, w)
     refer(times[0], q, size, volume, w)
@@ -295,7 +300,7 @@ def begin(u, links, drives, times, q, w):
 
 @entry
 def unproven(u, links, drives, times, qs, first, w):
-    """The first of the states (count,), from number `first` on, for which nothing is proven, or their number."""
+    """The first of the states (count,), from number `first` on, without proof; their number if there is none."""
     for k in range(first, qs.shape[0]):
         fill_rows(u, links, drives, times, k, qs[k], w)
         square = 0.0
@@ -312,7 +317,7 @@ def unproven(u, links, drives, times, qs, first, w):
 
 
 class UnitRows:
-    """The unit rows of phi_q along a run, of a scene or of a small model whose functions are `compiled` (a Compiled)."""
+    """The proof along a run of a scene, or of a small model with compiled functions (`compiled`, a model.guarded.Compiled)."""
 
     def __init__(self, model, state, compiled=None):
         self.model, self.compiled, m, n = model, compiled, model.m, model.n
@@ -324,30 +329,30 @@ class UnitRows:
             self.pattern, k, slopes, self.links, points = dense_pattern(model, self.sizes), m - 1, m * n, None, 0
             self.drives = np.array([compiled.addresses["phi_q"], compiled.data])
         shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
-        self.scratch = Scratch(*map(np.zeros, shapes))
-        self.scratch.past[:] = state.t, *state.q
+        self.workspace = ProofWorkspace(*map(np.zeros, shapes))
+        self.workspace.past[:] = state.t, *state.q
 
     def begin(self, state):
-        """Refer to a state from now on, whatever it is; whether it is proven sound."""
+        """Make a state the reference; return True if its rows are proven independent."""
         times = np.array([state.t])
-        return begin(self.pattern, self.links, self._drives(times), times, np.array(state.q), self.scratch)
+        return begin(self.pattern, self.links, self._drives(times), times, np.array(state.q), self.workspace)
 
     def unproven(self, stretch):
-        """Yield the numbers of the states of a stretch for which nothing is proven; who asks for the next one has found that one to be sound."""
+        """Yield the numbers of the states of a stretch without proof. Before it continues, the caller must have shown that state to be regular."""
         times, qs, k = np.ascontiguousarray(stretch.t), np.ascontiguousarray(stretch.q), 0
         drives = self._drives(times)
-        while (k := unproven(self.pattern, self.links, drives, times, qs, k, self.scratch)) < len(times):
+        while (k := unproven(self.pattern, self.links, drives, times, qs, k, self.workspace)) < len(times):
             yield k
             self.begin(stretch.state(k))
             k += 1
 
     def before(self, t):
-        """(t, q) of the last state referred to before t, or of the first one."""
-        past = self.scratch.past[int(not self.scratch.past[0, 0] < t)]
+        """(t, q) of the last reference state before t, or of the first one."""
+        past = self.workspace.past[int(not self.workspace.past[0, 0] < t)]
         return float(past[0]), past[1:].copy()
 
     def _drives(self, times):
-        """The angles that turn rows, (times, profiles, 3), without derivatives, which the slopes of rows do not ask for."""
+        """The angles that turn rows, (times, profiles, 3), with zero derivatives: phi_z does not depend on them."""
         if self.links is None:
             return self.drives
         drives = np.zeros((len(times), len(self.model.profiles), 3))

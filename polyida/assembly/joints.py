@@ -1,9 +1,8 @@
-"""Rows of phi on the values dz of the scene's points: values, derivatives, and the forces of the multipliers.
+"""Rows of phi as functions of the displacements dz of the scene's points: values, derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + L dz + sum f p(t) + sum R(theta) E . F`; p is
-a profile, the shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,).
-The chain rule with the constant A gives everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point +
-axis`) that each row touches, `row_columns[row_start[k]:row_start[k + 1]]`.
+Joints hold on to points `z = rest + dz`, (2,), `dz = A u`. A row is `constant + L dz + sum f p(t) + sum R(theta) E . F`; p is a profile, the
+shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j complex numbers (2,). By the chain rule with the constant A, `phi_q = phi_z A`.
+`slopes` holds the entries of phi_z of row k at the components `2 point + axis` in `row_columns[row_start[k]:row_start[k + 1]]`.
 """
 
 import numpy as np
@@ -49,13 +48,13 @@ def moved(s, i, dz):
 
 @leaf
 def rotated(c, n, x, y):
-    """(x, y) turned by the angle of cosine c and sine n."""
+    """(x, y) rotated by the angle with cosine c and sine n."""
     return c * x - n * y, n * x + c * y
 
 
 @leaf
 def turn(s, p, drives):
-    """(cosine, sine, rate, second derivative) of the angle that turns E of product p."""
+    """(cosine, sine, rate, second derivative) of the angle that rotates E of product p."""
     d = s.product_drive[p]
     if d < 0:
         return 1.0, 0.0, 0.0, 0.0
@@ -74,7 +73,7 @@ def factors(s, p, c, n, dz):
 
 @leaf
 def push(s, i, x, y, forces):
-    """forces += `W_j^T (x, y)`: the force (x, y) on vector i."""
+    """forces += `W_j^T (x, y)`: force (x, y) on vector i."""
     for k in range(s.vector_start[i], s.vector_start[i + 1]):
         p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
         forces[p, 0] += c * x + n * y
@@ -83,7 +82,7 @@ def push(s, i, x, y, forces):
 
 @leaf
 def slope(s, i, row, x, y, slopes):
-    """`push` into the slopes of a row."""
+    """Add `W_j^T (x, y)` of vector i to the slopes of a row."""
     for k in range(s.vector_start[i], s.vector_start[i + 1]):
         p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
         at = s.row_start[row]
@@ -95,7 +94,7 @@ def slope(s, i, row, x, y, slopes):
 
 @leaf
 def along(s, slopes, k, z):
-    """Row k of phi_z, in slopes, on z (points, 2)."""
+    """Row k of phi_z, in slopes, times z (points, 2)."""
     total = 0.0
     for e in range(s.row_start[k], s.row_start[k + 1]):
         i = s.row_columns[e]
@@ -105,13 +104,13 @@ def along(s, slopes, k, z):
 
 @leaf
 def cosine(ex, ey, fx, fy):
-    """Of the angle between E turned back by a right angle and F: of a `cross` between its two vectors."""
+    """Cosine of the angle between F and E rotated by -90 degrees: of the angle error of a `cross` of two vectors."""
     return (ey * fx - ex * fy) / np.sqrt((ex * ex + ey * ey) * (fx * fx + fy * fy))
 
 
 @shared
 def joint_forces(s, drives, dz, lam, phi, forces):
-    """Fill phi; forces += phi_z^T lam. Returns the least cosine between the vectors of one-way products (1 without any)."""
+    """Fill phi; forces += phi_z^T lam. Returns the least cosine of the one-way products, 1 without any."""
     least = 1.0
     for k in range(phi.shape[0]):
         phi[k] = s.row_constant[k] + along(s, s.row_slopes, k, dz)
@@ -133,14 +132,14 @@ def joint_forces(s, drives, dz, lam, phi, forces):
 
 @part
 def add_shifts(s, values, column, x):
-    """Add a column of a table (profiles, 3) to the rows that these profiles shift."""
+    """Add a column of a table (profiles, 3) to the rows that the profiles shift."""
     for i in range(s.shift_row.shape[0]):
         x[s.shift_row[i]] += s.shift_factor[i] * values[s.shift_drive[i], column]
 
 
 @entry
 def flipped(s, drives, dz):
-    """The first row with a one-way product on its wrong side, or -1."""
+    """The first row whose one-way product is on the wrong side, or -1."""
     for p in range(s.product_row.shape[0]):
         if s.product_one_way[p]:
             c, n, _, _ = turn(s, p, drives)
@@ -185,7 +184,7 @@ def joint_curvature(s, drives, lam, curvature):
 
 @leaf
 def _couple(block, x, y, curvature):
-    """Add the matrix ((x, y), (-y, x)) to a block."""
+    """Add ((x, y), (-y, x)) to a block."""
     curvature[block, 0, 0] += x
     curvature[block, 0, 1] += y
     curvature[block, 1, 0] -= y
@@ -234,13 +233,11 @@ def joint_rate_jacobian(s, drives, dz, vz, slopes):
 
 @entry
 def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
-    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences
-    alone.
+    """Add the changes of phi and rate = phi_z vz + phi_t in a step of h. Their round-off is that of second differences.
 
-    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3):
-    increments of the profile, of it less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
-    place of terms that cancel in it. With e = R E, `e_0 . f_0` becomes
-    `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
+    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the profile, of
+    the profile minus h times its rate, of its rate. In `phi += h rate + ...`, rate replaces terms that cancel. With e = R E, `e_0 . f_0`
+    becomes `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
     """
     for k in range(phi.shape[0]):
         phi[k] += h * rate[k] + along(s, s.row_slopes, k, dd)
@@ -263,9 +260,9 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
 
 @part
 def turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv):
-    """Velocity of e = R E of product p, what its move differs from h times that, and its change of velocity.
+    """Velocity of e = R E of product p, its move minus h times the velocity, and its change of velocity.
 
-    i turns by a right angle, g is what the angle gains, k that less h theta', E_1 = E + h E' + dd_E:
+    i rotates by a right angle, g is the increment of the angle, k = g - h theta', E_1 = E + h E' + dd_E:
     `e' = R (E' + theta' i E)`, `dd_e = R (dd_E + (cos g - 1) E_1 + (sin g - g) i E_1 + g i (E_1 - E) + k i E)`,
     `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
     """

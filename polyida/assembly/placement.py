@@ -6,73 +6,48 @@ from functools import cached_property
 import numpy as np
 
 from polyida.body.body import Body, coordinates_of, form_of, mass_of, translation_of, writes
-from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
-from polyida.element.operator import ReferenceOperator
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.profile import Profile
-from polyida.validation import complex_of_pairs, pairs_of, read_only, settle
+from polyida.validation import complex_of_pairs, pairs_of, read_only
 
-NOTHING = 1e-12  # of the largest mass of a body: that is none
-GRAVITY = "gravity"  # what its work is called
+NO_MASS = 1e-12  # of the largest mass of a body
+GRAVITY = "gravity"  # name of its work
 
 
-@dataclass(frozen=True, eq=False)
 class PlacedPlate:
-    """A plate: `nodes` is its slice of the pairs, or of the nodes that are drawn; factors: of the stiffness and of the mass of its cells,
-    (cells,) each; operator: its element's on its mesh, weights, mass and stabilisation times these.
+    """A plate. nodes: its slice of the pairs of q, or of the drawn nodes. operator: weights, mass and stabilisation include the factors.
+
+    factors: (stiffness (cells,), mass (cells,)) of its cells. mesh: turned by the plate's angle. translation, T (nodes,): velocity of each
+    node for a unit velocity of the body.
     """
 
-    name: str
-    plate: Plate
-    operator: ReferenceOperator
-    nodes: slice
-    factors: tuple = ()
+    def __init__(self, name, plate, operator, nodes, factors=None):
+        self.name, self.plate, self.operator, self.nodes, self.pairs = name, plate, operator, nodes, nodes
+        self.mesh, self.points, self.damped = plate.placed, plate.points, plate.material.damped
+        self.factors = factors or 2 * (read_only(np.ones(self.mesh.n_cells)),)
+        self.translation = np.ones(self.mesh.n_nodes)
 
-    def __post_init__(self):
-        settle(self, factors=self.factors or 2 * (read_only(np.ones(self.mesh.n_cells)),))
-
-    @property
-    def pairs(self):
-        """Its slice of the pairs of q."""
-        return self.nodes
-
-    @property
-    def damped(self):
-        """Whether its material brakes motion."""
-        return self.plate.material.damped
-
-    @property
-    def mesh(self):
-        """The plate's mesh, turned by its angle."""
-        return self.plate.placed
-
-    @property
-    def points(self):
-        """Reference positions, (N, 2), m."""
-        return self.plate.points
+    def scaled(self, operator, factors):
+        """This plate with other factors, and the operator that includes them."""
+        return PlacedPlate(self.name, self.plate, operator, self.nodes, factors)
 
     @cached_property
-    def translation(self):
-        """T: each node moves as the whole."""
-        return np.ones(self.mesh.n_nodes)
-
-    @cached_property
-    def pull(self):
+    def translation_momentum(self):
         """M T, (nodes,), kg."""
         return np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
 
     @property
     def whole_mass(self):
-        """Its mass, kg."""
-        return float(self.pull.sum())
+        """Mass, kg."""
+        return float(self.translation_momentum.sum())
 
     def weight(self, gravity):
-        """Gravity on its nodes, (nodes, 2), N."""
-        return np.outer(self.pull, gravity)
+        """Gravity on the nodes, (nodes, 2), N."""
+        return np.outer(self.translation_momentum, gravity)
 
     def held(self, side, part):
-        """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
+        """(pairs of q, complex weights) whose sum is an attachment's "point" or "direction"."""
         weights = side.weights if part == "point" else side.turn_weights
         return side.nodes + self.nodes.start, weights.astype(complex)
 
@@ -82,10 +57,11 @@ class PlacedPlate:
 
 
 class PlacedBody:
-    """A body of few coordinates: `pairs` is its slice of the pairs of q; rest (pairs,) complex.
+    """A body of few coordinates. pairs: its slice of the pairs of q; rest (pairs,): complex coordinates at rest.
 
-    user: the body as it was given, which attachments know; body: as `settled` by what the scene's parts hold on to. mass: Hermitian, or
-    None where x and y carry different ones: `uneven`, (2 pairs, 2 pairs), then.
+    user: the body as the user made it, which attachments refer to; body: as `prepared` by what the scene's parts hold on to. mass: Hermitian
+    matrix of the pairs, or None if x and y have different masses; then `uneven`, (2 pairs, 2 pairs). elastic: True if the user wrote its
+    elastic force, which has no form for the kernels. axis (pairs,): weights of the vector that turns with the body; zero without one.
     """
 
     def __init__(self, name, user, first, held):
@@ -94,67 +70,51 @@ class PlacedBody:
         self.pairs = slice(first, first + len(self.rest))
         self.mass, self.uneven = mass_of(self.body)
         self.translation, self.form = translation_of(self.body), form_of(self.body)
+        self.elastic = self.form is None and writes(self.body, Body, "elastic")
+        self.deforms, self.damped = self.elastic or self.form is not None, any(self.body.damping())
+        weights = self.body.x_axis()
+        self.axis = np.zeros(len(self.rest), complex) if weights is None else np.asarray(weights, complex)
 
     @property
     def python(self):
-        """Whether kernels cannot do without Python."""
+        """True if its forces or its mass need Python."""
         return self.uneven is not None or (self.elastic and not self.body.compiled_functions())
 
     @cached_property
     def massless(self):
-        """Whether some of its coordinates have no mass."""
-        matrix = self.mass if self.uneven is None else self.uneven
-        sizes = np.linalg.eigvalsh(matrix)
-        return bool(sizes[0] <= NOTHING * sizes[-1])
+        """True if some of its coordinates have no mass."""
+        sizes = np.linalg.eigvalsh(self.mass if self.uneven is None else self.uneven)
+        return bool(sizes[0] <= NO_MASS * sizes[-1])
 
     @cached_property
-    def pull(self):
+    def translation_momentum(self):
         """M T, (pairs,), complex, kg."""
         return complex_of_pairs(self.weight((1.0, 0.0)))
 
     @property
     def whole_mass(self):
-        """Its mass, kg: `T^H M T`."""
-        return float(abs(np.vdot(self.translation, self.pull)))
+        """Mass `T^H M T`, kg."""
+        return float(abs(np.vdot(self.translation, self.translation_momentum)))
 
     @property
     def spread(self):
-        """The centre of mass, moved to either side by the radius of gyration, (2, 2), m; nothing, (0, 2), where it has no mass as a whole."""
+        """The centre of mass plus and minus the radius of gyration, (2, 2), m; (0, 2) if the body has no mass as a whole."""
         mass = self.whole_mass
         if self.uneven is not None or not mass > 0:
             return np.zeros((0, 2))
-        centre = np.vdot(self.pull, self.rest) / mass
+        centre = np.vdot(self.translation_momentum, self.rest) / mass
         square = np.vdot(self.rest, self.mass @ self.rest).real / mass - abs(centre) ** 2
         return pairs_of(centre + np.array([1.0, -1.0]) * np.sqrt(max(0.0, square)))
 
-    @property
-    def elastic(self):
-        """Whether it has an elastic force of its own: kernels take a form in place of it."""
-        return self.form is None and writes(self.body, Body, "elastic")
-
-    @property
-    def damped(self):
-        """Whether its material brakes motion."""
-        return any(self.body.damping())
-
-    @property
-    def deforms(self):
-        """Whether it deforms at all."""
-        return self.elastic or self.form is not None
-
-    @cached_property
-    def axis(self):
-        """Weights (pairs,) of the vector that turns with it."""
-        given = self.body.x_axis()
-        return np.zeros(len(self.rest), complex) if given is None else np.asarray(given, complex)
-
     def weight(self, gravity):
-        """Gravity on its pairs, `M T g`, (pairs, 2), N."""
-        pull = self.translation * complex(*gravity)
-        return pairs_of(self.mass @ pull) if self.uneven is None else (self.uneven @ pairs_of(pull).ravel()).reshape(-1, 2)
+        """Gravity on the pairs, `M T g`, (pairs, 2), N."""
+        acceleration = self.translation * complex(*gravity)
+        if self.uneven is None:
+            return pairs_of(self.mass @ acceleration)
+        return (self.uneven @ pairs_of(acceleration).ravel()).reshape(-1, 2)
 
     def held(self, side, part):
-        """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
+        """(pairs of q, complex weights) whose sum is an attachment's "point" or "direction"."""
         weights = self.body.weights_of(side, part)
         used = np.flatnonzero(weights)
         return (used + self.pairs.start).astype(np.int32), weights[used]
@@ -175,15 +135,9 @@ def gravity_at(gravity, t):
     return tuple(float(g(t)) if isinstance(g, Profile) else float(g) for g in gravity)
 
 
-def largest(gravity):
-    """|g|, m/s^2, the largest of profiles at the start and at their kinks."""
-    values = [max(abs(g(t)) for t in (0.0, *g.kinks)) if isinstance(g, Profile) else abs(g) for g in gravity]
-    return float(np.hypot(*values))
-
-
 @dataclass(frozen=True)
 class Dead:
-    """Forces (k, 2), N, on pairs of q, times a profile."""
+    """Dead load: forces (k, 2), N, on pairs of q, times a profile."""
 
     name: str
     profile: Profile
@@ -196,19 +150,16 @@ class Dead:
 
 
 def dead_loads(parts, gravity, places):
-    """The loads among the parts, and gravity's components that are profiles, all as Dead. places: {id of a body: its place}."""
+    """The loads among the parts, and the components of gravity that are profiles, as Dead. places: {id of a body: its place}."""
     loads = [(name, part) for name, part in parts.items() if isinstance(part, (PointLoad, EdgeTraction))]
-    found = [Dead(name, load.profile, *places[id(load.at.body)].loaded(load.at, load.nodal())) for name, load in loads]
-    return found + [_pull(g, parts, places, axis) for g, axis in zip(gravity, np.eye(2)) if isinstance(g, Profile)]
-
-
-def _pull(profile, parts, places, axis):
-    """An acceleration of one along an axis, on all that has mass."""
-    forces = np.zeros((max(place.pairs.stop for place in places.values()), 2))
-    for place in places.values():
-        forces[place.pairs] += place.weight(axis)
-    for mass in parts.values():
-        if isinstance(mass, PointMass):
-            pairs, values = places[id(mass.at.body)].loaded(mass.at, mass.at.share(mass.mass * axis))
-            np.add.at(forces, pairs, values)
-    return Dead(GRAVITY, profile, np.arange(len(forces)), forces)
+    result = [Dead(name, load.profile, *places[id(load.at.body)].loaded(load.at, load.nodal())) for name, load in loads]
+    for g, axis in zip(gravity, np.eye(2)):
+        if isinstance(g, Profile):  # a unit acceleration of all that has mass
+            forces = np.zeros((max(place.pairs.stop for place in places.values()), 2))
+            for place in places.values():
+                forces[place.pairs] += place.weight(axis)
+            for mass in (part for part in parts.values() if isinstance(part, PointMass)):
+                pairs, values = places[id(mass.at.body)].loaded(mass.at, mass.at.share(mass.mass * axis))
+                np.add.at(forces, pairs, values)
+            result.append(Dead(GRAVITY, g, np.arange(len(forces)), forces))
+    return result

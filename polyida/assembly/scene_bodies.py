@@ -1,10 +1,10 @@
-"""The constraints of a scene, from compiled kernels, and its points by name: what masses, loads and joints hold on to and do there."""
+"""The constraints of a scene from compiled kernels, its points by name, its mass matrix, and its bodies as they are drawn."""
 
 from functools import cached_property
 
 import numpy as np
 
-from polyida.assembly import joints as rows
+from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
 from polyida.assembly.placement import PlacedPlate
 from polyida.body.body import points_of
@@ -19,14 +19,14 @@ from polyida.validation import complex_of_pairs, on_pairs, pairs_of
 
 
 class Constraints(Model):
-    """`phi(t, q)` of a scene and what follows from it, as far as points go: `phi = rows(A q)`, A the weights of the points.
+    """`phi(t, q)` of a scene and its derivatives: `phi = rows(A q)`, A the weights of the points.
 
-    It needs `parts`, `joints` and `places` of its bodies among the pairs of q, `arrays` of the kernels, `profiles`, `labels` and `rows` of
-    phi, `needs`, n, m, n_nodes and n_points.
+    It needs `parts`, `joints` and `places` of the bodies, `arrays` of the kernels, `profiles`, `labels` and `rows` of phi, `needs`, n, m,
+    n_nodes and n_points.
     """
 
     def drives(self, t):
-        """Value, first and second derivative of every profile at time t, (profiles, 3)."""
+        """Value, first and second derivative of each profile at time t, (profiles, 3)."""
         at, table = self._driven
         if at != t:
             table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
@@ -34,7 +34,7 @@ class Constraints(Model):
         return table.copy()
 
     def pushed(self, t, number, by):
-        """This model with the value of profile `number` at time t greater by `by`, its rates as they are."""
+        """This model with the value of profile `number` at time t increased by `by`, its rates unchanged."""
         table, other = self.drives(t), object.__new__(type(self))
         table[number, 0] += by
         other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=self.own_forces.pushed(self.profiles[number], by))
@@ -49,7 +49,6 @@ class Constraints(Model):
 
     @cached_property
     def _kinks(self):
-        """All of them, sorted: they are asked for at every one of them."""
         return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
 
     def constraint_name(self, row):
@@ -57,58 +56,59 @@ class Constraints(Model):
         return self.labels[row]
 
     def keeps_body(self, row):
-        """Whether a row of phi is one by which a body stays rigid."""
+        """True if a row of phi keeps a body rigid."""
         return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
 
     def phi(self, t, q):
-        """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
+        """Constraints, (m,): of points in m, of motors |d_A| |d_B| sin(angle error)."""
         phi, dz = np.empty(self.m), self.dz(q)
-        rows.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
+        joints.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
         return phi
 
     def phi_q(self, t, q):
         """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
-        return self._jacobian(t, q) if self.needs.driven or self.needs.phi_q_varies else self._phi_q
+        return self._slopes(t, q) @ self._points_of_q if self.needs.driven or self.needs.phi_q_varies else self._phi_q
 
     @cached_property
     def _phi_q(self):
-        return self._jacobian(0.0, np.zeros(self.n))
-
-    def _jacobian(self, t, q):
-        return self._slopes(t, q) @ self._points_of_q
+        return self._slopes(0.0, np.zeros(self.n)) @ self._points_of_q
 
     @cached_property
     def _points_of_q(self):
+        """A, (2 points, n), sparse."""
+        return on_pairs(self.point_weights)
+
+    @cached_property
+    def point_weights(self):
+        """A as complex numbers, (points, pairs) sparse."""
         from scipy.sparse import csr_array
 
-        return csr_array(self._points_t.T)
+        s = self.arrays.links
+        return csr_array((s.point_weights @ (1, 1j), s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     def _slopes(self, t, q):
+        """phi_z, (m, 2 points), sparse."""
         from scipy.sparse import csr_array
 
         s = self.arrays.links
         return csr_array((self.slope_values(t, q), s.row_columns, s.row_start), (self.m, 2 * self.n_points))
 
     def slope_values(self, t, q):
-        """The slopes of phi in the components of its points that may not be zero, row after row."""
+        """The entries of phi_z that may differ from zero, row after row."""
         s = self.arrays.links
         slopes = np.empty(len(s.row_columns))
-        rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
+        joints.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
         return slopes
 
-    def phi_z(self, t, q):
-        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
-        found = np.zeros((self.m, 2 * self.n_points))
-        found[self._slope_rows, self.arrays.links.row_columns] = self.slope_values(t, q)
-        return found
+    def small_phi_q(self, t, q):
+        """phi_q as a dense array, for scenes of few coordinates."""
+        slopes = np.zeros((self.m, 2 * self.n_points))
+        slopes[self._slope_rows, self.arrays.links.row_columns] = self.slope_values(t, q)
+        return slopes @ self._small_points
 
     @cached_property
     def _slope_rows(self):
         return np.repeat(np.arange(self.m), np.diff(self.arrays.links.row_start))
-
-    def small_phi_q(self, t, q):
-        """phi_q as a dense array, for scenes of few coordinates."""
-        return self.phi_z(t, q) @ self._small_points
 
     @cached_property
     def _small_points(self):
@@ -126,6 +126,12 @@ class Constraints(Model):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
         return self._rates(t, q, v)[1]
 
+    def _rates(self, t, q, v):
+        phi_t, rate, bias = np.zeros((3, self.m))
+        if self.needs.driven or self.needs.phi_q_varies:
+            joints.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
+        return phi_t, bias
+
     def phi_rate_q(self, t, q, v):
         """d(phi_q v + phi_t)/dq, (m, n)."""
         return self._rates_q(t, q, v, 1)
@@ -135,26 +141,20 @@ class Constraints(Model):
         return self._rates_q(t, q, v, 2)
 
     def _rates_q(self, t, q, v, which):
-        """The slope of one of `joint_rates`' results: quadratic in the places of points, differences over any length are exact."""
-        drives, z, vz, ways = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
+        """Derivative of one result of `joint_rates`: it is quadratic in the points, so central differences with any step are exact."""
+        drives, z, vz, steps = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
 
-        def at(places):
-            found = np.zeros((3, self.m))
-            rows.joint_rates(self.arrays.links, drives, places, vz, *found)
-            return found[which]
+        def at(points):
+            rates = np.zeros((3, self.m))
+            joints.joint_rates(self.arrays.links, drives, points, vz, *rates)
+            return rates[which]
 
-        slopes = np.array([at(z + way) - at(z - way) for way in ways]).T / 2
+        slopes = np.array([at(z + step) - at(z - step) for step in steps]).T / 2
         return slopes @ self._points_of_q
-
-    def _rates(self, t, q, v):
-        phi_t, rate, bias = np.zeros((3, self.m))
-        if self.needs.driven or self.needs.phi_q_varies:
-            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
-        return phi_t, bias
 
     def reaction_q(self, t, q, lam):
         """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
-        return self._points_t @ self._sparse_curvature(t, lam).tocsr() @ self._points_t.T
+        return self._points_of_q.T @ self._sparse_curvature(t, lam).tocsr() @ self._points_of_q
 
     def _sparse_curvature(self, t, lam):
         """C in blocks of points that rows couple."""
@@ -162,32 +162,19 @@ class Constraints(Model):
 
         coupling = self.arrays.links.coupling
         blocks = np.zeros((len(coupling.columns), 2, 2))
-        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), blocks)
+        joints.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), blocks)
         return bsr_array((blocks, coupling.columns, coupling.start), (2 * self.n_points,) * 2)
 
     def _flipped(self, t, q):
         """Name of a joint whose angle error is beyond a quarter turn."""
-        row = rows.flipped(self.arrays.links, self.drives(t), self.dz(q))
+        row = joints.flipped(self.arrays.links, self.drives(t), self.dz(q))
         return next((name for name, part in self.rows.items() if part.start <= row < part.stop), None)
 
     def dz(self, q):
         """Displacements of the points that joints and masses hold on to, (points, 2)."""
         dz = np.empty((self.n_points, 2))
-        rows.point_values(self.arrays.links, self._nodal(q), dz)
+        joints.point_values(self.arrays.links, self._nodal(q), dz)
         return dz
-
-    @cached_property
-    def _points_t(self):
-        """A^T as a sparse matrix, (n, 2 points)."""
-        return on_pairs(self.point_weights).T.tocsr()
-
-    @cached_property
-    def point_weights(self):
-        """A as complex numbers, (points, pairs) sparse."""
-        from scipy.sparse import csr_array
-
-        s = self.arrays.links
-        return csr_array((s.point_weights @ (1, 1j), s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     def _nodal(self, q):
         """q as (nodes, 2) for the kernels, which do not check bounds."""
@@ -198,44 +185,43 @@ class Constraints(Model):
 
     @property
     def named(self):
-        """{name: what a mass, load or joint holds on to (a joint: its side b, or a where b is ground)}."""
-        joints = {name: part.a if part.b.body is None else part.b for name, part in self.parts.items() if isinstance(part, Joint)}
-        sides = {name: joints.get(name, getattr(part, "at", None)) for name, part in self.parts.items()}
+        """{name: attachment of a mass, load or joint}; of a joint its side b, or side a if b is ground."""
+        sides = {name: getattr(part, "at", None) for name, part in self.parts.items()}
+        sides |= {name: part.a if part.b.body is None else part.b for name, part in self.parts.items() if isinstance(part, Joint)}
         return {name: side for name, side in sides.items() if isinstance(side, Attachment)}
 
     def attachment(self, name):
-        """One of `named`; InputError for another name."""
-        held = self.named
-        if name not in held:
-            raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, held))}")
-        return held[name]
+        """One of `named`. Raises InputError for another name."""
+        named = self.named
+        if name not in named:
+            raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, named))}")
+        return named[name]
 
     def held(self, side, part="point"):
-        """(pairs of q, complex weights) of an attachment's "point" or "direction"; InputError where its body is another scene's."""
+        """(pairs of q, complex weights) of an attachment's "point" or "direction". Raises InputError for a body of another scene."""
         if id(side.body) not in self.places:
             raise InputError(f"{side!r}: its body is not in the scene")
         return self.places[id(side.body)].held(side, part)
 
     def displacement(self, name, q):
-        """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
-        side = self.attachment(name)
-        return self._moved(side, "point", q[None])[0]
+        """Displacement (2,), m, of the point of a mass, load or joint; its velocity for q = v."""
+        return self._moved(self.attachment(name), "point", q[None])[0]
 
     def position(self, name, q):
-        """Path of a mass, load or joint, by name or itself, or of an attachment, over frames q (frames, n): (frames, 2), m.
+        """Positions (frames, 2), m, over frames q (frames, n), of a mass, load or joint, given by name or itself, or of an attachment.
 
-        Raises InputError for what is not in the scene.
+        Raises InputError for anything that is not in the scene.
         """
         side = self.side(name)
         return side.point + self._moved(side, "point", q)
 
     def _moved(self, side, part, q):
-        """The change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2)."""
+        """Change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2)."""
         pairs, weights = self.held(side, part)
         return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ weights)
 
     def side(self, name):
-        """The attachment that is meant: itself, or of a part, or of the part of a name."""
+        """The attachment of a part, or of the part with a name; an attachment itself."""
         if isinstance(name, Attachment):
             return name
         name = next((known for known, part in self.parts.items() if part is name), name)
@@ -244,27 +230,28 @@ class Constraints(Model):
         return self.attachment(name)
 
     def reactions(self, name, q, lam, t=0.0, whole=False):
-        """What a joint does to its side b over frames q (frames, n), lam (frames, k), and t (frames,), s, or one for all: force, N, and
-        moment, N m; `whole`: (fx, fy, m) of every joint. Of a body the multipliers of its own rows.
+        """Force, N, and moment, N m, of a joint on its side b, over frames q (frames, n), lam (frames, k), t (frames,) or one number.
+
+        whole: (fx, fy, m) of any joint. For a body: the multipliers of its own rows.
         """
         reaction = self.reaction_of(name, whole)
         return lam.copy() if reaction is None else reaction(np.broadcast_to(t, len(q)), lam, lambda place: self.place(place, q))
 
     def reaction_of(self, name, whole=False):
-        """The Reaction of a joint; None of a body."""
+        """The Reaction of a joint; None for a body."""
         if (name, whole) not in self._reactions:
             self._reactions[name, whole] = Reaction(self.joints[name], whole) if isinstance(self.joints[name], Joint) else None
         return self._reactions[name, whole]
 
     def place(self, place, q):
-        """Where the "point" of an attachment is, or its "direction", over frames q (frames, n): (frames,), complex."""
+        """Position or direction, (frames,), complex, of a place (attachment, "point" or "direction") over frames q (frames, n)."""
         rest = np.full(len(q), rest_of(*place))
         return rest if place[0].body is None else rest + complex_of_pairs(self._moved(*place, q))
 
     def turn(self, name, q):
-        """How far side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
+        """Angle by which side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
 
-        Raises InputError where a side has no direction.
+        Raises InputError if a side has no direction.
         """
         joint = self.joints[name]
         joint.require_directions()
@@ -272,11 +259,11 @@ class Constraints(Model):
         return np.angle(b * a.conj())
 
     def pulled(self, place, forces):
-        """What forces (frames,), complex, on a place do to each coordinate, (frames, n): the transpose of its slope in q."""
-        found = np.zeros((len(forces), self.n_nodes), complex)
+        """Generalised forces (frames, n) of forces (frames,), complex, on a place."""
+        result = np.zeros((len(forces), self.n_nodes), complex)
         pairs, weights = self.held(*place)
-        np.add.at(found, (slice(None), pairs), forces[:, None] * np.conj(weights))
-        return found.view(float)
+        np.add.at(result, (slice(None), pairs), forces[:, None] * np.conj(weights))
+        return result.view(float)
 
 
 def _sized(values, size, name):
@@ -287,7 +274,7 @@ def _sized(values, size, name):
 
 
 class SceneBodies(Constraints):
-    """M of a scene with `bodies`, `few`, `arrays`, `pattern`, and `uneven_mass` where x and y of pairs carry different ones; what is drawn.
+    """The mass matrix of a scene with `bodies`, `few`, `arrays`, `pattern` and `uneven_mass`, and its bodies as they are drawn.
 
     The even mass is Hermitian on the pairs of q as complex numbers, constant, and factored once.
     """
@@ -303,7 +290,7 @@ class SceneBodies(Constraints):
 
     @cached_property
     def _even_mass(self):
-        """The mass that x and y of pairs carry alike, Hermitian, (pairs, pairs); real where it can be."""
+        """The mass that is equal for x and y, Hermitian, (pairs, pairs); real if possible."""
         from scipy.sparse import csr_array, diags_array
 
         (indptr, indices), s = self.pattern, self.arrays
@@ -321,8 +308,8 @@ class SceneBodies(Constraints):
         pairs = b.reshape(self.n_nodes, 2, -1)
         if np.isrealobj(self._even_mass.data):
             return self._mass_factor.solve(np.ascontiguousarray(pairs.reshape(self.n_nodes, -1))).reshape(b.shape)
-        found = self._mass_factor.solve(pairs[:, 0] + 1j * pairs[:, 1])
-        return np.stack([found.real, found.imag], axis=1).reshape(b.shape)
+        x = self._mass_factor.solve(pairs[:, 0] + 1j * pairs[:, 1])
+        return np.stack([x.real, x.imag], axis=1).reshape(b.shape)
 
     @cached_property
     def _mass_factor(self):
@@ -330,12 +317,12 @@ class SceneBodies(Constraints):
 
     @cached_property
     def translation(self):
-        """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
+        """Velocity of each pair of q if all bodies translate with unit velocity, (pairs,), complex."""
         return np.concatenate([np.zeros(0, complex), *(placed.translation for placed in (*self.bodies, *self.few))])
 
     @property
     def lightest(self):
-        """Mass of its lightest body, kg."""
+        """Mass of the lightest body, kg."""
         return min(placed.whole_mass for placed in (*self.bodies, *self.few))
 
     def momenta(self, q, v):
@@ -349,83 +336,77 @@ class SceneBodies(Constraints):
 
     @cached_property
     def drawn(self):
-        """Every body that has a mesh, full plates first; `nodes` is its slice of the nodes that are drawn."""
-        return [*self.bodies, *(plate for plate, _ in self._of_fields)]
+        """All bodies with a mesh, full plates first; `nodes` is the slice of the drawn nodes."""
+        return [*self.bodies, *(plate for plate, _ in self._meshed)]
 
     @cached_property
-    def _of_fields(self):
-        """(PlacedPlate, PlacedBody) of those that have few coordinates."""
-        found, first = [], self.bodies[-1].nodes.stop if self.bodies else 0
+    def _meshed(self):
+        """(PlacedPlate, PlacedBody) of the bodies of few coordinates with a mesh."""
+        meshed, first = [], self.bodies[-1].nodes.stop if self.bodies else 0
         for placed in self.few:
             if (plate := placed.body.plate) is not None:
-                found.append((PlacedPlate(placed.name, plate, placed.body.operator, slice(first, first + plate.mesh.n_nodes)), placed))
-                first = found[-1][0].nodes.stop
-        return found
+                meshed.append((PlacedPlate(placed.name, plate, placed.body.operator, slice(first, first + plate.mesh.n_nodes)), placed))
+                first = meshed[-1][0].nodes.stop
+        return meshed
 
     @cached_property
     def drawn_points(self):
-        """Reference positions of the nodes that are drawn, (nodes, 2), m."""
+        """Reference positions of the drawn nodes, (nodes, 2), m."""
         return np.concatenate([np.zeros((0, 2)), *(body.points for body in self.drawn)])
 
     def nodal(self, q):
-        """Displacements of the nodes that are drawn, (nodes, 2), m, or, of a v, their velocities."""
+        """Displacements of the drawn nodes, (nodes, 2), m; their velocities for q = v."""
         pairs = self._nodal(q)
         parts = [pairs[body.nodes] for body in self.bodies]
-        parts += [placed.body.nodal(pairs[placed.pairs] @ (1, 1j)) for _, placed in self._of_fields]
+        parts += [placed.body.nodal(pairs[placed.pairs] @ (1, 1j)) for _, placed in self._meshed]
         return np.concatenate([np.zeros((0, 2)), *parts])
 
     def of_nodal(self, forces):
-        """What forces (nodes, 2) on the nodes that are drawn do to each coordinate, (n,): the transpose of `nodal`."""
-        found, forces = np.zeros(self.n_nodes, complex), complex_of_pairs(forces)
+        """Generalised forces (n,) of forces (nodes, 2) on the drawn nodes: the transpose of `nodal`."""
+        result, forces = np.zeros(self.n_nodes, complex), complex_of_pairs(forces)
         for body in self.bodies:
-            found[body.nodes] += forces[body.nodes]
-        for plate, placed in self._of_fields:
-            found[placed.pairs] += placed.body.shapes().conj().T @ forces[plate.nodes]
-        return pairs_of(found).ravel()
+            result[body.nodes] += forces[body.nodes]
+        for plate, placed in self._meshed:
+            result[placed.pairs] += placed.body.shapes().conj().T @ forces[plate.nodes]
+        return pairs_of(result).ravel()
 
     def sticks(self, q):
-        """The bodies that have named points and no mesh, as segments between these, (segments, 2, 2), m: round about where there are more
-        than two.
-        """
-        found, pairs = [np.zeros((0, 2, 2))], self._nodal(q)
+        """Bodies with named points and no mesh as segments between their points, in the order of angles, (segments, 2, 2), m."""
+        segments, pairs = [np.zeros((0, 2, 2))], self._nodal(q)
         for placed in self.few:
             if placed.body.plate is None:
                 z = placed.rest + complex_of_pairs(pairs[placed.pairs])
                 points = np.array([placed.body.weights_of(point, "point") @ z for point in points_of(placed.body)])
                 points = pairs_of(points[np.argsort(np.angle(points - points.mean()))])
-                found.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None])
-        return np.concatenate(found)
+                segments.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None])
+        return np.concatenate(segments)
 
     def stress(self, q):
-        """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         parts, nodal = [np.zeros((0, 3))], self.nodal(q)
         for body in self.drawn:
-            modulus, nu = body.plate.material.in_plane
-            out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
-            kernels.stress(
-                *operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start, modulus / (1 - nu**2), nu, nodal, out
-            )
-            parts.append(out)
+            (modulus, nu), operator = body.plate.material.in_plane, body.operator
+            parts.append(np.empty((body.mesh.n_cells, 3)))
+            at = operator.lane_cells, operator.areas, body.nodes.start
+            kernels.stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, parts[-1])
         return np.concatenate(parts)
 
     def stress_across(self, stress):
-        """Stress zz across the plane, (cells,), Pa, from that of every element: nu (xx + yy) in plane strain, 0 in plane stress."""
+        """Stress zz across the plane, (cells,), Pa, from the stress of each element: nu (xx + yy) in plane strain, 0 in plane stress."""
         ratio = [body.plate.material.across for body in self.drawn]
         return np.repeat(ratio, [body.mesh.n_cells for body in self.drawn]) * (stress[:, 0] + stress[:, 1])
 
 
 def deepest(bodies, u):
-    """ "cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
-    if not bodies:
-        return "a body"
-    found = []
+    """ "cell 3 of 'upper' at (x, y)": the cell of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
+    cells = []
     for body in bodies:
         operator = body.operator
         outer = u[body.nodes][operator.nodes][:, :, None] * operator.mean_gradients[:, None, :]
-        gradient = np.eye(2) + np.add.reduceat(outer, operator.offsets[:-1])
-        det = np.linalg.det(gradient)
-        cell = int(np.argmin(det))
-        found.append((det[cell], cell, body))
-    _, cell, body = min(found, key=lambda entry: entry[0])
+        det = np.linalg.det(np.eye(2) + np.add.reduceat(outer, operator.offsets[:-1]))
+        cells.append((det.min(), int(np.argmin(det)), body))
+    if not cells:
+        return "a body"
+    _, cell, body = min(cells, key=lambda entry: entry[0])
     x, y = body.points[body.mesh.cell(cell)].mean(axis=0)
     return f"cell {cell} of {body.name!r} at ({x:.6g}, {y:.6g})"

@@ -12,7 +12,7 @@ from dataclasses import astuple, fields
 import numpy as np
 
 from polyida import profile, registry
-from polyida.assembly.factors import WHAT, told
+from polyida.assembly.factors import WHAT, given_factors
 from polyida.body.body import BodyPoint, coordinates_of
 from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
@@ -37,7 +37,7 @@ def to_data(model):
     ]
     whole = {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}
     whole |= {
-        "factors": {name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in told(model).items()}
+        "factors": {name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in given_factors(model).items()}
     }
     return whole, book.arrays, book.drives
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
-from polyida.assembly.factors import Shares
+from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
 from polyida.element.kernels import _differences, _gradient, _workspace
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
@@ -233,7 +233,7 @@ def _stabilised(model, number, u, factor):
     scale, operator = model.arrays.plates.body_stabilisation[number], model.bodies[number].operator
     if not scale:
         return 0.0
-    shares = model.once(Shares, of_shape=True)
+    shares = model.once(CellContributions, of_shape=True)
     rows, squares = np.repeat(np.arange(operator.n_nodes), np.diff(operator.indptr)), np.zeros(len(shares.plates.stabilisation))
     apart = squares[slice(*shares.plates.at[number : number + 2, 6])]
     for one, f in zip(u, factor):

@@ -1,6 +1,6 @@
-"""The table of a small model with dense matrices: compiled code around its functions, which are C functions or Python ones.
+"""The table of a small model with dense matrices: compiled code that calls the model's functions, compiled or Python.
 
-A function of the model is called as `f(data, 0, t, q, v, a, lam, out)`, addresses of what it may read and of what it fills.
+A function of the model is called as `f(data, 0, t, q, v, a, lam, out)`, with the addresses of its arguments and of its result.
 """
 
 from functools import cache
@@ -23,58 +23,50 @@ FUNCTIONS = (
     "potential",
 )  # fmt: skip
 MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD, ENDED = range(8)  # of Dense.flags
-# KEPT: the factors are of the S and B of now; HELD: B is that of the state already; ENDED: how the calls since `take` ended
+# BENT: B varies with t or q; VARIES: with q; KEPT: the factors are those of the current S and B; HELD: B is that of the state;
+# ENDED: status of the calls since `take`
 FLAGS = 8
 REACH = FIRST_ORDER_STEP
-INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
+INNER, END = range(2)  # of Dense.t: the end of the step, or, at a kink, a time beside it inside the step; and the end itself
 
 
 @pack
 class Dense(NamedTuple):
-    """The workspace of a model.
+    """The workspace of a model with n coordinates and m constraints."""
 
-    functions: addresses of FUNCTIONS, 0 where there is none. data: address of what the C functions read as self. times (instants, 2): INNER and
-    END. t, q, v, a, lam: what the functions are called with. S (n, n): the step matrix; lu: of it and B; masses: of M and B.
-    """
-
-    functions: np.ndarray
-    data: int
+    functions: np.ndarray  # addresses of FUNCTIONS; 0 without
+    data: int  # address of the values that compiled functions read as self
     flags: np.ndarray
-    times: np.ndarray
-    t: np.ndarray
+    times: np.ndarray  # (instants, 2) INNER and END
+    t: np.ndarray  # (2,) t, q, v, a, lam: the functions' arguments
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     lam: np.ndarray
-    M: np.ndarray
+    M: np.ndarray  # (n, n)
     g: np.ndarray
     phi: np.ndarray
-    B: np.ndarray
+    B: np.ndarray  # (m, n)
     phi_t: np.ndarray
     phi_bias: np.ndarray
-    c: np.ndarray
-    S: np.ndarray
-    made: np.ndarray
-    slope: np.ndarray
-    near: np.ndarray
-    lu: np.ndarray
+    c: np.ndarray  # (2,) c_m and c_v
+    S: np.ndarray  # (n, n)
+    made: np.ndarray  # t, q, v, a, lam of S
+    slope: np.ndarray  # (n, n)
+    near: np.ndarray  # (4, n) values of differences
+    lu: np.ndarray  # of S and B
     pivots: np.ndarray
-    masses: np.ndarray
+    masses: np.ndarray  # of M and B
     mass_pivots: np.ndarray
-    x: np.ndarray
+    x: np.ndarray  # (n + m,)
 
 
 def workspace(n, m, functions, data, flags):
     """A Dense of n coordinates and m constraints."""
     N = n + m
-    shapes = (
-        (2,), (n,), (n,), (n,), (m,), (n, n), (n,), (m,), (m, n), (m,), (m,), (2,), (n, n), (1 + 3 * n + m,), (n, n), (4, n), (N, N),
-    )  # fmt: skip
-    arrays = map(np.zeros, shapes)
-    return Dense(
-        functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *arrays, np.zeros(N, np.int64), np.zeros((N, N)),
-        np.zeros(N, np.int64), np.zeros(N),
-    )  # fmt: skip
+    shapes = (2,), n, n, n, m, (n, n), n, m, (m, n), m, m, 2, (n, n), 1 + 3 * n + m, (n, n), (4, n), (N, N)
+    matrices = *map(np.zeros, shapes), np.zeros(N, np.int64), np.zeros((N, N)), np.zeros(N, np.int64), np.zeros(N)
+    return Dense(functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *matrices)
 
 
 @part
@@ -85,7 +77,7 @@ def vector(at, size):
 
 @part
 def ask(w, function, time, out):
-    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `take`. Returns how they ended."""
+    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `take`. Returns the status."""
     if w.flags[ENDED] == DONE:
         t = address(w.t) + 8 * time
         w.flags[ENDED] = call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
@@ -94,7 +86,7 @@ def ask(w, function, time, out):
 
 @part
 def take(w, instant, q, v):
-    """Take the state for the functions' arguments."""
+    """Set t, q and v of the functions' arguments."""
     w.flags[ENDED] = DONE
     w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
     dense.put(1.0, vector(q, w.q.shape[0]), w.q)
@@ -103,14 +95,14 @@ def take(w, instant, q, v):
 
 @part
 def take_forces(w, a, lam):
-    """Take the accelerations and multipliers for the functions' arguments."""
+    """Set a and lam of the functions' arguments."""
     dense.put(1.0, vector(a, w.a.shape[0]), w.a)
     dense.put(1.0, vector(lam, w.lam.shape[0]), w.lam)
 
 
 @part
 def take_rows(w):
-    """B at the state, where it changes."""
+    """Evaluate B at the state if it varies."""
     if w.lam.shape[0] and w.flags[BENT] and not w.flags[HELD]:
         w.flags[KEPT] = 0
         ask(w, PHI_Q, INNER, w.B)
@@ -119,7 +111,7 @@ def take_rows(w):
 
 @part
 def finite(x):
-    """Whether all entries are finite."""
+    """True if all entries are finite."""
     total = 0.0
     for i in range(x.shape[0]):
         total += 0.0 * x[i]
@@ -127,48 +119,48 @@ def finite(x):
 
 
 @part
-def equilibrium(w, found):
-    """`M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
+def equilibrium(w, r):
+    """r = `M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
     if w.functions[WHOLE]:
         ask(w, WHOLE, INNER, w.g)
-        dense.put(1.0, w.g, found)
+        dense.put(1.0, w.g, r)
         return w.flags[ENDED]
     if w.flags[MASS_VARIES]:
         ask(w, MASS, INNER, w.M)
     ask(w, FORCE, INNER, w.g)
-    for i in range(found.shape[0]):
+    for i in range(r.shape[0]):
         total = w.g[i]
-        for j in range(found.shape[0]):
+        for j in range(r.shape[0]):
             total += w.M[i, j] * w.a[j]
         for k in range(w.lam.shape[0]):
             total += w.B[k, i] * w.lam[k]
-        found[i] = total
+        r[i] = total
     return w.flags[ENDED]
 
 
 @entry
 def residual(w, instant, q, v, a, lam, r, phi):
-    """r at the state within the step, phi at its end."""
+    """r at the state inside the step, phi at its end."""
     take(w, instant, q, v)
     take_forces(w, a, lam)
-    found, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
+    out, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
     if rows.shape[0]:
         ask(w, PHI, END, w.phi)
         dense.put(1.0, w.phi, rows)
         take_rows(w)
-    ended = equilibrium(w, found)
-    return NOT_FINITE if ended == DONE and not (finite(found) and finite(rows)) else ended
+    ended = equilibrium(w, out)
+    return NOT_FINITE if ended == DONE and not (finite(out) and finite(rows)) else ended
 
 
 @entry
 def hold(w, instant, q, v, c, d, e, f):
-    """Nothing: phi is taken from positions."""
+    """Do nothing: phi is computed from positions."""
     return DONE
 
 
 @entry
 def close(w, instant, q, dd, dv, phi, rate, f):
-    """phi at the end; the rate stays."""
+    """phi at the end; the rate is unchanged."""
     if not w.lam.shape[0]:
         return DONE
     take(w, instant, q, address(w.v))
@@ -179,7 +171,7 @@ def close(w, instant, q, dd, dv, phi, rate, f):
 
 @part
 def bordered(A, w, matrix, size):
-    """A = [[matrix, B^T s], [B, 0]], its multipliers in units of s."""
+    """A = [[matrix, s B^T], [s B, 0]], s = size."""
     n, m = w.q.shape[0], w.lam.shape[0]
     for i in range(n):
         for j in range(n):
@@ -194,7 +186,7 @@ def bordered(A, w, matrix, size):
 
 @part
 def combined(w, function, out):
-    """A function's value, M a of "mass", B^T lam of "phi_q"."""
+    """The value of a function: M a for "mass", B^T lam for "phi_q"."""
     if function == FORCE:
         ended = ask(w, FORCE, INNER, w.g)
         dense.put(1.0, w.g, out)
@@ -229,7 +221,7 @@ def add_difference(w, function, x, c):
 
 @part
 def add_slope(w, written, function, x, c):
-    """S += c times a slope that the model writes, or its difference."""
+    """S += c times a derivative that the model writes, or its difference."""
     if not w.functions[written]:
         return add_difference(w, function, x, c)
     ended = ask(w, written, INNER, w.slope)
@@ -241,7 +233,7 @@ def add_slope(w, written, function, x, c):
 
 @part
 def add_slopes(w):
-    """S from the terms that the model has, at w.t, w.q, w.v, w.a, w.lam."""
+    """S as the sum of the model's terms at w.t, w.q, w.v, w.a, w.lam."""
     if w.flags[MASS_VARIES]:
         ask(w, MASS, INNER, w.M)
     for i in range(w.S.shape[0]):
@@ -258,7 +250,7 @@ def add_slopes(w):
 
 @entry
 def factor(w, instant, q, v, a, lam, c, f):
-    """S at a state; it is factored with the B of a solve."""
+    """S at a state; `solve` factors it with B."""
     n = w.q.shape[0]
     take(w, instant, q, v)
     take_forces(w, a, lam)
@@ -274,7 +266,7 @@ def factor(w, instant, q, v, a, lam, c, f):
 
 @part
 def typical(matrix):
-    """The mean size of the diagonal, 1 where that is zero."""
+    """Mean size of the diagonal; 1 if it is zero."""
     total = 0.0
     for i in range(matrix.shape[0]):
         total += abs(matrix[i, i])
@@ -283,7 +275,7 @@ def typical(matrix):
 
 @part
 def solve_bordered(w, A, pivots, size):
-    """w.x becomes the solution of a `bordered` system, factored, whose last rows and unknowns are in units of `size`."""
+    """w.x becomes the solution of a factored `bordered` system."""
     for k in range(w.q.shape[0], w.x.shape[0]):
         w.x[k] *= size
     dense.solve(A, pivots, w.x)
@@ -293,7 +285,7 @@ def solve_bordered(w, A, pivots, size):
 
 @part
 def solve_masses(w):
-    """w.x becomes the solution of the system of M and B. Returns how it ended."""
+    """w.x becomes the solution of the system of M and B. Returns the status."""
     size = typical(w.M)
     bordered(w.masses, w, w.M, size)
     if not dense.factor(w.masses, w.mass_pivots):
@@ -320,9 +312,9 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
 
 
 @entry
-def rate(w, instant, q, v, found, d, e, f):
+def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
-    rows = vector(found, w.lam.shape[0])
+    rows = vector(out, w.lam.shape[0])
     take(w, instant, q, v)
     take_rows(w)
     if w.flags[DRIVEN]:
@@ -337,13 +329,13 @@ def rate(w, instant, q, v, found, d, e, f):
 
 @entry
 def project(w, instant, rows, x, anew, d, e, f):
-    """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
+    """Change x by the least M-norm, so that B x falls by rows; anew: x becomes the least x with B x = B x_before - rows."""
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.flags[MASS_VARIES] and ask(w, MASS, INNER, w.M) != DONE:
         return w.flags[ENDED]
-    wanted, moved = vector(rows, m), vector(x, n)
+    right, moved = vector(rows, m), vector(x, n)
     for k in range(m):
-        total = wanted[k]
+        total = right[k]
         if anew:
             for i in range(n):
                 total -= w.B[k, i] * moved[i]
@@ -359,7 +351,7 @@ def project(w, instant, rows, x, anew, d, e, f):
 
 @entry
 def accept(w, instant, q, b, c, d, e, f):
-    """What the model says of the state."""
+    """Ask the model whether it accepts the state."""
     if not w.functions[ACCEPTED]:
         return DONE
     take(w, instant, q, address(w.v))
@@ -368,7 +360,7 @@ def accept(w, instant, q, b, c, d, e, f):
 
 @part
 def reach(w):
-    """The s over which q + s v moves by its own size, and by 1 if q is smaller; at most 1."""
+    """The s, at most 1, for which |s v| is 1 + |q|, in the maximum norm."""
     size = pace = 0.0
     for i in range(w.q.shape[0]):
         size, pace = max(size, abs(w.q[i])), max(pace, abs(w.v[i]))
@@ -377,7 +369,7 @@ def reach(w):
 
 @part
 def bias(w):
-    """w.phi_bias at w.t, w.q, w.v: the model's, or differences of fourth order of `phi_q v` along v if nothing drives. Changes w.B."""
+    """w.phi_bias at w.t, w.q, w.v: the model's, or, without drives, differences of fourth order of `phi_q v` along v. Changes w.B."""
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.functions[PHI_BIAS]:
         return ask(w, PHI_BIAS, INNER, w.phi_bias)
@@ -443,12 +435,12 @@ def values(d, t, q, v, a, lam, r, phi, rates, biases):
 
 @cache
 def example():
-    """A Dense: all of them are of its type."""
+    """A Dense; all of them have one type."""
     return workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS)
 
 
 @cache
 def addresses():
-    """Of all functions, for every Dense."""
-    made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
-    return {number: c_address(function, typeof(example())) for number, function in made.items()}
+    """{number: address} of the entries, for all Dense."""
+    entries = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+    return {number: c_address(function, typeof(example())) for number, function in entries.items()}

@@ -1,4 +1,4 @@
-"""Tables of models that are written in Python: callbacks, which keep an exception until the driver has returned."""
+"""Tables of users' models: callbacks into Python, or compiled code for small models; and the choice of a model's table."""
 
 import ctypes
 import time
@@ -15,24 +15,25 @@ from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
 from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 from polyida.system import dense as small
 
-SHORT, LONG = 5e-3, 20e-3  # s
-VIEWS = 4096  # arrays at addresses that are kept
-ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # of a function that takes nothing of what it is given: that costs 0.7 us a call
+SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
+VIEWS = 4096  # arrays at addresses that are stored
+ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
 
 
 class PythonTable:
-    """The table of any model: every entry is a callback.
+    """The table of any model: each entry is a callback.
 
-    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take, not above `most`.
+    functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
+    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned.
     """
 
-    longest = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
+    longest = 1
     instants = most = INSTANTS
     workspace = 0
 
     def __init__(self, model, incremental):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
-        self.functions, self.kept, self.views = np.zeros(ENTRIES, np.int64), [], {}
+        self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}
         self._fill()
 
     def _fill(self):
@@ -44,50 +45,49 @@ class PythonTable:
         return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
     def _address(self, function, kind=CALLBACK):
-        """Of a function as a C function; an exception of it is kept."""
+        """The address of a Python function as a C function that stores an exception."""
 
-        def called(*given):
+        def called(*arguments):
             try:
-                return function(*given[1:]) or DONE
-            except BaseException as error:  # noqa: BLE001 it is raised when the driver has returned
+                return function(*arguments[1:]) or DONE
+            except BaseException as error:  # noqa: BLE001 raise_left raises it
                 self.raised = error
                 return RAISED
 
-        callback = kind(called)
-        self.kept.append(callback)
-        return ctypes.cast(callback, ctypes.c_void_p).value
+        self.callbacks.append(kind(called))
+        return ctypes.cast(self.callbacks[-1], ctypes.c_void_p).value
 
     def raise_left(self):
-        """Raise what a function of the model raised."""
+        """Raise the exception that a callback stored."""
         error, self.raised = self.raised, None
         if error is not None:
             raise error
 
     def system(self, settings):
-        """What factors the step matrix."""
+        """The step matrix, not factored yet."""
         return settings.step_matrix(self.model)
 
     def prepare(self, times, ends, h):
-        """Get ready for steps between the times; ends: the first and the last, beside them where there is a kink."""
+        """Prepare steps between the times. ends: the first and the last time, or times beside them inside the steps at a kink."""
         count, self.begin, self.last, self.ends, self.h = len(times) - 1, times[0], times[-1], ends, h
         self.times[:count, small.INNER] = self.times[:count, small.END] = times[1:]
         self.times[count - 1, small.INNER] = ends[1]
 
     def factor(self, system, t, *at):
-        """Factor the system near t, an end of the steps. Returns the number of residuals that it took."""
+        """Factor the step matrix near t, an end of the steps. Returns the number of residuals evaluated."""
         system.factor(self.ends[1] if t == self.last else t, *at)
         return 0
 
     @contextmanager
     def at_work(self, system):
-        """(addresses of the functions, address of the workspace) with a factored system."""
+        """(addresses of the functions, address of the workspace) with a factored step matrix."""
         self.factored = system
         with self.timed():
             yield self.functions, self.workspace
 
     @contextmanager
     def timed(self):
-        """Let the next stretch be longer while one takes less than SHORT, shorter where it takes more than LONG."""
+        """Double the length of the next stretch if this one takes less than SHORT; halve it if it takes more than LONG."""
         begun = time.perf_counter()
         yield
         spent = time.perf_counter() - begun
@@ -97,13 +97,13 @@ class PythonTable:
             self.longest = max(1, self.longest // 2)
 
     def _array(self, at, size):
-        """The array (size,) at an address. Most addresses are asked for again and again."""
-        found = self.views.get((at, size))
-        if found is None:
+        """The array (size,) at an address; stored, because drivers use the same addresses again and again."""
+        view = self.views.get((at, size))
+        if view is None:
             if len(self.views) == VIEWS:
                 self.views.clear()
-            found = self.views[at, size] = np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
-        return found
+            view = self.views[at, size] = np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
+        return view
 
     def _at(self, instant):
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
@@ -117,18 +117,17 @@ class PythonTable:
             self.increments = [model.increments(before, self._at(instant)[1], ends, self.h, q, v)]
 
     def _stage(self, instant):
-        """Which of the increments is that of an instant."""
+        """Index of an instant's increments."""
         return 0
 
     def _residual(self, instant, q, v, a, lam, r, phi):
         model, (inner, end) = self.model, self._at(instant)
         q, v, a = (self._array(at, model.n).copy() for at in (q, v, a))
-        rows = self._array(phi, model.m)
+        rows, out = self._array(phi, model.m), self._array(r, model.n)
         if self.increments is None:
             rows[:] = model.phi(end, q)
-        found = self._array(r, model.n)
-        found[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
-        return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
+        out[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
+        return DONE if np.isfinite(out).all() and np.isfinite(rows).all() else NOT_FINITE
 
     def _close(self, instant, q, dd, dv, phi, rate, _):
         model = self.model
@@ -141,9 +140,9 @@ class PythonTable:
 
     def _solve(self, instant, q, lam, r, phi, dq, dlam):
         n, m = self.model.n, self.model.m
-        given = self._array(q, n).copy(), self._array(lam, m).copy(), self._array(r, n).copy(), self._array(phi, m).copy()
+        state = self._array(q, n).copy(), self._array(lam, m).copy(), self._array(r, n).copy(), self._array(phi, m).copy()
         try:
-            self._array(dq, n)[:], self._array(dlam, m)[:] = self.factored.saddle(self._at(instant)[0], *given)
+            self._array(dq, n)[:], self._array(dlam, m)[:] = self.factored.saddle(self._at(instant)[0], *state)
         except SingularSystem:
             return SINGULAR
         return DONE
@@ -165,35 +164,39 @@ class PythonTable:
 
 
 class DenseTable(PythonTable):
-    """The table of a small model: compiled code, which calls the model's functions back."""
+    """The table of a small model: compiled code that calls the model's functions back."""
 
     def _fill(self):
         model, needs = self.model, self.model.needs
-        functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0, DONE
+        functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
+        flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._address(function, ALONE) if function else 0
         self.workspace, self.factored, self.made = w.address, None, False
 
     def _functions(self, w):
+        """{name of small.FUNCTIONS: Python function that reads its arguments from w and writes its result to w, or None}."""
         model = self.model
+
+        def read_only(copy):  # the user may store the array
+            array = copy()
+            array.setflags(False)
+            return array
 
         def fill(out, function, t, *vectors):
             function, (first, *others) = getattr(function, "given", function), [x.copy for x in vectors]
 
-            def called():  # arrays that nobody can write, and the user may keep
+            def called():
                 q = first()
                 q.setflags(False)
-                found = function(t(), q, *map(_kept, others)) if others else function(t(), q)
-                out[...] = found if type(found) is np.ndarray else dense(found)
+                result = function(t(), q, *map(read_only, others)) if others else function(t(), q)
+                out[...] = result if type(result) is np.ndarray else dense(result)
 
             return called
 
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
-        whole = writes(unguarded(model), "residual")
-        asks = writes(unguarded(model), "rejection_reason")
 
         def accepted():
             if objection := model.rejection_reason(end(), q.copy()):
@@ -206,19 +209,19 @@ class DenseTable(PythonTable):
             "phi_q": fill(w.B, model.phi_q, inner, q),
             "phi_t": fill(w.phi_t, model.phi_t, inner, q),
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
-            "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
-            "rejection_reason": accepted if asks else None,
-            "tangent": fill(w.S, lambda *given: model.tangent(*given, *w.c.tolist(), 1.0), inner, q, v, a, lam),
+            "residual": fill(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
+            "rejection_reason": accepted if writes(unguarded(model), "rejection_reason") else None,
+            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.c.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
     def system(self, settings):
-        """What makes the step matrix."""
+        """The step matrix, not factored yet."""
         return DenseMatrix(self.model, self)
 
     @contextmanager
     def at_work(self, system):
-        """As of any table; S is in the workspace."""
+        """As PythonTable.at_work; S is in the workspace."""
         for number, at in () if self.functions[RESIDUAL] else small.addresses().items():
             self.functions[number] = at
         if system is not self.factored:
@@ -227,17 +230,17 @@ class DenseTable(PythonTable):
             yield self.functions, self.workspace
 
     def make(self, t, q, v, a, lam, c_m, c_v):
-        """Make S at a state in the workspace."""
+        """Compute S at a state in the workspace."""
         w, self.w.times[0] = self.w, t
         self.hold_constant(t, q)
-        places = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
-        ended = small.factor(w, 0, *(x.ctypes.data for x in places), 0)
+        arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
+        ended = small.factor(w, 0, *(x.ctypes.data for x in arrays), 0)
         self.raise_left()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)
 
     def hold_constant(self, t, q):
-        """M and B where they do not change."""
+        """Compute M and B once if they are constant."""
         if not self.made:
             self.made = True
             if not self.w.flags[small.MASS_VARIES]:
@@ -246,15 +249,8 @@ class DenseTable(PythonTable):
                 self.w.B[...] = dense(self.model.phi_q(t, q))
 
 
-def _kept(copy):
-    """A copy that nobody can write."""
-    found = copy()
-    found.setflags(False)
-    return found
-
-
 class DenseMatrix(StepMatrix):
-    """S of a small model, made by its table; it is factored with B in compiled code."""
+    """S of a small model, computed by its table; compiled code factors it together with B."""
 
     backend = "dense LU"
 
@@ -263,18 +259,18 @@ class DenseMatrix(StepMatrix):
         self.table = table
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Make S at a state."""
+        """Compute S at a state."""
         self.table.make(t, q, v, a, lam, c_m, c_v)
         self.read()
 
     def read(self):
-        """Take the S that the table made last."""
+        """Copy the last S of the table."""
         w = self.table.w
         self.S, self.made_at, self.table.factored = w.S.copy(), w.made.copy(), self
 
 
 class CompiledTable(DenseTable):
-    """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
+    """The table of a small model with compiled functions. Functions that it does not write are Python's, or differences."""
 
     longest = INSTANTS
     names = OF_STEPS
@@ -292,14 +288,14 @@ class CompiledTable(DenseTable):
 
 
 def small_own(model):
-    """Whether a model is one's own, and small, and leaves its systems to the package."""
+    """True for a user's small model that leaves its linear systems to the package."""
     own = unguarded(model)
     written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
     return not (written or model.is_scene or model.n + model.m > MOST)
 
 
 def table_of(model, linear, tied, incremental):
-    """The table of a model. linear: as the integrator has it; tied: whether RATE and PROJECT are needed; incremental: phi by increments."""
+    """The table of a model. linear: of the integrator; tied: True if RATE and PROJECT are needed; incremental: True for phi by increments."""
     if model.compiled and linear != "kkt":
         from polyida.system.scene import SceneTable
 
@@ -308,7 +304,7 @@ def table_of(model, linear, tied, incremental):
 
 
 def small_table(model, incremental=False):
-    """The table of a model that is solved with dense matrices, or None where it is not."""
+    """The table of a model that is solved with dense matrices; None for other models."""
     if not small_own(model):
         return None
     return (CompiledTable if unguarded(model).by_numba else DenseTable)(model, incremental)

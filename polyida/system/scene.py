@@ -13,9 +13,8 @@ from polyida.assembly.compact import Compact
 from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.increments import drive_table, gain_table
 from polyida.assembly.own_laws import Laws, add_own_forces
-from polyida.assembly.projection import Tie, velocity_rate
+from polyida.assembly.projection import ConstraintProjection, constraint_projection, velocity_rate
 from polyida.assembly.projection import project as project_rows
-from polyida.assembly.projection import tie as tie_of
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
@@ -24,15 +23,17 @@ from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
 from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
-SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
+SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
-DZ, FORCES, START, VX, DX, DV = range(6)  # rows of SceneWork.points: displacements and forces; what a step begins from and adds
+DZ, FORCES, START, VX, DX, DV = range(
+    6
+)  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
 H, TO_A, COSINE, INCREMENTAL = range(4)  # of SceneWork.numbers
 
 
 @pack
 class Solid(NamedTuple):
-    """Bodies' masses and the inverses of these, those at their points included, in the form of Compact; scratch (nodes, 2), and zeros."""
+    """The bodies' masses and their inverses, with masses at points, in the form of Compact; workspace (nodes, 2), and zeros."""
 
     mass: Compact
     inverse: Compact
@@ -42,24 +43,20 @@ class Solid(NamedTuple):
 
 @pack
 class SceneWork(NamedTuple):
-    """The workspace of a scene: its arrays, the factor with its scratch, and what is None if there is nothing of the kind.
-
-    drives (instants + 1, profiles, 3), gains (instants, profiles, 3): of the profiles; rotation (nodes, 2): of the nodes at the last RESIDUAL;
-    points (6, points, 2); numbers: the step, c_m of the factor, the least cosine of motors' angles, and whether phi is carried by increments.
-    """
+    """The workspace of a scene."""
 
     scene: tuple
     factored: corotated.Corotated
     room: corotated.Room
-    tie: Tie | None
-    damp: np.ndarray | None
+    projection: ConstraintProjection | None
+    damp: np.ndarray | None  # (nodes, 2) workspace of the damping forces; None without damping
     laws: Laws | None
-    drives: np.ndarray
-    gains: np.ndarray
-    rotation: np.ndarray
-    points: np.ndarray
-    numbers: np.ndarray
-    level: np.ndarray
+    drives: np.ndarray  # (instants + 1, profiles, 3)
+    gains: np.ndarray  # (instants, profiles, 3)
+    rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
+    points: np.ndarray  # (6, points, 2)
+    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments
+    level: np.ndarray  # (m,)
     solid: Solid | None
 
 
@@ -77,7 +74,7 @@ def rows(w, at):
 
 @part
 def add_forces(s, damp, laws, drives, u, v, r):
-    """Damping and force elements; what is None is not compiled."""
+    """Add damping and force elements to r. An argument that is None: its branch is not compiled."""
     if damp is not None:
         add_damping(s, u, v, damp, r)
     if laws is not None:
@@ -100,7 +97,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
 
 @entry
 def hold(w, instant, q, v, c, d, e, f):
-    """Take up the points at a step's start."""
+    """Store the points at a step's start."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
     return DONE
@@ -108,13 +105,13 @@ def hold(w, instant, q, v, c, d, e, f):
 
 @entry
 def close(w, instant, q, dd, dv, phi, rate, f):
-    """phi and its rate, by what the step adds to those at its start; or phi from positions."""
+    """phi and its rate, by increments since the step's start; or phi from positions."""
     s, dx, vx = w.scene.links, w.points[DX], w.points[DV]
     if w.numbers[INCREMENTAL] != 0.0:
         joints.point_values(s, pairs(w, dd), dx)
         joints.point_values(s, pairs(w, dv), vx)
-        given = w.points[START], w.points[VX]
-        joints.joint_change(s, w.drives[instant], w.gains[instant], w.numbers[H], given[0], given[1], dx, vx, rows(w, phi), rows(w, rate))
+        start = w.points[START], w.points[VX]
+        joints.joint_change(s, w.drives[instant], w.gains[instant], w.numbers[H], start[0], start[1], dx, vx, rows(w, phi), rows(w, rate))
     else:
         joints.point_values(s, pairs(w, q), dx)
         joints.joint_forces(s, w.drives[instant + 1], dx, w.level, rows(w, phi), w.points[FORCES])
@@ -124,55 +121,55 @@ def close(w, instant, q, dd, dv, phi, rate, f):
 @entry
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    drives = w.drives[instant + 1]
-    good = corotated.solve(
-        w.scene.links, w.factored, w.room, drives, w.rotation, w.points[DZ], rows(w, lam), pairs(w, r), rows(w, phi), w.numbers[TO_A],
-        pairs(w, dq), rows(w, dlam),
-    )  # fmt: skip
-    return DONE if good else SINGULAR
+    s, drives, state = w.scene.links, w.drives[instant + 1], (rows(w, lam), pairs(w, r), rows(w, phi))
+    out = pairs(w, dq), rows(w, dlam)
+    regular = corotated.solve(
+        s, w.factored, w.room, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
+    )
+    return DONE if regular else SINGULAR
 
 
 @entry
-def rate(w, instant, q, v, found, d, e, f):
+def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
-    tied_rate(w.scene.links, w.tie, w.drives[instant + 1], w.points[DX], pairs(w, v), rows(w, found))
+    projected_rate(w.scene.links, w.projection, w.drives[instant + 1], w.points[DX], pairs(w, v), rows(w, out))
     return DONE
 
 
 @part
-def tied_rate(s, t, drives, dz, v, found):
-    """The rate of the rows, with their slopes in t."""
-    if t is not None:
-        velocity_rate(s, drives, dz, v, t)
-        for k in range(found.shape[0]):
-            found[k] = t.rate[k]
+def projected_rate(s, p, drives, dz, v, out):
+    """The same with a ConstraintProjection or None. Its own function: numba drops a branch only if an argument is None."""
+    if p is not None:
+        velocity_rate(s, drives, dz, v, p)
+        for k in range(out.shape[0]):
+            out[k] = p.rate[k]
 
 
 @entry
-def project(w, instant, wanted, x, anew, d, e, f):
-    """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
-    return DONE if tied_project(w.scene.links, w.tie, rows(w, wanted), pairs(w, x), anew) else SINGULAR
+def project(w, instant, right, x, anew, d, e, f):
+    """Change x by the least M-norm, so that B x falls by right; anew: x becomes the least x with B x = B x_before - right."""
+    return DONE if projected(w.scene.links, w.projection, rows(w, right), pairs(w, x), anew) else SINGULAR
 
 
 @part
-def tied_project(s, t, wanted, x, anew):
-    """The same with the slopes in t. False if it is singular."""
-    if t is None:
+def projected(s, p, right, x, anew):
+    """The same with a ConstraintProjection or None. Returns False if it is singular."""
+    if p is None:
         return True
-    for k in range(wanted.shape[0]):
-        t.bias[k] = wanted[k]
+    for k in range(right.shape[0]):
+        p.bias[k] = right[k]
     if anew:
-        joints.point_values(s, x, t.vz)
-        for k in range(wanted.shape[0]):
-            t.bias[k] -= joints.along(s, t.slopes, k, t.vz)
+        joints.point_values(s, x, p.vz)
+        for k in range(right.shape[0]):
+            p.bias[k] -= joints.along(s, p.slopes, k, p.vz)
         clear(x)
-    return project_rows(s, t, t.bias, x)
+    return project_rows(s, p, p.bias, x)
 
 
 @entry
 def accept(w, instant, q, b, c, d, e, f):
-    """Whether every motor stands on the right half-turn; q is that of the last RESIDUAL, but for one correction."""
+    """Reject a state if a motor is on the wrong half-turn; q is that of the last RESIDUAL up to one correction."""
     return DONE if w.numbers[COSINE] > 0.0 else HALF_TURN
 
 
@@ -181,15 +178,15 @@ FUNCTIONS = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: r
 
 @cache
 def addresses(kind, entries):
-    """The table of the functions (number, function) for workspaces of a type."""
-    found = np.zeros(ENTRIES, np.int64)
+    """The table of functions (number, function) for a type of workspaces."""
+    table = np.zeros(ENTRIES, np.int64)
     for number, function in entries:
-        found[number] = c_address(function, kind)
-    return found
+        table[number] = c_address(function, kind)
+    return table
 
 
 class SceneTable:
-    """The table of a scene without Python in it, its solves by several threads where it has `SHARED` coordinates and these are asked for."""
+    """The table of a scene without Python. Several threads share the solves of more than SHARED coordinates, if the user allows them."""
 
     longest = INSTANTS
     entries = FUNCTIONS
@@ -200,7 +197,7 @@ class SceneTable:
         profiles, nodes = len(model.profiles), (model.n_nodes, 2)
         self.w = {
             "scene": model.arrays,
-            "tie": tie_of(model) if tied else None,
+            "projection": constraint_projection(model) if tied else None,
             "damp": np.zeros(nodes) if model.damped else None,
             "laws": model.laws,
             "drives": np.zeros((INSTANTS + 1, profiles, 3)),
@@ -214,36 +211,31 @@ class SceneTable:
         self.functions = self.work = None
 
     def system(self, settings):
-        """What factors the step matrix, not factored yet."""
+        """The step matrix, not factored yet."""
         return settings.step_matrix(self.model)
 
     def prepare(self, times, ends, h):
-        """Get ready for steps between the times; ends: the first and the last, beside them where there is a kink."""
+        """Prepare steps between the times. ends: the first and the last time, or times beside them inside the steps at a kink."""
         self.times, count = times, len(times)
         drives = drive_table(self.model, times, ends)
         self.w["drives"][:count], self.w["gains"][: count - 1] = drives, gain_table(self.model, times, drives, h)
         self.w["numbers"][H] = h
 
     def factor(self, system, t, *at):
-        """Factor the system near t. Returns the number of residuals that it took."""
+        """Factor the step matrix near t. Returns the number of residuals evaluated."""
         system.factor(t, *at)
         return 1
 
     @contextmanager
     def at_work(self, system):
-        """(addresses of the functions, address of the workspace) with a factored system."""
+        """(addresses of the functions, address of the workspace) with a factored step matrix."""
         with self.helpers.at_work(system.corotated, system.room) as room:
             self.w["numbers"][TO_A] = system.c_m
             if self.work is None or self.work.room is not room:
-                self._take(SceneWork(factored=system.corotated, room=room, **self.w))
+                before, self.work = self.work, SceneWork(factored=system.corotated, room=room, **self.w)
+                if before is None or typeof(self.work) != typeof(before):
+                    self.functions = addresses(typeof(self.work), tuple(self.entries.items()))
             yield self.functions, self.work.address
 
-    def _take(self, work):
-        """Take a workspace; functions are compiled for its type."""
-        kind = typeof(work)
-        if self.work is None or kind != typeof(self.work):
-            self.functions = addresses(kind, tuple(self.entries.items()))
-        self.work = work
-
     def raise_left(self):
-        """Nothing: no function raises."""
+        """Do nothing: no function raises."""

@@ -127,7 +127,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
         s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
     clear(out)
     compact.momentum(s.inverse, s.r, out)
-    return DONE if constrain(links, w.tie, drives, w.points[DZ], speed, out, found) else SINGULAR
+    return DONE if constrain(links, w.projection, drives, w.points[DZ], speed, out, found) else SINGULAR
 
 
 class EnergyTable(SceneTable):

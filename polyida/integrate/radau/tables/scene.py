@@ -17,7 +17,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.own_laws import Laws
-from polyida.assembly.projection import Tie, constrain, tie
+from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
@@ -61,7 +61,7 @@ class SceneWork(NamedTuple):
     scene: tuple
     real: Solver | None
     pair: Solver | None
-    tie: Tie | None
+    tie: ConstraintProjection | None
     damp: np.ndarray | None
     laws: Laws | None
     moves: Moves
@@ -357,7 +357,7 @@ class SceneStages:
         self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
         self.w = {
             "scene": model.arrays,
-            "tie": tie(model) if model.m else None,
+            "tie": constraint_projection(model) if model.m else None,
             "damp": np.zeros(nodes) if model.damped else None,
             "laws": model.laws,
             "moves": numbers,
