@@ -37,7 +37,9 @@ def to_data(model):
     ]
     whole = {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}
     whole |= {
-        "factors": {name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in given_factors(model).items()}
+        "factors": {
+            name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in given_factors(model).items()
+        }
     }
     return whole, book.arrays, book.drives
 
