@@ -1,7 +1,7 @@
 """Exceptions and warnings, and the codes with which a compiled step ends."""
 
 # constants of compiled code: how a step, or a C function that it calls, ends
-DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
+DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, ERROR_LARGE, ERROR_SMALL, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
 REASONS = {  # (status, message) of a failed step
     REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
     INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),

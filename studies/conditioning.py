@@ -5,7 +5,7 @@ import numpy as np
 from conditioning import solve_error
 from conditioning import systems as conditioning
 from polyida.cli.study import main
-from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
+from polyida.integrate.ida.tables import SCALINGS as IDA_SCALINGS
 from polyida.integrate.iteration_matrix import MODES
 from polyida.linear.saddle import SCALINGS
 from polyida.show.style import legend_above

@@ -33,7 +33,7 @@ from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step import nearest
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call

@@ -17,11 +17,11 @@ from polyida.adjoint.run import given_velocity
 from polyida.errors import InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.kinks import Grid, edges
+from polyida.integrate.discontinuities import Grid, edges
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import VIOLATION, restarted
 from polyida.integrate.state import Counts
-from polyida.integrate.statics.static import Equilibrium, static
+from polyida.integrate.static import Equilibrium, static
 from polyida.modal.modes import Modes, modes
 from polyida.model.differences import EVERYWHERE, along, central
 from polyida.model.guarded import guard

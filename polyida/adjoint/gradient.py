@@ -24,7 +24,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
-from polyida.integrate.statics.static import FREE, Equilibrium
+from polyida.integrate.static import FREE, Equilibrium
 from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT

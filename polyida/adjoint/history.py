@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.kinks import enough_steps, stretches
+from polyida.integrate.discontinuities import number_of_steps, pieces
 from polyida.integrate.state import Counts, State, States
 from polyida.integrate.switches import steps_of
 from polyida.io.layout import MEMORY_LIMIT
@@ -172,9 +172,9 @@ def _double(run):
 def _of_frames(run, model):
     """The StepHistory of steps that nothing but h and kinks chose. Raises InputError if the run is of another model or integrator."""
     segments, done, moving = [], 0, False
-    for begin, end, most in stretches(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
+    for begin, end, most in pieces(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
         state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))
-        count = enough_steps(model, state, begin, end, min(run.integrator.h, most))
+        count = number_of_steps(model, state, begin, end, min(run.integrator.h, most))
         h, count = (end - begin) / count, min(count, len(run) - 1 - done)
         vectors, resting = (run.q, run.v, run.a, run.lam), 0  # steps that leave the run at rest; behind these it begins anew
         while resting < count and not run.v[done + resting].any():
@@ -240,7 +240,7 @@ def replayed_history(run, model, memory_limit, accepted, repeats):
 def _accepted(run, model, seen):
     """The accepted states of the run behind the first that `seen` has, which is told of all steps."""
     counts = Counts()
-    own = lambda settings, state, t_end: States(settings.in_pieces(model, state, t_end, counts, watch=seen), counts)  # noqa: E731
+    own = lambda settings, state, t_end: States(settings.in_pieces(model, state, t_end, counts, recorder=seen), counts)  # noqa: E731
     for state in steps_of(own, run.integrator, model, seen.states[seen.first], run.plan["t_end"], counts):
         seen.accepted(state)
         yield state

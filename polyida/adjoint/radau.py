@@ -12,7 +12,7 @@ from polyida.adjoint.radau_equations import SceneStageEquations, StageEquations
 from polyida.adjoint.run import RunAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import StepFailure
-from polyida.integrate.kinks import Grid, at_kink, inner_side
+from polyida.integrate.discontinuities import Grid, at_kink, inner_side
 from polyida.integrate.radau.loop import EXACT
 from polyida.integrate.radau.matrices import NOTHING, lift
 from polyida.integrate.radau.radau_iia import restarted

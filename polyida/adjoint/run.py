@@ -8,7 +8,7 @@ from polyida.adjoint.profile_parameters import in_time
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.adjoint.totals import Gradient, OwnSlopes, Totals
 from polyida.errors import InputError
-from polyida.integrate.kinks import edges
+from polyida.integrate.discontinuities import edges
 from polyida.integrate.sizes import extent
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts

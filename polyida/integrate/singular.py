@@ -1,10 +1,9 @@
-"""Watches from state to state, the same for every integrator, whether the constraints stay independent of each other.
+"""Detection of singular positions from state to state, the same for every integrator: constraints that depend on each other.
 
-Where phi_q loses rank a mechanism can branch: what comes behind follows from round-off. With the rows of phi_q made of
-length one, a state is singular where their smallest singular value s is zero. Between two states it was zero where
-s_0 + s_1 is not more than the way that the rows went (no singular value changes by more than the matrix) and their space
-came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does. Of a scene compiled code proves for nearly every state
-that it is neither (assembly/independence.py), and only the others are looked at here.
+If phi_q loses rank, a mechanism can branch and the further motion follows from round-off. With the rows of phi_q scaled to length one, a state is
+singular if their smallest singular value s is zero. Between two states s was zero if s_0 + s_1 is not more than the distance that the rows moved
+(no singular value changes by more than the matrix) and their space is reversed: `det(B_0 B_1^T) < 0`, which no smooth step gives. For
+nearly every state of a scene compiled code proves that it is neither (assembly/independence.py); only the others are examined here.
 """
 
 from polyida.assembly.independence import UnitRows
@@ -13,58 +12,59 @@ from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, l
 from polyida.model.guarded import Compiled, unguarded
 from polyida.system.python import small_own
 
-ZERO = 1e-6  # a smallest singular value that counts as none
-NEAR = 1e-3  # one that is told beside a failure
-AHEAD = 0.1  # of the last step, over which the speed of the rows is measured
-MOST = 32  # steps from look to look: what rests may begin to turn
-REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
+ZERO = 1e-6  # a smallest singular value that is zero
+NEAR = 1e-3  # one that a failure reports
+AHEAD = 0.1  # of the last step: distance over which the speed of the rows is measured
+MOST = 32  # steps between two examinations, because what rests may begin to turn
+REVERSED = 0.5  # cosine of the turn of the rows' space below which s was zero between two states
 
 
 class SingularPosition(StepFailure):
-    """The constraints of a state, or on the way to it, were not independent of each other."""
+    """The constraints of a state, or between two states, were not independent."""
 
 
 class Watch:
-    """Begins at a state; `look` looks at the next ones. Of rows that do not vary nothing is looked at.
+    """Begins at a state; `look` examines the next ones, unless phi_q is constant.
 
-    Where it looks at every state of a model that is no scene, it looks again when the rows, at the pace they have, will have gone a
-    quarter of the way to zero.
+    A model that is no scene is examined again before the rows, at their present speed, have moved a quarter of the distance to a singular
+    position.
     """
 
     def __init__(self, model, state):
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
-        self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
+        self.model, self.steps, self.state, self.h, self.speed = model, 0, state, 0.0, 0.0
         self.every = model.looks_apart if varies else 0
-        self.proof = self._proof(state) if self.every == 1 else None
+        self.proof = None
+        if self.every == 1 and model.is_scene:
+            self.proof = UnitRows(model, state)
+        elif self.every == 1 and small_own(model) and unguarded(model).by_numba:
+            self.proof = UnitRows(model, state, Compiled(model, ("phi_q",)))
         if varies:
             self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
             self.t = self.due = state.t
             if not (self.proof and self.proof.begin(state)):
-                self.rows, self.least = self._look(state)
-
-    def _proof(self, state):
-        """What proves in compiled code that states are sound, or None."""
-        if self.model.is_scene:
-            return UnitRows(self.model, state)
-        compiled = small_own(self.model) and unguarded(self.model).by_numba
-        return UnitRows(self.model, state, Compiled(self.model, ("phi_q",))) if compiled else None
+                self.rows, self.least = self._examined(state)
 
     def look(self, stretch):
-        """Look at the next accepted states: (how many are sound, the StepFailure where the next one, or the way to it, is singular, or None)."""
+        """Examine the next accepted states: (number of regular ones, the StepFailure if the next one is singular or behind a singular position)."""
         k, before = 0, self.state.t
         try:
-            for k in self._asked(stretch):
+            for k in self._to_examine(stretch):
                 state = stretch.state(k)
                 self.state, self.h = state, state.t - (stretch.t[k - 1] if k else before)
-                self._step(state)
+                rows, size = self._examined(state)
+                if self.every == 1:
+                    self._require_no_passage(state.t, rows, size)
+                self.speed = self._speed_of_least(size)
+                self.t, self.rows, self.least = state.t, rows, size
         except SingularPosition as failure:
             return k, failure
         self.steps, self.state = self.steps + len(stretch), stretch.last
         self.h = self.state.t - (float(stretch.t[-2]) if len(stretch) > 1 else before)
         return len(stretch), None
 
-    def _asked(self, stretch):
-        """The numbers of the states of a stretch that are to be looked at."""
+    def _to_examine(self, stretch):
+        """Numbers of the states of a stretch that are examined."""
         if self.proof:
             for k in self.proof.unproven(stretch):
                 self._recall(stretch.t[k])
@@ -73,57 +73,45 @@ class Watch:
             yield from (k for k in range(-(self.steps + 1) % self.every, len(stretch), self.every) if not stretch.t[k] < self.due)
 
     def _recall(self, t):
-        """Take the last state before t that the proof refers to for the one that was looked at last."""
+        """Set the state that was examined last to the last one before t that the proof refers to."""
         self.t, q = self.proof.before(t)
         self.rows = rows_of(self.model.phi_q(self.t, q), self.sizes)
         self.least = least(self.rows)
 
-    def _step(self, state):
-        rows, now = self._look(state)
-        if self.every == 1:
-            self._require_no_passage(state.t, rows, now)
-        self.pace = self._pace(now)
-        self.t, self.rows, self.least = state.t, rows, now
-
-    def _pace(self, now):
-        """How fast the square of the smallest singular value falls, 1/s, since the last look: straight to where a motion ends."""
+    def _speed_of_least(self, size):
+        """Speed at which s^2 falls, 1/s, since the last examination: it falls in a straight line to the end of a motion."""
         since = self.state.t - self.t
-        return (self.least**2 - now**2) / since if since else self.pace
+        return (self.least**2 - size**2) / since if since else self.speed
 
-    def _look(self, state):
+    def _examined(self, state):
         rows = rows_of(self.model.phi_q(state.t, state.q), self.sizes)
         size = least(rows)
         if size <= ZERO:
             raise self._failure(rows, state.t)
         return rows, size
 
-    def _require_no_passage(self, t, rows, now):
+    def _require_no_passage(self, t, rows, size):
         before, products = self.least, between(self.rows, rows)
-        gone, since = way(products), t - self.t
-        if now + before <= gone and cosine(self.rows, rows, products) < REVERSED:
-            raise self._failure(rows if now < before else self.rows, self.t + since * before / (before + now))
+        distance, since = way(products), t - self.t
+        if size + before <= distance and cosine(self.rows, rows, products) < REVERSED:
+            raise self._failure(rows if size < before else self.rows, self.t + since * before / (before + size))
         if self.proof:
             return
-        speed = max(gone / since if since else 0.0, self._speed(rows))
-        self.due = t + min(2.0 * since, MOST * self.h, 0.25 * now / max(speed, 1e-300))
-
-    def _speed(self, rows):
-        """How fast the unit rows go at the last state, 1/s: from one look to the next they may come round to where they were."""
-        ahead, state = AHEAD * self.h, self.state
-        if not ahead:
-            return 0.0
-        q = state.q + ahead * state.v
-        return way(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead
+        speed, ahead, state = distance / since if since else 0.0, AHEAD * self.h, self.state
+        if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
+            q = state.q + ahead * state.v
+            speed = max(speed, way(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
+        self.due = t + min(2.0 * since, MOST * self.h, 0.25 * size / max(speed, 1e-300))
 
     def suspicion(self, t):
-        """What to say beside a failure at t where phi_q was about to lose its rank, or nothing."""
+        """Text beside a failure at t if phi_q was about to lose rank, else empty."""
         if not self.every:
             return ""
         if self.proof:
             self._recall(self.state.t)
         rows = rows_of(self.model.phi_q(self.state.t, self.state.q), self.sizes)
-        now, left = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
-        if now < NEAR or now**2 < left * self._pace(now):
+        size, time = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
+        if size < NEAR or size**2 < time * self._speed_of_least(size):
             return f"; the constraints {involved(self.model, rows)} are near a singular position"
         return ""
 

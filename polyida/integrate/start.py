@@ -1,4 +1,4 @@
-"""Consistent start, the same for every integrator: positions and velocities on the constraints, accelerations and multipliers."""
+"""Consistent initial conditions for every integrator: q and v on the constraints, accelerations and multipliers from the equations."""
 
 from functools import singledispatch
 
@@ -14,30 +14,49 @@ from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 from polyida.validation import floats, is_number, named_keywords
 
-EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
-VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
+EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and the largest correction that is accepted if it no longer falls
+VIOLATION = 1e-6  # of the coordinates' size: a larger violation is a mistake, a smaller one is projected away
 
 
 @named_keywords
 def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None, v0: ArrayLike | None = None) -> State:
-    """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
+    """Return a state at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
 
-    1. q0 (zeros where None) is freed of round-off in phi, v0 put on the velocity constraint, both in the metric of M. Where v0 is None
-       it is that of the bodies' velocity and spin, which are first changed, as motions of rigid bodies, by as little kinetic energy as
-       their joints ask for (a hinged bar keeps its moment of momentum about the hinge); a warning tells a change of more than a tenth. Bodies
-       without a motion follow joints that move at t0 by the same rule.
-    2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
-    Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
-    that violates its constraint by more than 1e-6 of its size, that the model objects to, and for redundant or inconsistent constraints.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    t0 : float, s
+        Time of the state.
+    q0 : (n,) array_like, optional
+        Coordinates, zero by default. Their round-off in phi is removed in the metric of M.
+    v0 : (n,) array_like, optional
+        Velocities; they are projected onto the velocity constraint in the metric of M. By default those of the bodies' velocity and spin.
+
+    Returns
+    -------
+    State
+        With a and lam from `[[M, phi_q^T], [phi_q, 0]] (a, lam) = (-g, -phi_bias)`.
+
+    Raises
+    ------
+    InputError
+        For wrong shapes or values of q0, v0 or of what the model's functions return; for a start, or a v0, that violates its constraint by
+        more than 1e-6 of its size or that the model rejects; for redundant or inconsistent constraints.
+
+    Notes
+    -----
+    Velocity and spin of bodies are first changed as rigid-body motions by the least kinetic energy that the joints need (a hinged bar keeps
+    its angular momentum about the hinge); a change of more than a tenth gives a warning. Bodies at rest follow joints that move at t0.
     """
     model = guard(model, "consistent_state")
-    q, v = given(model, "q0", q0), given(model, "v0", v0)
+    q, v = vector_of("q0", q0, model), vector_of("v0", v0, model)
     if not is_number(t0):
         raise InputError(f"t0 = {t0!r} must be a finite time in s")
     require_functions(model, float(t0), q, v)
     if model.m:
         state = State(float(t0), q, v, v, np.zeros(model.m))
-        if not (model.is_scene and model.looks_apart == 1 and UnitRows(model, state).begin(state)):  # no proof, which takes linear time
+        if not (model.is_scene and model.looks_apart == 1 and UnitRows(model, state).begin(state)):  # else proved in linear time
             require_independent(model, rows_at(model, t0, q), q)
         drawn = q0 is None and model.is_scene
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
@@ -46,18 +65,17 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
     if objection := model.rejection_reason(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
     if v0 is None:
-        v = given(model, "initial_velocity", model.initial_velocity(t0, q))
+        v = vector_of("initial_velocity", model.initial_velocity(t0, q), model)
     if model.m:
         rate = model.phi_rate(t0, q, v)
-        enough = max(1.0, np.abs(v).max(initial=0)) if v0 is not None else np.inf
-        require_near(model, "v0", "phi_q v + phi_t", rate, enough, "give a consistent v0, or leave it out to have it made")
+        size = max(1.0, np.abs(v).max(initial=0)) if v0 is not None else np.inf
+        require_near(model, "v0", "phi_q v + phi_t", rate, size, "give a consistent v0, or leave it out to have it made")
         v = on_velocity(model, t0, q, v, rate)
-    a, lam = consistent_acceleration(model, t0, q, v)
-    return State(float(t0), q, v, a, lam)
+    return State(float(t0), q, v, *consistent_acceleration(model, t0, q, v))
 
 
 def restarted(model, state):
-    """The State at the time of one that was interpolated, with its q and v put on the constraints, a and lam made anew."""
+    """The State at an interpolated state's time, with its q and v projected onto the constraints, and consistent a and lam."""
     q, v = np.array(state.q, float), np.array(state.v, float)
     if model.m:
         q = _project_position(model, state.t, q)
@@ -72,24 +90,23 @@ def consistent_acceleration(model, t, q, v):
 
 
 def on_velocity(model, t, q, v, rate=None):
-    """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t; rate: of v, where it is known."""
+    """v projected in the metric of M onto `phi_q v + phi_t = 0`; rate: `phi_q v + phi_t` if it is known."""
     if rate is None:
         rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
     return v + model.mass_system(t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
 
 
 def far_side(model, state, t):
-    """The state behind a kink, t being a time just there: v on a constraint that has jumped, a and lam of the new loads and rates."""
+    """The state just behind a kink, at t: v on the velocity constraint, which may have jumped, a and lam of the new loads."""
     v = on_velocity(model, t, state.q, state.v)
-    a, lam = consistent_acceleration(model, t, state.q, v)
-    return State(state.t, state.q, v, a, lam, state.memory)
+    return State(state.t, state.q, v, *consistent_acceleration(model, t, state.q, v), state.memory)
 
 
 def jerk(model, state, h, begin=None):
     """q''' at a state, (n,), by one-sided differences of consistent accelerations over h/20.
 
-    h > 0 looks ahead only and h < 0 back only, so that a kink of a load or motor at the state does no harm. begin: the time taken
-    for the state's own, to one side of a kink.
+    The differences look ahead for h > 0 and back for h < 0, so that a kink at the state has no effect. begin: the state's own time, or one
+    beside a kink.
     """
     s, begin = h / 20, state.t if begin is None else begin
 
@@ -102,10 +119,7 @@ def jerk(model, state, h, begin=None):
 
 @singledispatch
 def start_values(model, state, t=None):
-    """(phi, rate) at the start of a run: as the state carries them, or evaluated, and zero for mere round-off.
-
-    t: the time for rate, to one side of a kink.
-    """
+    """(phi, rate) of a state from its memory, or evaluated, with round-off set to zero; t: time of the rate if it is beside a kink."""
     if "phi" in state.memory and "rate" in state.memory:
         return np.array(state.memory["phi"], float), np.array(state.memory["rate"], float)
     phi = np.array(model.phi(state.t, state.q), float)
@@ -115,7 +129,7 @@ def start_values(model, state, t=None):
 
 @singledispatch
 def velocity_rate(model, t, q, v):
-    """phi_q v + phi_t, zero where it is nothing but round-off."""
+    """phi_q v + phi_t, with round-off set to zero."""
     if not model.m:
         return np.zeros(0)
     phi_t, phi_q = model.phi_t(t, q), rows_at(model, t, q)
@@ -125,12 +139,12 @@ def velocity_rate(model, t, q, v):
 
 
 def rows_at(model, t, q):
-    """phi_q, dense where the model is a small scene."""
+    """phi_q, dense if the model is a small scene."""
     return (model.small_phi_q if model.is_scene and model.small else model.phi_q)(t, q)
 
 
-def given(model, name, value):
-    """The value as n floats, zeros where it is None; raises InputError naming it otherwise."""
+def vector_of(name, value, model):
+    """A copy of the value as n floats, zeros for None. Raises InputError for anything else."""
     if value is None:
         return np.zeros(model.n)
     array = floats(value)
@@ -140,12 +154,8 @@ def given(model, name, value):
     return array.copy()
 
 
-def _largest(x):
-    return float(np.abs(x).max(initial=0.0))
-
-
 def require_state(part, model, state):
-    """The State, its arrays floats; raises InputError in the name of `part` where it is none, or of another model."""
+    """The State with arrays of floats. Raises InputError, in the name of `part`, for other types and for states of another model."""
     if not is_number(getattr(state, "t", None)):
         raise InputError(f"{part}: state = {state!r} must be a State, the `state` of an earlier run")
     arrays = {name: floats(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
@@ -157,25 +167,25 @@ def require_state(part, model, state):
 
 
 def require_near(model, name, what, violation, size, remedy):
-    """Raise InputError, in the name of a start, where its constraints are not finite, or violated by VIOLATION of its size."""
+    """Raise InputError, in the name of a start, if its constraints are not finite or violated by VIOLATION of its size."""
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
         raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")
     if abs(violation[worst]) > VIOLATION * size:
-        told = f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0"
-        raise InputError(f"{told}; {remedy}")
+        constraint = f"the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0"
+        raise InputError(f"{name} violates {constraint}; {remedy}")
 
 
 def _project_position(model, t, q):
-    """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the scene's size, or no longer by half as much."""
-    before, size = np.inf, _largest(q if model.reference is None else model.reference) or 1.0
+    """q after Newton's method on phi = 0 along M^-1 phi_q^T, up to corrections of round-off or that no longer halve."""
+    before, size = np.inf, float(np.abs(q if model.reference is None else model.reference).max(initial=0.0)) or 1.0
     for _ in range(50):
         phi = model.phi(t, q)
-        move = model.mass_system(t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
-        moved = _largest(move)
+        correction = model.mass_system(t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
+        moved = float(np.abs(correction).max(initial=0.0))
         if moved <= EPS * size or 0.5 * before <= moved < STALLED * size:
             return q
-        q, before = q + move, moved
+        q, before = q + correction, moved
     worst = int(np.argmax(np.abs(phi)))
     raise InputError(
         f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "

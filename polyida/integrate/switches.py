@@ -1,57 +1,61 @@
-"""Switches of a model: where one of its `gaps` changes sign, a force comes or goes. Steps end there, and none hides one between its ends.
+"""Switches of a model: forces that begin or end where one of its `gaps` changes sign. Steps end there and do not cross a switch.
 
-Each step is looked at between its ends, on the motion that its integrator gives or on the cubic through q and v: for changes of sign of every
-gap, and for its least value, which its rate brackets (integrate/gaps.py). A step that crosses is discarded. Shorter ones are tried until one
-ends on the near side of the switch, and the run goes on from there, with the forces of the far side where they jump.
+Each step is examined for sign changes of every gap, and for its minimum, which its rate brackets, on the integrator's own motion between the
+ends of the step or on the cubic through q and v. A step that crosses a switch is discarded. Shorter ones are tried until one ends just before
+the switch; the run goes on from there, with the forces of the far side if they jump.
 
-While a gap is closed a step may change its rate only by a share of the largest one since it closed; by less where steps are of fixed size or
-of second order. Where the shortest step changes it by more, the run says so (`unresolved`), and begins anew behind a step in which the forces
-turn round.
+While a gap is closed, a step may change its rate only by a share of the largest rate since it closed, and by less if steps are of fixed size
+or of second order. If the shortest step changes it by more, the run reports it (`unresolved`), and starts anew behind a step in which the
+forces reverse.
 
-Generalized-alpha takes stretches of steps at once and gives a memory to go on from at the end of one only. Equal steps are as many as are
-far from a switch; where one of them is discarded all the same, the stretch is taken again up to it. Adaptive steps, whose times depend on
-where a stretch began, are single.
+Generalized-alpha takes stretches of steps at once, and a run can go on from the end of a stretch only. Stretches of equal steps are as long as
+the distance to the next switch allows; if one of their steps is discarded, the stretch is taken again up to it. Adaptive steps, whose times
+depend on the beginning of the stretch, are single.
 """
 
 import math
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import StepFailure
-from polyida.integrate.gaps import Crossing, Gaps
-from polyida.integrate.sizes import sizes_of_run
+from polyida.integrate.sizes import extent, sizes_of_run
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, between
 
-NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
-TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
-FIXED, VARIABLE = 0.1, 0.5  # of a gap's largest rate since it closed: by how much a step may change it
-BENT = 1e-3  # of the same: by how much a step of second order may be wrong in it, `h / 12` times the change of what forces make of it
-SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken as if it had closed with that
+ZERO = 1e-13  # of the model's size: a gap of that size is zero
+DIPS, SPLITS = 24, 6  # bisections of a part of a step for the minimum of a gap: if its rate changes sign, and otherwise
+STEEP = 1.5  # bound of the rates within a part, over those at its ends
+HALVINGS = 40  # of a bracket of a root
+JUMP = 2.0  # forces jump if they change by less than that factor when the distance from the switch is four times as large
+NEAR = 1e-9  # of a gap's size in a step: how near to zero a step ends
+TOGETHER = 1e-4  # of a step: gaps that switch within that time switch together
+FIXED, VARIABLE = 0.1, 0.5  # of a gap's largest rate since it closed: allowed change in a fixed step, in a variable one
+BENT = 1e-3  # of the same: allowed error of a step of second order, `h / 12` times the change of the gap's acceleration
+SMALL = 1e-2  # of the largest rate so far: a gap that closed more slowly is treated as if it had closed at that rate
 FINEST = 256  # parts of a fixed step, at most
-FAR = 4.0  # gaps that are farther from zero than so many steps at their largest rate are not looked at between the ends of one
+FAR = 4.0  # a gap whose distance from zero is more than so many steps at its largest rate is not examined within the step
 STRETCH = 256  # steps, at most
-TRIALS, PATIENCE = 60, 3  # steps tried to end at one switch; of those that bring its bounds nearer by less than half, before bisection
-AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time within that share of the run, does so without end
-BETWEEN = 1e-2  # of a jump of q'': a step that ends there and is off its near side by more has ended within the jump
-KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
+TRIALS, PATIENCE = 60, 3  # steps that are tried for one switch; of those that do not halve its bracket, before bisection
+AGAIN, STANDING = 20, 1e-9  # switches of one gap in a row, each within that share of the run, that end the run
+BETWEEN = 1e-2  # of a jump of q'': a step that ends farther from the near side's value has ended within the jump
+PRESERVED = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
 FAILURES = 6  # fixed steps in a row that fail, each a quarter of the one before
-ROWS = ("sides", "speeds", "peaks", "offsets", "flips", "turns", "times")  # of what is remembered of each gap
+ROWS = ("sides", "speeds", "peaks", "offsets", "flips", "turns", "times")  # of the memory, for each gap
 
 
-def steps_of(taken, integrator, model, state, t_end, counts):
-    """The states of a run: those of the integrator's own steps, `taken(integrator, state, t_end)`, which end at the switches of the model.
+def steps_of(own_steps, integrator, model, state, t_end, counts):
+    """The states of a run, from the integrator's `own_steps(integrator, state, t_end)`, with steps that end at the switches of the model.
 
     Raises StepFailure.
     """
-    return Switches(taken, integrator, model, state, t_end, counts).run() if model.switching else taken(integrator, state, t_end)
+    return Switches(own_steps, integrator, model, state, t_end, counts).run() if model.switching else own_steps(integrator, state, t_end)
 
 
 def unresolved(model, integrator, state):
-    """In words, the gaps whose rate changes too much in steps that can be no shorter, up to a state; empty where there are none."""
-    kept = state.memory.get("switches", ()) if model.switching else ()
-    turns, times = np.reshape(kept[2:], (len(ROWS), -1))[-2:] if len(kept) else np.zeros((2, 0))
+    """Message of the gaps whose rate changes too much in the shortest steps, up to a state; empty if there are none."""
+    memory = state.memory.get("switches", ()) if model.switching else ()
+    turns, times = np.reshape(memory[2:], (len(ROWS), -1))[-2:] if len(memory) else np.zeros((2, 0))
     least = f"h/{FINEST}" if integrator.fixed_step() else f"{STANDING:g} of the run's time"
     return "; ".join(
         f"at t = {times[k]:.6g} s the shortest step, {least}, is too long for {model.gap_names()[k]}: the rate of its gap changes there by "
@@ -60,40 +64,72 @@ def unresolved(model, integrator, state):
     )
 
 
+class GapValues(NamedTuple):
+    """Gaps (gaps,) and their rates at a time."""
+
+    t: float
+    gap: np.ndarray
+    rate: np.ndarray
+
+
+class Crossing(NamedTuple):
+    """The first crossing of a step: of the gaps `which` (gaps,), about at `guess`, s; at `beyond` one of them has crossed."""
+
+    guess: float
+    beyond: float
+    which: np.ndarray
+
+
 class Switches:
     """The states of a run of a model with gaps, from `state` to t_end: `run` yields them.
 
-    taken: a function (integrator, state, t_end) that gives the states of the integrator's own steps. State.memory "switches" is what a run
-    goes on from: bound: no step is longer, 0 where any may be; goal: a time at which a step ends, 0 where none is known; and for each gap
-    sides: 1 open, -1 closed, 0 not known yet; speeds: its largest rate since it closed, 0 where it was closed from the start or is open;
-    peaks: its largest rate so far; offsets: how far from zero it was when it switched last; flips: 1 where it switches at the goal; turns,
-    times: the largest change of its rate in a step that could be no shorter, over `speeds`, and the end of that step, s. State.memory
-    "stretch": how many steps may be taken from there before any is looked at.
+    own_steps: a function (integrator, state, t_end) that gives the states of the integrator's own steps.
+
+    State.memory "switches" is what a run goes on from. bound: no step is longer, 0 without one; goal: a time at which a step ends, 0 without
+    one; and for each gap: sides: 1 open, -1 closed, 0 unknown; speeds: its largest rate since it closed, 0 if it is open or was closed from
+    the start; peaks: its largest rate so far; offsets: its distance from zero when it switched last; flips: 1 if it switches at the goal;
+    turns, times: the largest change of its rate in a step of the least size, over `speeds`, and the end of that step, s. State.memory
+    "stretch": number of steps that may be taken from there before any is examined.
     """
 
-    def __init__(self, taken, integrator, model, state, t_end, counts):
+    def __init__(self, own_steps, integrator, model, state, t_end, counts):
         self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
         self.h = integrator.fixed_step()
         self.coarse = bool(self.h) or integrator.second_order
         self.finest = self.h / FINEST if self.h else STANDING * self.span
-        self.taken, self.integrator = taken, integrator.without_halving()
-        self.gaps, self.switched, self.jumped = Gaps(model, state, self.span), {}, False
+        self.own_steps, self.integrator = own_steps, integrator.without_halving()
+        speed = float(np.abs(state.v).max(initial=0.0))
+        self.distance = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)  # of central differences in t
+        self.switched, self.jumped = {}, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
         self.whole, self.since = self.state, 0
         self._recall()
 
     def _recall(self):
         state = self.state
-        self.here = seen = self.gaps.at(state.t, state.q, state.v)
-        kept, count = state.memory.get("switches"), len(seen.gap)
-        if np.shape(kept) != (2 + len(ROWS) * count,):
-            near, rate = np.abs(seen.gap) <= self.gaps.least(state.q), np.abs(seen.rate)
-            sides = np.where(near, np.sign(seen.rate), np.sign(seen.gap))
-            rows = sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(seen.gap), 0.0), *np.zeros((3, count))
-            kept = np.concatenate([np.zeros(2), *rows])
-        self.bound, self.goal = float(kept[0]), float(kept[1])
-        for name, row in zip(ROWS, np.array(kept[2:]).reshape(-1, count)):
+        self.here = here = self._values(state.t, state.q, state.v)
+        memory, count = state.memory.get("switches"), len(here.gap)
+        if np.shape(memory) != (2 + len(ROWS) * count,):
+            near, rate = np.abs(here.gap) <= self._zero(state.q), np.abs(here.rate)
+            sides = np.where(near, np.sign(here.rate), np.sign(here.gap))
+            rows = sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(here.gap), 0.0), *np.zeros((3, count))
+            memory = np.concatenate([np.zeros(2), *rows])
+        self.bound, self.goal = float(memory[0]), float(memory[1])
+        for name, row in zip(ROWS, np.array(memory[2:]).reshape(-1, count)):
             setattr(self, name, row)
+
+    def _values(self, t, q, v):
+        """GapValues at t, the rates by central differences along the motion."""
+        s = self.distance
+        ahead, behind = (self.model.gaps(t + e, q + e * v) for e in (s, -s))
+        return GapValues(t, self.model.gaps(t, q), (ahead - behind) / (2 * s))
+
+    def _zero(self, q):
+        """The distance that is zero up to round-off, m."""
+        return ZERO * extent(self.model, q)
+
+    def _names(self, which):
+        return " and ".join(np.atleast_1d(np.array(self.model.gap_names(), object)[which]))
 
     def run(self):
         """Yield the states. Raises StepFailure."""
@@ -116,11 +152,11 @@ class Switches:
             self.goal = self.state.t + self.bound if self.state.t + 1.5 * self.bound < self.t_end else self.t_end
         self.end = end = self.goal or self.t_end
         steps = self.counts.steps
-        for after in self.taken(self.integrator, self.state, end):
-            crossing, shorter = self._look(self.state, after)
+        for after in self.own_steps(self.integrator, self.state, end):
+            crossing, shorter = self._examine(self.state, after)
             if crossing or shorter:
                 self.counts.steps, self.counts.rejected = steps, self.counts.rejected + 1
-                self._take_stretch_again()
+                self._repeat_stretch()
                 if crossing:
                     yield from self._to_switch(after, crossing)
                 else:
@@ -132,117 +168,150 @@ class Switches:
             if accepted is not after or end != (self.goal or self.t_end):
                 return
 
-    def _take_stretch_again(self):
-        """Have the last accepted state, which may be within a stretch, remember all that a run goes on from."""
+    def _repeat_stretch(self):
+        """Take the stretch again up to the last accepted state, so that this state has the memory from which a run goes on."""
         if self.state.restart:
             return
         begin, steps = self.whole, self.counts.steps
         memory = begin.memory | {"stretch": self.since}
-        for state in self.taken(self.integrator, State(begin.t, begin.q, begin.v, begin.a, begin.lam, memory), self.end):
+        for state in self.own_steps(self.integrator, State(begin.t, begin.q, begin.v, begin.a, begin.lam, memory), self.end):
             if state.t >= self.state.t:
                 break
         self.counts.steps, self.state = steps, state
 
     def _shorter(self, bound):
-        self._take_stretch_again()
+        self._repeat_stretch()
         self.bound, self.goal, self.flips = bound, 0.0, np.zeros(len(self.flips))
 
     def _accept(self, after):
-        """The state, accepted, with all that the run goes on from."""
+        """The accepted state, with the memory from which a run goes on."""
         self.here, length = self.ahead, after.t - self.state.t
         rate = np.abs(self.here.rate)
         self.peaks, self.speeds = np.maximum(self.peaks, rate), np.where(self.speeds > 0, np.maximum(self.speeds, rate), 0.0)
-        self.sides = np.where((self.sides == 0) & (np.abs(self.here.gap) > self.gaps.least(after.q)), np.sign(self.here.gap), self.sides)
+        self.sides = np.where((self.sides == 0) & (np.abs(self.here.gap) > self._zero(after.q)), np.sign(self.here.gap), self.sides)
         if self.turned is not None:
             self.times = np.where(self.turned > self.turns, after.t, self.times)
             self.turns = np.maximum(self.turns, self.turned)
-            after = self._anew(after, after.a, after.lam) if self.turned.max() > VARIABLE else after
+            after = self._with_forces(after, after.a, after.lam) if self.turned.max() > VARIABLE else after
         if self.goal and after.t >= self.goal:
-            self.goal, hit = 0.0, self.flips > 0
-            if hit.any():
-                after = self._flipped(after, hit)
+            self.goal, which = 0.0, self.flips > 0
+            if which.any():
+                after = self._flipped(after, which)
             elif self.bound:
                 grown = 2 * self.bound if self.changed < 0.4 else self.bound
                 goes_on = grown < self.h if self.h else self.coarse and length > 0.4 * self.bound
                 self.bound = grown if goes_on and (self.sides < 0).any() else 0.0
         self.state, self.since = after, self.since + 1
         if after.restart:
-            self.whole, self.since = after, 0
+            self.whole, self.since, steps = after, 0, 1
+            if self.h:  # half of the steps to the next switch, at the present rates
+                steps = 0.5 * float((np.abs(self.here.gap) / np.maximum(np.abs(self.here.rate) * length, 1e-300)).min())
             after.memory["switches"] = np.concatenate([[self.bound, self.goal], *(getattr(self, name) for name in ROWS)])
-            after.memory["stretch"] = float(self._far(length) if self.h else 1)
+            after.memory["stretch"] = float(int(min(max(steps, 1.0), STRETCH)))
             if self.jumped:
                 after.memory["jumped"], self.jumped = 1.0, False
         return after
 
-    def _far(self, length):
-        """How many steps of a length may be taken before one is looked at: half of those to the next switch at the present rates."""
-        most = 0.5 * float((np.abs(self.here.gap) / np.maximum(np.abs(self.here.rate) * length, 1e-300)).min())
-        return int(min(max(most, 1.0), STRETCH))
-
-    def _flipped(self, state, hit):
-        """The state at which gaps switch, with the forces of the far side, where they jump."""
-        seen = self.here
-        for k in np.flatnonzero(hit):
+    def _flipped(self, state, which):
+        """The state at which gaps switch, with the forces of the far side if they jump."""
+        here = self.here
+        for k in np.flatnonzero(which):
             t, times = self.switched.get(k, (-np.inf, 0))
             times = times + 1 if state.t - t < STANDING * self.span else 0
             self.switched[k] = state.t, times
             if times > AGAIN:
-                raise StepFailure("switching", f"the gap of {self.gaps.names(k)} opens and closes without end", state.t)
-        self.sides = np.where(hit, -self.sides, self.sides)
-        self.speeds = np.where(hit, np.where(self.sides < 0, np.abs(seen.rate), 0.0), self.speeds)
-        self.offsets, self.flips, self.bound = np.where(hit, np.abs(seen.gap), self.offsets), np.zeros(len(hit)), 0.0
-        s = self.gaps.jump(state, hit, seen)
-        return self._anew(state, *consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)) if s else state
+                raise StepFailure("switching", f"the gap of {self._names(k)} opens and closes without end", state.t)
+        self.sides = np.where(which, -self.sides, self.sides)
+        self.speeds = np.where(which, np.where(self.sides < 0, np.abs(here.rate), 0.0), self.speeds)
+        self.offsets, self.flips, self.bound = np.where(which, np.abs(here.gap), self.offsets), np.zeros(len(which)), 0.0
+        s = self._jump(state, which, here)
+        return self._with_forces(state, *consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)) if s else state
 
-    def _anew(self, state, a, lam):
-        """The state as one from which the integrator begins anew, with these a and lam: what it remembers is of other forces."""
+    def _with_forces(self, state, a, lam):
+        """The state with other a and lam; the integrator starts anew from it."""
         self.jumped = True
-        memory = {name: value for name, value in state.memory.items() if name in KEPT}
+        memory = {name: value for name, value in state.memory.items() if name in PRESERVED}
         return State(state.t, state.q, state.v, a, lam, memory | {"cut": 0.0, "h": 0.0})
 
-    def _within_jump(self, after, hit):
-        """Whether a step ended on a jump of forces, with a force between those of both sides: no motion of either side goes there."""
-        s = self.gaps.jump(after, hit, self.ahead)
+    def _jump(self, state, which, values):
+        """Time before and behind a state within which forces jump as the gaps `which` (gaps,) switch, s; 0 if they do not jump."""
+        fast = which & (np.abs(values.rate) > 0)
+        if not fast.any():
+            return 0.0
+        s = float(np.max((4 * np.abs(values.gap) + 10 * self._zero(state.q))[fast] / np.abs(values.rate)[fast]))
+        force = lambda s: self.model.force(state.t, state.q + s * state.v, state.v)  # noqa: E731
+        ahead = force(s)
+        change, more = (float(np.abs(x).max()) for x in (ahead - force(-s), force(4 * s) - force(-4 * s)))
+        return s if change > 1e-6 * np.abs(ahead).max() and more < JUMP * change else 0.0
+
+    def _ends_within_jump(self, after, which):
+        """True if a step ended on a jump of forces, with a force between those of both sides, which no motion of either side has."""
+        s = self._jump(after, which, self.ahead)
         if not s:
             return False
         ahead, behind = (consistent_acceleration(self.model, after.t, after.q + e * after.v, after.v)[0] for e in (s, -s))
-        found = after.memory.get("a_end", after.a)
-        return np.abs(found - behind).max() > BETWEEN * np.abs(ahead - behind).max()
+        return np.abs(after.memory.get("a_end", after.a) - behind).max() > BETWEEN * np.abs(ahead - behind).max()
 
-    def _look(self, state, after):
+    def _examine(self, state, after):
         """(the first Crossing in a step or None, the bound of a shorter one or 0)."""
-        self.ahead, self.turned, self.changed = self.gaps.at(after.t, after.q, after.v), None, 0.0
+        self.ahead, self.turned, self.changed = self._values(after.t, after.q, after.v), None, 0.0
         length, closed = after.t - state.t, (self.sides < 0) & (self.speeds > 0)
         if after.within is None and not closed.any():
             fastest = np.maximum(np.abs(self.here.rate), np.abs(self.ahead.rate))
             if (np.minimum(self.sides * self.here.gap, self.sides * self.ahead.gap) > FAR * length * fastest).all():
                 return None, 0.0
-        place, middle = partial(_place, state, after), state.t + 0.5 * length
-        seen = self.here, self.gaps.at(middle, *place(middle)), self.ahead
-        if closed.any() and (shorter := self._too_long(seen, state, after, closed)):
+
+        def at(t):
+            """GapValues at t within the step."""
+            inner = between(state, after, t)
+            return self._values(t, inner.q, inner.v)
+
+        values = self.here, at(state.t + 0.5 * length), self.ahead
+        if closed.any() and (shorter := self._too_long(values, state, after, closed)):
             return None, shorter
-        self.near = NEAR * np.abs([each.gap for each in seen]).max(axis=0) + self.gaps.least(state.q)
-        fresh = self._fresh()
-        allowed = np.where(fresh, 4 * np.maximum(self.near, self.offsets), 0.0)
-        crossing = self.gaps.first(seen, place, self.sides, allowed, self.near)
+        self.near = NEAR * np.abs([each.gap for each in values]).max(axis=0) + self._zero(state.q)
+        crossing = self._first_crossing(values, at, lambda t: self.model.gaps(t, between(state, after, t).q))
         if crossing is None:
-            left = self.sides * self.ahead.gap
-            reached = (left >= 0) & (left <= self.near) & (self.sides * self.ahead.rate < 0) & ~fresh
-            if reached.any() and self._within_jump(after, reached):
+            distance = self.sides * self.ahead.gap
+            reached = (distance >= 0) & (distance <= self.near) & (self.sides * self.ahead.rate < 0) & ~self._just_switched()
+            if reached.any() and self._ends_within_jump(after, reached):
                 return Crossing(after.t, after.t, reached), 0.0
         return crossing, 0.0
 
-    def _fresh(self):
-        """Which gaps have just switched, and may be on either side of zero by the round-off of that."""
+    def _just_switched(self):
+        """True for gaps that have just switched; round-off may put them on either side of zero."""
         return np.abs(self.here.gap) <= self.offsets
 
-    def _too_long(self, seen, state, after, closed):
-        """A shorter bound of the step, where it changes the rate of a closed gap by too much; 0 where it does not."""
-        length, changes = after.t - state.t, np.ptp([each.rate for each in seen], axis=0)
+    def _first_crossing(self, values, at, gaps):
+        """The first Crossing in a step, or None; values: GapValues at times of the step, in order; at, gaps: of other times."""
+        sides, found = self.sides, None
+        allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.offsets), 0.0)
+        may_cross = np.zeros(len(sides), bool)
+        for first, last in zip(values[:-1], values[1:]):
+            steepest = STEEP * np.maximum(np.abs(first.rate), np.abs(last.rate))
+            may_cross |= sides * (first.gap + last.gap) - steepest * (last.t - first.t) < -2 * allowed
+        for k in np.flatnonzero(may_cross & (sides != 0)):
+            bracket = _bracket(k, values, at, sides[k], -allowed[k])
+            if bracket and (found is None or bracket[1] < found.beyond):
+                a, b = bracket
+                for _ in range(HALVINGS):
+                    c = 0.5 * (a + b)
+                    a, b = (a, c) if sides[k] * gaps(c)[k] < 0.5 * self.near[k] else (c, b)
+                found = Crossing(a, bracket[1], np.arange(len(sides)) == k)
+        return found
+
+    def _too_long(self, values, state, after, closed):
+        """The bound of a shorter step if this one changes the rate of a closed gap by too much; otherwise 0."""
+        length, changes = after.t - state.t, np.ptp([each.rate for each in values], axis=0)
         share = np.where(closed, 1.0 / np.maximum(np.maximum(self.speeds, SMALL * self.peaks), 1e-300), 0.0)
         self.changed = float((share * changes).max()) / (FIXED if self.coarse else VARIABLE)
         if self.coarse:
-            bent = length / 12 * np.abs(self.gaps.pull(after) - self.gaps.pull(state))
+            accelerations = []
+            for x in (after, state):  # what a adds to the second derivatives of the gaps, by central differences
+                s = 1e-6 * extent(self.model, x.q) / max(float(np.abs(x.a).max()), 1e-300)
+                ahead, behind = (self.model.gaps(x.t, x.q + e * x.a) for e in (s, -s))
+                accelerations.append((ahead - behind) / (2 * s))
+            bent = length / 12 * np.abs(accelerations[0] - accelerations[1])
             self.changed = max(self.changed, math.sqrt(float((share * bent).max()) / BENT))
         if self.changed <= 1.0:
             return 0.0
@@ -252,54 +321,54 @@ class Switches:
         return 0.0
 
     def _to_switch(self, after, crossing):
-        """Yield the states of a step, or a few, to the first switch; none where that is at its beginning."""
+        """Yield the states of a step, or of a few, to the first switch; none if that is at the step's beginning."""
         state, whole = self.state, after.t - self.state.t
-        near, beyond, t, hit, states, slow = state.t, after.t, crossing.guess, crossing.which, [], 0
+        near, beyond, t, which, states, slow = state.t, after.t, crossing.guess, crossing.which, [], 0
         if t - state.t < TOGETHER * whole:
-            self.state = self._flipped(state, hit)
+            self.state = self._flipped(state, which)
             return
         for _ in range(TRIALS):
-            wide = beyond - near
+            width = beyond - near
             tried, found = self._tried(t)
             if found is None and tried:
                 states, near = tried, t
-                left, falls = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
-                there = (left > 0) & (falls > 0) & ~self._fresh()
-                if (there & (left <= self.near)).any():
-                    hit = there & (left <= np.maximum(self.near, TOGETHER * falls * whole))
+                distance, speed = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
+                closing = (distance > 0) & (speed > 0) & ~self._just_switched()
+                if (closing & (distance <= self.near)).any():
+                    which = closing & (distance <= np.maximum(self.near, TOGETHER * speed * whole))
                     break
-                ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
-                t = near + float(ways.min())
+                times = np.where(which & (speed > 0), (distance - 0.5 * self.near) / np.where(speed > 0, speed, 1.0), np.inf)
+                t = near + float(times.min())
             else:
-                beyond = min(t, beyond)  # not where that step crosses: behind a jump of forces its motion is not that of a shorter one
-                hit, t = (hit, near) if found is None else (found.which, found.guess)
+                beyond = min(t, beyond)  # not the time of its crossing: behind a jump of forces a shorter step has another motion
+                which, t = (which, near) if found is None else (found.which, found.guess)
             self.counts.rejected += 1
-            slow = slow + 1 if beyond - near > 0.5 * wide else 0
+            slow = slow + 1 if beyond - near > 0.5 * width else 0
             if beyond - near <= 8 * math.ulp(beyond):
                 break
             if not near < t < beyond or slow > PATIENCE:
                 t = 0.5 * (near + beyond)
         else:
             if not states:
-                raise StepFailure("switching", f"no step ends where the gap of {self.gaps.names(hit)} changes sign", beyond)
-            hit = np.zeros(len(hit), bool)
+                raise StepFailure("switching", f"no step ends where the gap of {self._names(which)} changes sign", beyond)
+            which = np.zeros(len(which), bool)
         if not states:
-            self.state = self._flipped(state, hit)
+            self.state = self._flipped(state, which)
             return
         if tried is not states:
             states, _ = self._tried(near)  # so that the steps taken last are those of the run
-        self.goal, self.flips = near if hit.any() else 0.0, hit.astype(float)
+        self.goal, self.flips = near if which.any() else 0.0, which.astype(float)
         for state in states:
             self.counts.steps += 1
-            self._look(self.state, state)
+            self._examine(self.state, state)
             yield self._accept(state)
 
     def _tried(self, t):
-        """(states of a step, or a few, to t; their first Crossing or None), which count as no steps; no states where they fail."""
+        """(states of a step, or of a few, to t; their first Crossing or None), which are not counted as steps; no states if they fail."""
         here, steps, state, states = self.here, self.counts.steps, self.state, []
         try:
-            for after in self.taken(self.integrator, state, t):
-                crossing, _ = self._look(state, after)
+            for after in self.own_steps(self.integrator, state, t):
+                crossing, _ = self._examine(state, after)
                 if crossing is not None:
                     return states, crossing
                 state = after
@@ -312,7 +381,26 @@ class Switches:
             self.here, self.counts.steps = here, steps
 
 
-def _place(before, after, t):
-    """(q, v) at t within a step."""
-    state = between(before, after, t)
-    return state.q, state.v
+def _bracket(k, values, at, side, least):
+    """Times before and behind the first crossing of gap k, or None."""
+
+    def search(first, last, depth):
+        (a, fa, da), (b, fb, db) = first, last
+        dip = da < 0 < db
+        if dip and fb >= least:
+            lowest = fa + da * (fb - fa - db * (b - a)) / (da - db)
+            if lowest >= least:
+                return None
+        elif fb >= least and fa + fb - STEEP * max(abs(da), abs(db)) * (b - a) >= 2 * least:
+            return None
+        if depth <= 0:
+            return (a, b) if fb < least else None
+        middle = point(at(0.5 * (a + b)))
+        remaining = depth - (1 if dip else DIPS / SPLITS)
+        return search(first, middle, remaining) or search(middle, last, remaining) or ((a, b) if fb < least else None)
+
+    def point(values):
+        return values.t, side * float(values.gap[k]), side * float(values.rate[k])
+
+    brackets = (search(point(first), point(last), DIPS) for first, last in zip(values[:-1], values[1:]))
+    return next((bracket for bracket in brackets if bracket), None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.integrate.state import State
-from polyida.integrate.statics.static import Equilibrium
+from polyida.integrate.static import Equilibrium
 from polyida.modal import eigen
 from polyida.modal.eigen import linear_system
 from polyida.model import Model

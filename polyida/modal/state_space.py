@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.integrate.directions import direction, known_inputs
 from polyida.integrate.state import State
+from polyida.integrate.static import input_direction, input_names
 from polyida.joint.attachment import Attachment
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
@@ -33,13 +33,13 @@ MOST = 2000  # coordinates without `modes`
 
 
 def inputs_of(part, model, state, given):
-    """A list of Direction with labels of a user's None (all profiles), one input, a list or a dictionary {label: input}."""
+    """A list of InputDirection with labels of a user's None (all profiles), one input, a list or a dictionary {label: input}."""
     if given is None:
-        given = [name for name in known_inputs(model) if name]
+        given = [name for name in input_names(model) if name]
     if not isinstance(given, (list, dict)):
         given = [given]
     named = given.items() if isinstance(given, dict) else ((None, one) for one in given)
-    found = [(label, direction(part, model, state, one)) for label, one in named]
+    found = [(label, input_direction(part, model, state, one)) for label, one in named]
     return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(found)]
 
 
@@ -259,7 +259,7 @@ def linearise(
     given = inputs_of("linearise", system.model, system.state, inputs)
     looked_at = outputs_of("linearise", system.model, system.state, outputs)
     coordinates = Coordinates("linearise", system, given, modes)
-    motors = [k for k, one in enumerate(given) if one.drives]
+    motors = [k for k, one in enumerate(given) if one.row.any()]
     A, B, C, D = _matrices(coordinates, motors, looked_at)
     shapes = np.concatenate([coordinates.T, coordinates.G[:, motors]], axis=1).T
     names = tuple(one.label for one in given)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.integrate.statics.static import Equilibrium
+from polyida.integrate.static import Equilibrium
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.validation import floats, is_number, named_keywords
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.discontinuities import inner_side
 from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
 from polyida.model.differences import along, around

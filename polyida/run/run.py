@@ -10,7 +10,7 @@ import numpy as np
 
 from polyida.environment import machine_info
 from polyida.errors import StepFailure
-from polyida.integrate.moves import unseen
+from polyida.integrate.discontinuities import unseen
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, States, Stretch, declared, parted
 from polyida.integrate.switches import unresolved

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.assembly.motion import hint_of_left_out
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
-from polyida.integrate.start import consistent_state, given, require_state, restarted
+from polyida.integrate.start import consistent_state, require_state, restarted, vector_of
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
@@ -163,7 +163,7 @@ def solve(
     frames = len(times) if times is not None else int((t_end - begin) / (h * every)) + 1 if h else 0  # 0 if unknown
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        q, v = (given(known, "q0", q0), given(known, "v0", v0)) if state is None else (state.q, state.v)
+        q, v = (vector_of("q0", q0, known), vector_of("v0", v0, known)) if state is None else (state.q, state.v)
         if small_own(known) and unguarded(known).by_numba:
             Compiled(known)  # raises InputError for a function that numba cannot compile
         require_declared(known, float(begin), q, v, float(t_end), method.nonholonomic)

@@ -14,8 +14,8 @@ from polyida.assembly import equilibrium
 from polyida.errors import InputError
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.linear import Correction
-from polyida.integrate.ida.whole import FormRows
+from polyida.integrate.ida.newton import Correction
+from polyida.integrate.ida.tables import FormRows
 from polyida.integrate.sizes import sizes_of_run, typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
@@ -165,7 +165,7 @@ def sparse_ida(model, t_end, settings=None):
     from sksundae.ida import IDA as Solver
 
     settings = settings or IDA()
-    system, jacobian = System(model, "ggl2", settings.rate), WholeJacobian(model)
+    system, jacobian = System(model, "ggl2", settings.baumgarte_rate), WholeJacobian(model)
     sizes = sizes_of_run(model, consistent_state(model, 0.0, None, None), t_end)
     rtol, *atol = settings.tolerances(model, sizes)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own

@@ -5,7 +5,7 @@ import numpy as np
 from conditioning.systems import alpha_blocks, alpha_factors
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.whole import sizes, whole_matrix
+from polyida.integrate.ida.tables import sizes, whole_matrix
 from polyida.linear.lu import dense, scaled
 from polyida.linear.saddle import assemble
 
@@ -94,7 +94,7 @@ def alpha_errors(model, state, h, backend, scaling):
 
 def ida_errors(model, state, h, form, backend, scaling):
     """(largest relative error of dq, dv, dlam and, where the form has it, dmu) of IDA's whole system, cj = 1/h."""
-    system, cj = System(model, form, IDA().rate), 1 / h
+    system, cj = System(model, form, IDA().baumgarte_rate), 1 / h
     matrix, s = whole_matrix(system, state.t, *system.pack(state), cj)
     rows, columns = sizes(scaling, system.form, model.n, model.m, cj, s)
     dq, dv, dlam = _unknowns(model, state, h)

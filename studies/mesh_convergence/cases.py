@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
-from polyida.integrate.statics.static import static
+from polyida.integrate.static import static
 from polyida.joint.joints import Clamp
 from polyida.linear.saddle import KKT
 from polyida.mesh import PolygonMesh, quads, rectangle, triangles

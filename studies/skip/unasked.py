@@ -7,7 +7,7 @@ from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state, on_velocity
 from polyida.integrate.state import Counts, State
-from polyida.integrate.statics.static import static
+from polyida.integrate.static import static
 from polyida.joint.attachment import ground
 from polyida.joint.formula import cross
 from polyida.joint.joint import Joint

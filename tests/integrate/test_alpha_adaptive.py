@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.march import RUNGS
+from polyida.integrate.alpha.step_size import LEVELS
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 
@@ -45,7 +45,7 @@ def test_error_follows_the_tolerance_and_lam_is_clean(scenes, form):
         run = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=0.1, atol=atol, tolerance=1e-6, form=form), **start)
         tension = 9.0 - 3 * 9.81 * run.q[:, 1]
         errors.append([np.abs(run.q[-1] - exact.q[-1]).max(), np.abs(run.lam[:, 0] - tension).max()])
-        assert len(set(np.round(np.log2(np.diff(run.t)) * RUNGS, 6))) < 0.1 * len(run)
+        assert len(set(np.round(np.log2(np.diff(run.t)) * LEVELS, 6))) < 0.1 * len(run)
     slopes = [scenes.slope([1e-3, 1e-4, 1e-5], column) for column in np.transpose(errors)]
     assert slopes == pytest.approx([2 / 3, 2 / 3], abs=0.15) and errors[-1][1] < 0.05
 

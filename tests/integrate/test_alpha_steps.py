@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate import moves
+from polyida.integrate import discontinuities
 from polyida.problems import plates
 
 BOTH = pytest.mark.parametrize("linear", ["auto", "kkt"])
@@ -44,13 +44,13 @@ def test_without_halvings_the_step_fails(swinging, linear):
 @BOTH
 def test_the_history_of_a_failure_is_told(scenes, linear, monkeypatch):
     """Of steps that meet a jump, where nobody has looked at the profile before."""
-    monkeypatch.setattr(moves, "parts", lambda model, begin, end, h, fine, now: [moves.Part(begin, end, np.inf)])
+    monkeypatch.setattr(discontinuities, "_parts", lambda model, begin, end, h, samples, now: [(begin, end, np.inf)])
     scene, upper = scenes.hinged((0.0, 0.0))
     jump = pi.profile.from_function(lambda t: 0.0 if t < 0.0095 else np.pi, lambda t: 0.0, lambda t: 0.0)
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=jump, name="drive"))
     run = pi.solve(scene.build(), 0.02, pi.GeneralizedAlpha(h=1e-3, linear=linear, max_halvings=2))
     assert not run.success and run.counts.rejected == 3
-    assert "half-turn" in run.message and "the step in 2, 4 parts fails too" in run.message
+    assert "half-turn" in run.message and "the step in 2 to 4 parts fails too" in run.message
 
 
 @BOTH

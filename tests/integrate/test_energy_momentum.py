@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.energy import steps
-from polyida.integrate.energy.scene import PythonScene
+from polyida.integrate.energy import tables
 from polyida.integrate.start import consistent_acceleration
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
@@ -128,7 +127,7 @@ def test_compiled_elements_move_as_the_same_ones_in_python(name, monkeypatch):
     }
     model, integrator = two_bars((elements() | more)[name]), pi.EnergyMomentum(h=2e-3, tolerance=1e-13)
     fast = pi.solve(model, 0.3, integrator)
-    monkeypatch.setattr(steps, "EnergyTable", PythonScene)
+    monkeypatch.setattr(tables, "EnergyTable", tables.PythonScene)
     slow = pi.solve(model, 0.3, integrator)
     assert max(slow.counts.factorizations, fast.counts.factorizations) < 10 or model.switching
     assert slow.success and np.abs(fast.q[-1] - slow.q[-1]).max() < 1e-9

@@ -11,7 +11,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.ida import integrator as ida
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.linear import Correction
+from polyida.integrate.ida.newton import Correction
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State
 from polyida.model import Model, Needs
@@ -138,7 +138,7 @@ OWN = {"swung": Swung, "tied": Tied, "free": Oscillator, "swung compiled": type(
 
 def correction(model, form, linear, t, cj, y=None):
     """A Correction that expects cj at t."""
-    found = Correction(System(model, form, rate=5.0), Counts(), 5, linear)
+    found = Correction(System(model, form, baumgarte_rate=5.0), Counts(), 5, linear)
     found.begin(t - 1 / cj, np.zeros(found.system.size) if y is None else y)
     return found
 

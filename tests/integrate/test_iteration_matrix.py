@@ -10,7 +10,7 @@ from conditioning import systems as conditioning
 from polyida import condition_number
 from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import FORMS, System
-from polyida.integrate.ida.linear import Correction
+from polyida.integrate.ida.newton import Correction
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
 from polyida.linear.saddle import SCALINGS

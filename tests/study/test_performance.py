@@ -9,7 +9,7 @@ import pytest
 from against_peers import peers
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.linear import Correction
+from polyida.integrate.ida.newton import Correction
 from polyida.integrate.state import Counts
 from polyida.run.solve import solve
 from skip import savings

@@ -1,16 +1,15 @@
 """Generalized-alpha on index 3 (Chung and Hulbert 1993; Arnold and Bruels 2007), scaled after Bottasso and Bauchau."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.alpha.march import Control, adapt, extrapolated, march, over_run, tolerances
-from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.kinks import enough_steps, run_of, stretches
-from polyida.integrate.moves import PARTS, cells_of
+from polyida.integrate.alpha.step_size import ErrorControl, control_of_run, tolerances
+from polyida.integrate.alpha.steps import Steps, adaptive_steps, extrapolated, fixed_steps
+from polyida.integrate.discontinuities import PARTS, number_of_steps, pieces, run_interval, sampling
 from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.linear.saddle import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
@@ -18,9 +17,10 @@ from polyida.model import Model
 from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt")
-ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
 FORMS = ("index3", "stabilised")
-SHARE = 1e-3  # of the local error of a step that Newton may leave, where `tolerance` says nothing
+STARTS = ("consistent", "plain")
+ABSOLUTE = 1e-3  # m: atol over rtol if only rtol is given, for a start at q = 0
+SHARE = 1e-3  # of the local error of a step, which Newton may leave by default
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
@@ -49,70 +49,91 @@ class Coefficients:
         return (1 - self.alpha_m) / (self.beta * h * h * (1 - self.alpha_f)), self.gamma / (self.beta * h)
 
     @property
-    def error(self):
-        """C in the local error of q, `C h^2 (q''_1 - q''_0)`: `C = 1/6 - (alpha_m - alpha_f)/2 - beta`."""
-        return 1 / 6 - (self.alpha_m - self.alpha_f) / 2 - self.beta
-
-    @property
-    def tells(self):
-        """Whether that is all of the leading error: the member is of second order, and C is not zero."""
-        return abs(self.gamma - 0.5 + self.offset) < 1e-6 and abs(self.error) > 1e-3
-
-    @property
     def offset(self):
         """Steps by which the algorithmic acceleration is ahead of q'': alpha_m - alpha_f."""
         return self.alpha_m - self.alpha_f
 
     @property
+    def error(self):
+        """C in the local error of q, `C h^2 (q''_1 - q''_0)`: `C = 1/6 - (alpha_m - alpha_f)/2 - beta`."""
+        return 1 / 6 - self.offset / 2 - self.beta
+
+    @property
+    def has_error_estimate(self):
+        """True if that is the whole leading error: the member is of second order and C is not zero."""
+        return abs(self.gamma - 0.5 + self.offset) < 1e-6 and abs(self.error) > 1e-3
+
+    @property
     def at_infinity(self):
-        """Spectral radius along a constraint: of (h v, h^2 a) where q = 0, and of q''. Below 1 it is stable on index
-        3.
-        """
+        """Spectral radius along a constraint: of (h v, h^2 a) with q = 0, and of q''. Below 1 the method is stable on index 3."""
         b, g = self.beta, self.gamma
         motion = np.array([[1 - g / b, 1 - g / (2 * b)], [-1 / b, 1 - 1 / (2 * b)]])
         return max(float(np.abs(np.linalg.eigvals(motion)).max()), abs(self.alpha_f / (1 - self.alpha_f)))
 
-
-def require_damping(name, c):
-    """Raise InputError unless the member has numbers that make a method, and damps at infinite frequency."""
-    finite = np.isfinite([c.alpha_m, c.alpha_f, c.beta, c.gamma]).all()
-    if not (finite and c.beta > 0 and c.alpha_m < 1 and c.alpha_f < 1):
-        raise InputError(f"{name}: {c} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
-    if not c.at_infinity < 1 - 1e-6:
-        raise InputError(
-            f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it "
-            "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
-        )
+    def require_damping(self):
+        """Raise InputError unless the member is a method that damps at infinite frequency."""
+        if not (np.isfinite(astuple(self)).all() and self.beta > 0 and self.alpha_m < 1 and self.alpha_f < 1):
+            raise InputError(f"GeneralizedAlpha: {self} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
+        if not self.at_infinity < 1 - 1e-6:
+            raise InputError(
+                f"GeneralizedAlpha: {self} has the spectral radius {self.at_infinity:.3g} at infinite frequency; on index 3 it "
+                "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
+            )
 
 
 @named_keywords
 @dataclass(frozen=True)
 class GeneralizedAlpha(Integrator):
-    """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
+    """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step.
+
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    h: step, s, or None: by the error of the run, see rtol. A piece of a run between kinks of its loads takes the largest step not above
-    h that divides it evenly, four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a
-    load or motor moves too fast for h (integrate/moves.py).
-    rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
-    beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
-    form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
-    have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
-    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, each
-    coordinate weighted with its mass; m; atol is 1e-3 rtol where only rtol is given); lam is not in it. h is then the
-    largest step, and the run fails beyond max_num_steps steps, with those rejected. Without h the local errors
-    of all steps together stay below that: each may have h over the run's time of it; rtol is 5e-5 where neither is given, and atol rtol
-    times the model's length (integrate/sizes.py). The error of the run is then about twice rtol, 1e-4 of the model's size by default
-    (integrate/alpha/march.py), unless neighbouring motions part faster than in proportion to time; the summary says what was chosen.
-    extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
+    Parameters
+    ----------
+    h : float, s, optional
+        Step. Each smooth piece of a run takes the largest step not above h that divides it evenly, at least four steps behind a kink of inputs
+        that are not straight lines, and shorter ones where inputs change too fast. By default h follows from the error of the run.
+    rho_inf : float
+        Spectral radius at infinite frequency, in [0, 1).
+    tolerance : float, optional
+        Newton's tolerance, of beta h^2 times the size of q''. By default 1e-3 of the local error, but at least 1e-7 and at most 1e-4.
+    scaling : {"physical", "bottasso", "none"}
+        Scaling of the whole matrix of `linear="kkt"`.
+    max_iterations : int
+        Largest number of iterations of one Newton solve.
+    start : {"consistent", "plain"}
+        "consistent": second order in lam from the first step; "plain": a_0 = q''.
+    linear : {"auto", "kkt"}
+        "auto": the model's step matrix with a border of its constraints; "kkt": the whole matrix of both.
+    form : {"index3", "stabilised"}
+        "stabilised": also `phi_q v + phi_t = 0` at the end of each step, with q corrected along M^-1 phi_q^T.
+    member : (4,) array_like, optional
+        (alpha_m, alpha_f, beta, gamma) in place of rho_inf; see `hht`, `wbz`, `newmark`.
+    rtol : float, optional
+        Relative tolerance of q, see Notes. With h, the default is fixed steps; without h, 5e-5.
+    atol : float, m, optional
+        Absolute tolerance of q. With h, the default is 1e-3 rtol; without h, rtol times the model's length.
+    extrapolate : bool
+        Return (4 x(h/2) - x(h))/3 at the ends of fixed steps (Richardson).
+    incremental_phi : bool
+        Carry phi of a scene by increments, accurate down to h = 1e-9 s; False: evaluate it from positions.
+    max_halvings : int
+        A step that fails is taken in 2, 4, ..., 2^max_halvings parts.
+    max_num_steps : int
+        Adaptive steps: the run fails beyond that number, rejected steps included.
 
-    tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
-    most 1e-4 of that. max_iterations: of one Newton solve. max_halvings: a step
-    whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
-    ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
-    the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
-    1e-9, or take it from positions with their round-off. linear: "auto", the model's step matrix with a border of its constraints; "kkt": the whole
-    matrix of both, in plain code; `scaling` acts there only. Raises InputError for a setting out of range.
+    Raises
+    ------
+    InputError
+        For a setting out of range.
+
+    Notes
+    -----
+    The local error of q is `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, a root mean square of coordinates weighted by mass; lam is
+    not in it. With h and rtol or atol it stays below atol + rtol |q| in each step, and steps are h 2^(-k/4). Without h the local errors of all
+    steps add up to that bound; the error of the run is then about twice rtol, unless the motion is chaotic.
+
+    Chung, Hulbert, J. Appl. Mech. 60 (1993) 371-375; Arnold, Bruels, Multibody Syst. Dyn. 18 (2007) 185-202.
     """
 
     h: float | None = None
@@ -137,39 +158,26 @@ class GeneralizedAlpha(Integrator):
         """Hilber, Hughes, Taylor 1977: alpha_m = 0, alpha_f = -alpha, alpha in [-1/3, 0); second order."""
         if not (is_number(alpha) and -1 / 3 <= alpha < 0):
             raise InputError(f"GeneralizedAlpha.hht: alpha = {alpha!r} must be in [-1/3, 0); index 3 is unstable at 0")
-        return cls(h, member=_tuple(Coefficients.second_order(0.0, -alpha)), **settings)
+        return cls(h, member=astuple(Coefficients.second_order(0.0, -alpha)), **settings)
 
     @classmethod
     def wbz(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:
         """Wood, Bossak, Zienkiewicz 1980: alpha_m = alpha, alpha_f = 0, alpha in (-1, 0); second order."""
         if not (is_number(alpha) and -1 < alpha < 0):
             raise InputError(f"GeneralizedAlpha.wbz: alpha = {alpha!r} must be in (-1, 0); index 3 is unstable at 0")
-        return cls(h, member=_tuple(Coefficients.second_order(alpha, 0.0)), **settings)
+        return cls(h, member=astuple(Coefficients.second_order(alpha, 0.0)), **settings)
 
     @classmethod
     def newmark(cls, h: float, beta: float = 0.3025, gamma: float = 0.6, **settings) -> Self:
-        """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal
-        rule (1/4, 1/2) is refused: its constraint forces grow without bound."""
+        """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which is of first order; the trapezoidal rule (1/4, 1/2) is unstable."""
         return cls(h, member=(0.0, 0.0, beta, gamma), **settings)
 
     def __post_init__(self):
-        for name, good, want in self._checks():
-            if not good:
-                raise InputError(f"GeneralizedAlpha: {name} = {getattr(self, name)!r} must be {want}")
-        if self.member is not None:
-            object.__setattr__(self, "member", tuple(map(float, self.member)))
-            require_damping("GeneralizedAlpha", self.coefficients)
-            if self.h is None and not self.coefficients.tells:
-                raise InputError(
-                    f"GeneralizedAlpha: h = None must be a step in s for the member {self.member}, whose local error is not told"
-                )
-        if self.adaptive and self.h is not None:
-            object.__setattr__(self, "rtol", float(self.rtol or 0.0))
-            object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))
-
-    def _checks(self):
-        allowed = lambda x: x is None or (is_number(x) and 0 <= x < 1)  # noqa: E731
-        return (
+        numbers = None if self.member is None else floats(self.member)
+        tolerances_ok = [x is None or (is_number(x) and 0 <= x < 1) for x in (self.rtol, self.atol)]
+        not_zero = all(tolerances_ok) and (self.rtol is self.atol is None or self.rtol or self.atol)
+        fixed = self.h is not None and self.rtol is self.atol is None
+        for name, good, want in (
             ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
             (
@@ -180,24 +188,36 @@ class GeneralizedAlpha(Integrator):
             ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
-            ("start", is_one_of(self.start, ("consistent", "plain")), '"consistent" or "plain"'),
+            ("start", is_one_of(self.start, STARTS), '"consistent" or "plain"'),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
-            ("member", self.member is None or _four(self.member), "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
-            ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             (
-                "atol",
-                allowed(self.atol) and (self.rtol is self.atol is None or self.rtol or self.atol),
-                "a length below 1 m or None, and not zero beside rtol = 0",
+                "member",
+                self.member is None or (numbers is not None and numbers.shape == (4,)),
+                "four numbers, alpha_m, alpha_f, beta, gamma, or None",
             ),
+            ("rtol", tolerances_ok[0], "a number in [0, 1) or None"),
+            ("atol", tolerances_ok[1] and not_zero, "a length below 1 m or None, and not zero beside rtol = 0"),
             (
                 "extrapolate",
-                is_flag(self.extrapolate) and not (self.extrapolate and self.adaptive),
-                "True or False, and False where the step adapts",
+                is_flag(self.extrapolate) and (fixed or not self.extrapolate),
+                "True or False, and False if steps are adaptive",
             ),
             ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
             ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
-        )
+        ):
+            if not good:
+                raise InputError(f"GeneralizedAlpha: {name} = {getattr(self, name)!r} must be {want}")
+        if numbers is not None:
+            object.__setattr__(self, "member", tuple(numbers.tolist()))
+            self.coefficients.require_damping()
+            if self.h is None and not self.coefficients.has_error_estimate:
+                raise InputError(
+                    f"GeneralizedAlpha: h = None must be a step in s for the member {self.member}, whose local error is unknown"
+                )
+        if self.adaptive and self.h is not None:
+            object.__setattr__(self, "rtol", float(self.rtol or 0.0))
+            object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))
 
     @property
     def coefficients(self) -> Coefficients:
@@ -205,17 +225,14 @@ class GeneralizedAlpha(Integrator):
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
-        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''.
-
-        scale: h^2 q'' over the q that goes with it.
-        """
+        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''; scale: h^2 q'' over q."""
         if self.tolerance is not None:
             return self.tolerance, self.tolerance, 0.0
         return LEAST, MOST, SHARE * max(abs(self.coefficients.error), 1 / 12) * scale
 
     @property
     def adaptive(self) -> bool:
-        """Whether the step follows the local error."""
+        """True if the step follows the local error."""
         return self.h is None or self.rtol is not None or self.atol is not None
 
     def fixed_step(self) -> float:
@@ -231,7 +248,7 @@ class GeneralizedAlpha(Integrator):
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def summary_of_steps(self, memory: dict) -> str:
-        """What a summary says of the steps that a run without h took; memory of one of its states."""
+        """Text of a summary on the steps that a run without h took; memory of one of its states."""
         if self.h is not None or "sizes" not in memory:
             return ""
         length, _, time, _ = memory["sizes"]
@@ -240,27 +257,31 @@ class GeneralizedAlpha(Integrator):
         return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s{last}"
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step; rows: where to write them, see Steps. Raises StepFailure."""
+        """Accepted states after `state` up to t_end, one for each step; rows: arrays for the frames, see Steps. Raises StepFailure."""
         if self.extrapolate:
             return extrapolated(self, model, state, t_end, counts)
         return States(self.in_pieces(model, state, t_end, counts, rows=rows), counts)
 
     def in_pieces(
-        self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None, watch: Any = None
+        self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None, recorder: Any = None
     ) -> Iterator[Stretch]:
-        """The same in stretches, with h / split between the kinks of loads and motors, where h divides each piece evenly; watch: see Steps."""
-        engine = self._engine(model, counts, self._control(model, state, t_end))
-        engine.rows, engine.watch, control = rows or engine.rows, watch, engine.control
+        """Stretches of the same states, with steps of h / split; recorder: see Steps."""
+        if self.h is None:
+            control = control_of_run(self, model, state, t_end)
+        else:
+            control = ErrorControl(self.h, float(self.rtol or 0.0), float(self.atol or 0.0)) if self.adaptive else None
+        engine = self._engine(model, counts, control)
+        engine.rows, engine.recorder = rows or engine.rows, recorder
         most_steps = counts.steps + counts.rejected + self.max_num_steps
-        run = run_of(state, t_end)
-        h, fine = cells_of(control.largest, np.ptp(run)) if control else (self.h, PARTS)
-        for begin, end, most in stretches(model, run[0], t_end, h, fine, now=state.t):
+        run = run_interval(state, t_end)
+        h, samples = sampling(control.largest, np.ptp(run)) if control else (self.h, PARTS)
+        for begin, end, most in pieces(model, run[0], t_end, h, samples, now=state.t):
             if control:
-                piece = adapt(engine, self, model, state, begin, end, min(control.largest, most), counts, most_steps)
+                stretches = adaptive_steps(engine, state, begin, end, min(control.largest, most), most_steps)
             else:
-                count = split * enough_steps(model, state, begin, end, min(self.h, most))
-                piece = march(engine, self, model, state, begin, end, count, counts)
-            for stretch in piece:
+                count = split * number_of_steps(model, state, begin, end, min(self.h, most))
+                stretches = fixed_steps(engine, state, begin, end, count)
+            for stretch in stretches:
                 state = stretch.last
                 if state.restart:
                     state.memory["run"] = run
@@ -269,21 +290,6 @@ class GeneralizedAlpha(Integrator):
     def _engine(self, model, counts, control):
         return Steps(self, model, counts, control)
 
-    def _control(self, model, state, t_end):
-        """What its steps are held to; None where they are equal."""
-        if self.h is None:
-            return over_run(self, model, state, t_end)
-        return Control(self.h, self.rtol, self.atol) if self.adaptive else None
-
     def step_matrix(self, model: Model) -> Any:
-        """The model's step matrix, by `linear` and, where that is "kkt", `scaling`."""
+        """The model's step matrix, or the whole matrix for `linear="kkt"`."""
         return WholeMatrix(model, self.scaling) if self.linear == "kkt" else model.step_matrix()
-
-
-def _four(given):
-    numbers = floats(given)
-    return numbers is not None and numbers.shape == (4,)
-
-
-def _tuple(c):
-    return c.alpha_m, c.alpha_f, c.beta, c.gamma

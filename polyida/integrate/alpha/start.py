@@ -1,16 +1,13 @@
-"""What generalized-alpha starts from: a run's beginning, behind a kink, at another step, after a cut one.
+"""The states from which generalized-alpha starts: a run's beginning, behind a kink, at another step, after a step that was cut.
 
-The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v is off the velocity
-constraint by
-`B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, what the local error of q must be along the
-constraints (Arnold, Bruels 2007). A start without them shows a first-order transient in lam. In the stabilised form v
-is on its constraint.
+The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v deviates from the velocity constraint by `B l/h`,
+`l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, which is the local error of q along the constraints (Arnold, Bruels 2007). A start
+without them gives a first-order transient in lam. In the stabilised form v satisfies its constraint.
 
-Of q'' and q''' a_alg and v take what a step resolves, `F = (M + gamma h C + beta h^2 K)^-1 M`, constraints kept.
-F is 1/(1 + beta h^2 omega^2) for a mode without damping, 1/(1 + gamma h d) for one of nothing but damping. What a start
-makes of q'' and q''' is right for modes with h omega < 1 and far too much beyond: noise of 1e-4 J became 20 J in one step
-with rho_inf = 0. `2 F - F^2` of q'' and `F^2` of q''' leave of what no step resolves as much as the step can bear; of a
-smooth motion they take h^4 omega^4 of q'' and h^2 omega^2 of q''' (with damping h^2 d^2 and h d), below the order of both.
+a_alg and v take from q'' and q''' what a step resolves, `F = (M + gamma h C + beta h^2 K)^-1 M`, constraints kept. F is
+1/(1 + beta h^2 omega^2) for a mode without damping, 1/(1 + gamma h d) for one of damping alone. The start is right for modes with h omega < 1
+and far too large beyond: noise of 1e-4 J became 20 J in one step with rho_inf = 0. `2 F - F^2` of q'' and `F^2` of q''' limit what no step
+resolves; of a smooth motion they remove h^4 omega^4 of q'' and h^2 omega^2 of q''' (with damping h^2 d^2 and h d), below the order of both.
 """
 
 from functools import singledispatch
@@ -18,52 +15,42 @@ from functools import singledispatch
 import numpy as np
 
 from polyida.errors import StepFailure
-from polyida.integrate.kinks import at_kink
+from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import ExactSaddle
 from polyida.model.differences import beside
 
-FAR_SHORTER = 2.5  # a step control's ladder stays below
+MUCH_LONGER = 2.5  # times the step before; adaptive steps grow by less
 
 
 def started(settings, model, state, h):
-    """The state as the method starts from it with step h: `memory` holds a_alg and h.
+    """The state from which steps of h start; `memory` holds a_alg and h.
 
-    One that this method left at this step goes on as it is; one that it left at another step is scaled to this one;
-    behind a kink of a load or motor, velocities and accelerations jump; any other is a run's beginning. After a cut
-    step a_alg is q''.
+    A state of this method with this step is not changed; one with another step is rescaled; behind a kink velocities and accelerations jump.
+    Any other state begins a run. After a step that was cut a_alg is q''.
     """
-    memory = state.memory
+    memory, right = state.memory, beside(state.t, h) if at_kink(model, state.t) else None
     if "a_alg" not in memory:
-        right = beside(state.t, h) if at_kink(model, state.t) else None
         state = state if right is None else far_side(model, state, right)
         phi, rate = start_values(model, state, right)
         state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
-        return state if settings.start == "plain" or "cut" in memory else beginning(settings, model, state, h, right)
-    right = beside(state.t, h) if at_kink(model, state.t) else None
+        if settings.start == "plain" or "cut" in memory:
+            return state
+        ahead, third = _resolved(settings, model, state, h, state.a, jerk(model, state, h, right))
+        deviation, rate = _velocity_deviation(settings, model, state, h, third)
+        return _with(state, v=state.v + deviation, a_alg=ahead, rate=state.memory["rate"] + rate)
     if right is not None:
-        state = behind_kink(settings, model, state, float(memory["h"]))
-    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h, right)
+        state = _behind_kink(settings, model, state, float(memory["h"]))
+    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else _rescaled(settings, model, state, h, right)
 
 
-def beginning(settings, model, state, h, right=None):
-    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`.
+def _behind_kink(settings, model, state, h):
+    """The state on the far side of a kink: what jumps is added, what the method carries stays.
 
-    right: the time behind a kink here.
-    """
-    ahead, third = _resolved(settings, model, state, h, state.a, jerk(model, state, h, right))
-    off, rate = _off_constraint(settings, model, state, h, third)
-    return _with(state, v=state.v + off, a_alg=ahead, rate=state.memory["rate"] + rate)
-
-
-def behind_kink(settings, model, state, h):
-    """The state on the other side of a kink at its time: what jumps is added, what the method carries stays.
-
-    Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates;
-    a_alg and v also with the jump of q'''. All are differences of consistent values right and left, so that ringing
-    mesh modes drop out.
+    Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates; a_alg and v also with
+    the jump of q'''. All are differences of consistent values on both sides, in which ringing mesh modes cancel.
     """
     t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
     v, system = state.v, model.mass_system(t, state.q)
@@ -77,20 +64,18 @@ def behind_kink(settings, model, state, h):
     third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
     ahead, third = _resolved(settings, model, behind, h, a - state.a, third)
     phi, rate = start_values(model, state, left)
-    off, more = _off_constraint(settings, model, state, h, third)
-    return _with(behind, v=v + off, a_alg=state.memory["a_alg"] + ahead, h=h, phi=phi, rate=rate + more)
+    deviation, more = _velocity_deviation(settings, model, state, h, third)
+    return _with(behind, v=v + deviation, a_alg=state.memory["a_alg"] + ahead, h=h, phi=phi, rate=rate + more)
 
 
-def rescaled(settings, model, state, h, right=None):
-    """The state at another step: a_alg - q'' scales with h, the part of v off the velocity constraint with h^2.
+def _rescaled(settings, model, state, h, right):
+    """The state at another step: a_alg - q'' scales with h, the deviation of v from the velocity constraint with h^2.
 
-    right: the time behind a kink here.
-
-    Behind a step that was far shorter (a pulse between two kinks) both shrink instead: scaled up so far, the noise of mesh modes
-    in a_alg would be momentum out of nothing.
+    right: the time behind a kink here. Behind a much shorter step (a pulse between two kinks) both shrink instead: scaled up so far, noise of
+    mesh modes in a_alg would add momentum.
     """
-    grown, memory, v = h / float(state.memory["h"]), state.memory, state.v
-    scale = grown if grown <= FAR_SHORTER else 1.0 / grown
+    growth, memory, v = h / float(state.memory["h"]), state.memory, state.v
+    scale = growth if growth <= MUCH_LONGER else 1.0 / growth
     phi, rate = start_values(model, state, right)
     if model.m and settings.form == "index3":
         v = v + (1 - scale**2) * model.mass_system(state.t, state.q).solve(np.zeros(model.n), rate)[0]
@@ -98,14 +83,14 @@ def rescaled(settings, model, state, h, right=None):
 
 
 def _resolved(settings, model, state, h, a, third):
-    """What a step resolves of q'' = a and q''' = third, or of their jumps: (q'' at t + (alpha_m - alpha_f) h, q''')."""
+    """(q'' at t + (alpha_m - alpha_f) h, q''') that a step resolves, of q'' = a and q''' = third, or of their jumps."""
     resolve = resolution(model, settings, state, h)
     near, third = resolve(a), resolve(resolve(third))
     return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
 
 
-def _off_constraint(settings, model, state, h, third):
-    """The move of v off the velocity constraint for q''' = third, and how far off that is."""
+def _velocity_deviation(settings, model, state, h, third):
+    """The deviation of v from the velocity constraint for q''' = third, and phi_q times it."""
     if not model.m or settings.form != "index3":
         return 0.0, np.zeros(model.m)
     c = settings.coefficients
@@ -121,13 +106,13 @@ def _with(state, v=None, a=None, lam=None, **memory):
 
 @singledispatch
 def resolution(model, settings, state, h):
-    """The function x -> F x, (n,), with phi_q F x = phi_q x. Raises StepFailure where F does not exist."""
+    """The function x -> F x, (n,), with phi_q F x = phi_q x. Raises StepFailure if F does not exist."""
     c, (t, q) = settings.coefficients, (state.t, state.q)
     c_m, system = 1 / (c.beta * h * h), ExactSaddle(model, 1 / (c.beta * h * h), c.gamma / (c.beta * h), Counts())
     system.at(t, q, state.v, state.a, state.lam)
     mass, border = system.M, system.B
     try:
-        system.solve(np.zeros(model.n), np.zeros(model.m))  # which tells whether F exists
+        system.solve(np.zeros(model.n), np.zeros(model.m))  # it raises if F does not exist
     except SingularSystem as error:
         raise StepFailure("singular", f"the start's M + gamma h C + beta h^2 K: {error}", t) from None
     return lambda x: system.solve(c_m * (mass @ x), border @ x)[0]

@@ -1,10 +1,10 @@
-"""The compiled steps of generalized-alpha on flat arrays, of any model through its table (polyida.system): predict, correct, judge, finish.
+"""The compiled loop of generalized-alpha: stretches of steps of any model, through its table (polyida.system).
 
-The stabilised form has positions on phi = 0 and velocities on `phi_q v + phi_t = 0` at once:
-`q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`. eta takes up the local error of q along the constraints, so that v,
-with Newmark's formula in a, need not (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels 2015). In one Newton step, with dq = x + y, x
-what v and a follow and `y = -M^-1 phi_q^T eta`: `S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`. All
-that eta has added in a step, SLIP, is made anew along the rows of each iteration, so that at last it is along those of the step's end.
+The stabilised form satisfies phi = 0 and `phi_q v + phi_t = 0` at once:
+`q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`. eta takes the local error of q along the constraints, so that v,
+by Newmark's formula in a, is free of it (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels 2015). In one Newton step, with dq = x + y, x
+in v and a too and `y = -M^-1 phi_q^T eta`: `S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`. The sum of
+the y of a step, GGL, is computed anew with phi_q of each iterate, so that in the end it has phi_q of the step's end.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida import system as table
-from polyida.errors import DONE, NOT_FINITE, REFACTOR, TOO_FAR, TOO_NEAR
+from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, NOT_FINITE, REFACTOR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
 
@@ -21,9 +21,16 @@ SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES = range(8)  # rows of Memory.past; the first three are those of Trial.now too
-DD, R, DQ, DV, SLIP = range(3, 8)  # further rows of Trial.now
+DD, R, DQ, DV, GGL = range(3, 8)  # further rows of Trial.now
 LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.closed, and of Trial.rows
-CONTRACTION, AGE, SIZE, CHANGED, AHEAD, BEHIND, MOVED, ERROR, SINCE, PULL, TURN = range(11)
+# of Memory.marks; norms are root mean squares
+CONTRACTION, AGE = range(2)  # of Newton's method, and its age in steps
+ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(
+    2, 6
+)  # norms of q'' and of its change in a step: largest so far, of this iteration
+AHEAD, BEHIND = range(6, 8)  # factors of CHANGE and EARLIER in the prediction
+MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, 0 in a new step
+ERROR, SINCE = range(9, 11)  # largest local error of the last SINCE steps
 MARKS = 11
 
 
@@ -31,10 +38,10 @@ MARKS = 11
 class Method(NamedTuple):
     """Numbers of the method at one h.
 
-    least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over
-    to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control:
-    |C| h^2 of the local error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the
-    step is too short; before: the weight of the change of q'' in the step before, beside 1 of that in this one, in the error.
+    least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over to_a. extent: of the
+    coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
+    steps), of which atol + rtol |q| is allowed; grow: the error below which h may grow; before: weight of the change of q'' in the step
+    before, over that in this step, in the error.
     """
 
     h: float
@@ -59,12 +66,10 @@ class Method(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """What goes from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks`.
+    """Memory from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks` (MARKS,).
 
-    CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: of the coordinates in the mean squares of the
-    local error and of Newton's. CONTRACTION of Newton; AGE of it in steps; SIZE of q'' and CHANGED of it in a step, PULL and TURN the same
-    of the last iteration; AHEAD, BEHIND: of change and earlier in the prediction; MOVED: the last |dq| of an iteration to go on with (0: a
-    new step); ERROR: largest local error of the last SINCE steps.
+    CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: weights of the coordinates in the mean squares of the
+    local error and of Newton's method.
     """
 
     past: np.ndarray
@@ -74,7 +79,7 @@ class Memory(NamedTuple):
 
 @pack
 class Trial(NamedTuple):
-    """The state that Newton works on, `q = q_0 + (h v_0 + dd)`: `now` (8, n), `rows` (5, m)."""
+    """The state of Newton's method, `q = q_0 + (h v_0 + dd)`: `now` (8, n), `rows` (5, m)."""
 
     now: np.ndarray
     rows: np.ndarray
@@ -85,15 +90,9 @@ def empty(n, m):
     return Memory(np.zeros((8, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((8, n)), np.zeros((5, m)))
 
 
-@part
-def pairs(row):
-    """A row (n,) of a scene as (nodes, 2)."""
-    return row.reshape((row.shape[0] // 2, 2))
-
-
 @entry
 def predict(p, y, w):
-    """Fill the trial state: q'' as would have been nearest in the last step, lam constant."""
+    """Fill the trial state: q'' by the combination of earlier changes that fits the last step best, lam constant."""
     past, now, ahead, behind = y.past, w.now, y.marks[AHEAD], y.marks[BEHIND]
     for i in range(now.shape[1]):
         a0, a_alg = past[A, i], past[A_ALG, i]
@@ -108,25 +107,11 @@ def predict(p, y, w):
         w.rows[LAM, k] = y.closed[LAM, k]
 
 
-@part
-def begin(p, y, w):
-    """Begin a step, or go on with one that has been: the last |dq|, 0 at a beginning."""
-    if y.marks[MOVED] == 0.0:
-        predict(p, y, w)
-        y.marks[SIZE] *= 0.9
-        y.marks[CHANGED] *= 0.9
-    return y.marks[MOVED]
-
-
 @fast
 def correct(p, y, w, first, last):
-    """Add dq and dlam to the trial state; what an iteration that moved by |dq| after one by `last` tells.
-
-    (|dq|, settled or not, hopeless or not, the largest |phi| allowed): settled where the error to be expected is below the
-    tolerance, or dq is round-off and no longer falls.
-    """
+    """Add dq and dlam to the trial state. Returns what `judge` returns; last: |dq| of the iteration before, or 0."""
     past, now = y.past, w.now
-    moved = length = size = pull = change = 0.0
+    moved = length = size = accel = change = 0.0
     for i in range(now.shape[1]):
         d, share = now[DQ, i], past[SHARES, i]
         now[DD, i] += d
@@ -136,22 +121,25 @@ def correct(p, y, w, first, last):
         moved += share * d * d
         length += share * now[DD, i] * now[DD, i]
         size += share * now[Q, i] * now[Q, i]
-        pull += share * now[A, i] * now[A, i]
+        accel += share * now[A, i] * now[A, i]
         change += share * (now[A, i] - past[A, i]) ** 2
     for k in range(w.rows.shape[1]):
         w.rows[LAM, k] += w.rows[DLAM, k]
-    return judge(p, y.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(pull), np.sqrt(change))
+    return judge(p, y.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(accel), np.sqrt(change))
 
 
 @part
-def judge(p, marks, first, last, moved, length, size, pull, change):
-    """What `correct` returns, from root mean squares of dq, of dd, of q, of q'' and of its change."""
+def judge(p, marks, first, last, moved, length, size, accel, change):
+    """(|dq|, True if converged, True if Newton's method fails, the largest |phi| allowed), from the norms of dq, dd, q, q'' and its change.
+
+    Converged: the error to be expected is below the tolerance, or dq is round-off and no longer falls.
+    """
     measured, rate = last > 0.0, marks[CONTRACTION]
     if measured:
         rate = moved / last
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if first else 1.0) * marks[CONTRACTION]), 0.0
-    marks[PULL], marks[TURN] = max(marks[SIZE], pull), max(marks[CHANGED], change)
-    tolerance = min(max(p.least * marks[PULL], p.share * marks[TURN]), p.most * marks[PULL]) / p.to_a
+    marks[NEW_ACCEL], marks[NEW_ACCEL_CHANGE] = max(marks[ACCEL], accel), max(marks[ACCEL_CHANGE], change)
+    tolerance = min(max(p.least * marks[NEW_ACCEL], p.share * marks[NEW_ACCEL_CHANGE]), p.most * marks[NEW_ACCEL]) / p.to_a
     coarse = 16.0 * EPS * (size + p.extent)
     fine = 16.0 * EPS * (length if p.incremental else size)
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
@@ -161,16 +149,16 @@ def judge(p, marks, first, last, moved, length, size, pull, change):
 
 
 @part
-def finish(p, y, w, q, v, a, lam):
-    """Accept the settled trial state, unless its local error is too large, and copy it into a frame (n,), (m,): how the step ended."""
+def end_step(p, y, w, q, v, a, lam):
+    """Accept the trial state, unless its local error is too large, and copy it into a frame (n,), (m,). Returns how the step ended."""
     y.marks[AGE] += 1.0
-    y.marks[SIZE], y.marks[CHANGED] = y.marks[PULL], y.marks[TURN]
+    y.marks[ACCEL], y.marks[ACCEL_CHANGE] = y.marks[NEW_ACCEL], y.marks[NEW_ACCEL_CHANGE]
     if p.control > 0.0:
         error = local_error(p, y, w)
         y.marks[ERROR] = max(y.marks[ERROR], error)
         if not error <= 1.0:
-            return TOO_FAR
-    accept(p, y, w)
+            return ERROR_LARGE
+    remember(p, y, w)
     y.marks[MOVED] = 0.0
     for i in range(q.shape[0]):
         q[i], v[i], a[i] = y.past[Q, i], y.past[V, i], y.past[A, i]
@@ -180,14 +168,14 @@ def finish(p, y, w, q, v, a, lam):
         y.marks[SINCE] += 1.0
         if y.marks[SINCE] >= PATIENCE:
             if y.marks[ERROR] < p.grow:
-                return TOO_NEAR
+                return ERROR_SMALL
             y.marks[ERROR] = y.marks[SINCE] = 0.0
     return DONE
 
 
 @fast
 def local_error(p, y, w):
-    """Local error of q over what is allowed, both root mean squares weighted with the masses; where no step went before, from this one."""
+    """Local error of q over the allowed one, mass-weighted norms; from the change of q'' in this step alone if none went before."""
     change = earlier = size = 0.0
     for i in range(w.now.shape[1]):
         before = p.before * y.past[CHANGE, i]
@@ -199,8 +187,8 @@ def local_error(p, y, w):
 
 
 @fast
-def accept(p, y, w):
-    """Move the trial state into memory; the algorithmic acceleration; the next step's predictor."""
+def remember(p, y, w):
+    """Move the trial state into memory, with the algorithmic acceleration and the factors of the next prediction."""
     past, now = y.past, w.now
     aa = ab = bb = ad = bd = 0.0
     for i in range(now.shape[1]):
@@ -222,7 +210,7 @@ def accept(p, y, w):
 
 @part
 def nearest(aa, ab, bb, ad, bd):
-    """(x, y) for which x a + y b is nearest to d, from their products; y = 0 where a and b are as good as parallel."""
+    """(x, y) that minimise |x a + y b - d|, from the products of a, b and d; y = 0 if a and b are nearly parallel."""
     rest = aa * bb - ab * ab
     if rest > 1e-8 * aa * bb:
         return (ad * bb - bd * ab) / rest, (bd * aa - ad * ab) / rest
@@ -231,7 +219,7 @@ def nearest(aa, ab, bb, ad, bd):
 
 @part
 def close(f, w, k, p, y, x):
-    """(how it ended, the largest |phi| at the trial state); phi and rate there."""
+    """(how it ended, the largest |phi|); fills phi and rate at the trial state."""
     now, rows = x.now, x.rows
     for i in range(now.shape[1]):
         a1 = (now[DD, i] / (p.h * p.h) - (0.5 - p.beta) * y.past[A_ALG, i]) / p.beta
@@ -247,8 +235,8 @@ def close(f, w, k, p, y, x):
 
 
 @part
-def part_constraints(f, w, k, p, x):
-    """rows[PHI] becomes rate/gamma', for the solve of x; rows[BIAS] what is left for y, phi - rate/gamma'."""
+def split_constraints(f, w, k, p, x):
+    """Replace rows[PHI] by rate/gamma', for the solve of x; rows[BIAS] is the rest for y, phi - rate/gamma'."""
     rows = x.rows
     ended = call(f[table.RATE], w, k, address(x.now[Q]), address(x.now[V]), address(rows[BIAS]), 0, 0, 0)
     for i in range(rows.shape[1]):
@@ -259,24 +247,24 @@ def part_constraints(f, w, k, p, x):
 
 
 @part
-def slip(f, w, k, p, y, x):
-    """Make SLIP anew, and q with it."""
+def correct_ggl(f, w, k, p, y, x):
+    """Compute the GGL correction anew, and q with it."""
     now, past = x.now, y.past
     for i in range(now.shape[1]):
-        now[DD, i] -= now[SLIP, i]
-    ended = call(f[table.PROJECT], w, k, address(x.rows[BIAS]), address(now[SLIP]), 1, 0, 0, 0)
+        now[DD, i] -= now[GGL, i]
+    ended = call(f[table.PROJECT], w, k, address(x.rows[BIAS]), address(now[GGL]), 1, 0, 0, 0)
     for i in range(now.shape[1]):
-        now[DD, i] += now[SLIP, i]
+        now[DD, i] += now[GGL, i]
         now[Q, i] = past[Q, i] + (p.h * past[V, i] + now[DD, i])
     return ended
 
 
 @part
-def settle(f, w, k, x, tied):
-    """Ask the model for the state; in the stabilised form take what is left of the velocity constraint out of v."""
+def settle(f, w, k, x, stabilised):
+    """Ask the model to accept the state; in the stabilised form project v onto the velocity constraint."""
     now, rows = x.now, x.rows
     ended = call(f[table.ACCEPT], w, k, address(now[Q]), 0, 0, 0, 0, 0)
-    if ended != DONE or not tied:
+    if ended != DONE or not stabilised:
         return ended
     ended = call(f[table.RATE], w, k, address(now[Q]), address(now[V]), address(rows[RATE]), 0, 0, 0)
     if ended != DONE:
@@ -288,13 +276,17 @@ def settle(f, w, k, x, tied):
 
 
 @part
-def newton(f, w, k, p, tied, y, x, counts):
-    """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|."""
-    last, now, rows = begin(p, y, x), x.now, x.rows
+def newton(f, w, k, p, stabilised, y, x, counts):
+    """Newton's method from the predicted state, or from where it was interrupted. Returns how it ended and the last |dq|."""
+    last, now, rows = y.marks[MOVED], x.now, x.rows
+    if last == 0.0:
+        predict(p, y, x)
+        y.marks[ACCEL] *= 0.9
+        y.marks[ACCEL_CHANGE] *= 0.9
     call(f[table.HOLD], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
-    if tied and last == 0.0:
+    if stabilised and last == 0.0:
         for i in range(now.shape[1]):
-            now[SLIP, i] = 0.0
+            now[GGL, i] = 0.0
     state = address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM])
     r, phi, dq, dlam = address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
     for iteration in range(p.max_iterations):
@@ -302,58 +294,52 @@ def newton(f, w, k, p, tied, y, x, counts):
         counts[0] += 1
         if ended == DONE and p.incremental:
             ended, _ = close(f, w, k, p, y, x)
-        if ended == DONE and tied:
-            ended = part_constraints(f, w, k, p, x)
+        if ended == DONE and stabilised:
+            ended = split_constraints(f, w, k, p, x)
         if ended != DONE:
             return ended, last
         ended = call(f[table.SOLVE], w, k, state[0], state[3], r, phi, dq, dlam)
         counts[1] += 1
-        moved, settled, hopeless, allowed = correct(p, y, x, iteration == 1, last)
-        if ended == DONE and tied:
-            ended = slip(f, w, k, p, y, x)
+        moved, converged, fails, allowed = correct(p, y, x, iteration == 1, last)
+        if ended == DONE and stabilised:
+            ended = correct_ggl(f, w, k, p, y, x)
         if ended != DONE:
             return ended, last
-        if settled:
+        if converged:
             ended, worst = close(f, w, k, p, y, x)
             if ended != DONE:
                 return ended, last
             if worst <= allowed:
-                return settle(f, w, k, x, tied), moved
-        if hopeless:
+                return settle(f, w, k, x, stabilised), moved
+        if fails:
             return REFACTOR, moved
         last = moved
     return REFACTOR, last
 
 
-@part
-def factor(f, w, k, c, x):
-    """Make the step matrix at the trial state."""
-    now, rows = x.now, x.rows
-    return call(f[table.FACTOR], w, k, address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM]), address(c), 0)
-
-
 @entry
-def stretch(f, w, first, p, c, tied, y, x, counts, qs, vs, accelerations, lams):
-    """Steps until the frames, the factor's use or that of h end: (steps, how it ended, last |dq|).
+def stretch(f, w, first, p, c, stabilised, y, x, counts, qs, vs, accelerations, lams):
+    """Take steps until the frames are full, a factor is needed or h is to change: (steps, how it ended, last |dq|).
 
     f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end; c (2,):
-    p.to_a and p.to_v; counts (3,): of residuals, solves and matrices made. Frames go to
-    qs, vs, accelerations (steps, n), lams (steps, m).
+    p.to_a and p.to_v; counts (3,): of residuals, solves and matrices made. Frames are written to qs, vs, accelerations (steps, n) and lams
+    (steps, m).
     """
     moved = 0.0
     for k in range(lams.shape[0]):
-        end, moved = newton(f, w, first + k, p, tied, y, x, counts)
+        end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
         if f[table.FACTOR] and (end in (REFACTOR, NOT_FINITE)):
             y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
             predict(p, y, x)
-            end = factor(f, w, first + k, c, x)
+            at, lam = x.now, address(x.rows[LAM])
+            end = call(f[table.FACTOR], w, first + k, address(at[Q]), address(at[V]), address(at[A]), lam, address(c), 0)
             counts[2] += 1
             y.marks[CONTRACTION], y.marks[AGE] = 1.0, FRESHEN
             if end == DONE:
-                end, moved = newton(f, w, first + k, p, tied, y, x, counts)
+                end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
         if end != DONE:
             return k, end, moved
-        end = finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
+        end = end_step(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
         if end != DONE:
-            return (k if end == TOO_FAR else k + 1), end, moved
+            return (k if end == ERROR_LARGE else k + 1), end, moved
     return lams.shape[0], DONE, moved

@@ -1,30 +1,32 @@
-"""Steps of generalized-alpha on one model: stretches of compiled steps, factors where these ask for one."""
+"""Steps of generalized-alpha on one model: stretches of the compiled loop, factors, fixed and adaptive steps of a smooth piece."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR, StepFailure
+from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.march import calm_error
-from polyida.integrate.kinks import at_kink, inner_side
-from polyida.integrate.sizes import extent, weights
+from polyida.integrate.alpha.start import started
+from polyida.integrate.alpha.step_size import CUT, LOWEST, StepSizeController
+from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
+from polyida.integrate.sizes import extent, states_at_rest, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, Stretch
+from polyida.integrate.state import State, States, Stretch
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.memory import room
 from polyida.system import INSTANTS
 from polyida.system.python import table_of
 
-ADAPTIVE = 128  # steps of a stretch whose step may change any time
+ADAPTIVE = 128  # steps of a stretch if h may change
+DIVERGED = 0.03  # of the model's extent: distance of the runs with h and h/2 beyond which they are different motions
 
 
 class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
-    control: what adaptive steps are held to (a Control), None where they are equal.
-    watch: what is told of every beginning, `begun(state, h)`, and every state, `stepped(state)`, of attempts that fail too; None: nobody.
-    With it, stretches are of one state.
-    verdict: "far" or "near" where adaptive steps should be shorter or longer. rows: a function of a count that gives the
-    places of so many states, [q, v, a (count, n), lam (count, m)], or None where they are to be made.
+    control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every beginning and `stepped(state)` for
+    every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer" if adaptive steps should be, else
+    None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam (count, m)], or None.
     """
 
     chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
@@ -32,91 +34,77 @@ class Steps:
     def __init__(self, settings, model, counts, control=None):
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
-        self.tied = settings.form == "stabilised" and model.m > 0
-        self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.has_constraint_increments)
+        self.stabilised = settings.form == "stabilised" and model.m > 0
+        self.table = table_of(model, settings.linear, self.stabilised, settings.incremental_phi and model.has_constraint_increments)
         self.caution = self.table.system(settings).caution
-        self.system = self.spare = self.verdict = None
-        self.longest = INSTANTS
-        self.kept, self.pause, self.rows, self.watch = FactorCache(), 0, _no_rows, None
+        self.system = self.spare = self.resize = self.recorder = None
+        self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
 
     def begin(self, state, h):
-        """Go on from a state that `started` has made ready for steps of h.
+        """Go on with steps of h from a state that `started` returned.
 
-        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there. memory["stretch"]:
-        how many the next stretch of a model with switches may have; whoever takes the states puts it into the last of a stretch.
+        memory["pause"]: the number of counted steps after which a stretch ends. memory["stretch"]: length of the next stretch of a model
+        with switches; who takes the states writes it into the last one of a stretch.
         """
-        self._limit(state.memory)
+        self._limit_stretch(state.memory)
         self.pause = state.memory.get("pause", self.pause)
-        s, c, y, model = self.settings, self.settings.coefficients, self.memory, self.model
+        s, c, y, model, control = self.settings, self.settings.coefficients, self.memory, self.model, self.control
         to_a, to_v = c.rates(h)
         least, most, share = s.newton_tolerance(to_a * h * h)
         numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
-        control = self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)
-        self.method = step.Method(*numbers, s.incremental_phi and model.has_constraint_increments, s.max_iterations, *control)
+        held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
+        self.method = step.Method(*numbers, s.incremental_phi and model.has_constraint_increments, s.max_iterations, *held_to)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
-        y.past[step.CHANGE] = self._change_before(state)
+        if control and control.before and not at_kink(model, state.t):  # for the error of the first step
+            y.past[step.CHANGE] = state.memory.get("change", 0.0)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
-        self.verdict, self.ended, self.taken, self.first, self.count, self.waiting = None, None, None, 0, 0, []
-        self._take(self.kept.take(h))
-        if self.watch is not None:
-            self.watch.begun(state, h)
+        self.resize, self.ended, self.last, self.first, self.count, self.waiting = None, None, None, 0, 0, []
+        self._take(self.factors.take(h))
+        if self.recorder is not None:
+            self.recorder.begun(state, h)
 
-    def _limit(self, memory):
-        """Heed what is said of the next stretch."""
+    def _limit_stretch(self, memory):
         if self.model.switching:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
-
-    def _held_to(self, h):
-        """(|C| h^2, rtol, atol, the error below which h may grow, the weight of the step before) of steps of h."""
-        control = self.control
-        calm = calm_error(h, control.largest, order=control.order)
-        return abs(self.settings.coefficients.error) * h * h, *control.allowed(h), calm, control.before
-
-    def _change_before(self, state):
-        """The change of q'' in the step before, at another h, where the error of the first one asks for it; 0 behind a kink."""
-        asked = self.control and self.control.before and not at_kink(self.model, state.t)
-        return state.memory.get("change", 0.0) if asked else 0.0
 
     def _weigh(self, masses):
         self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses
 
     def _take(self, system):
+        """Use a factor, of which Newton's contraction is not known."""
         self.system = system
         self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
 
     def recall(self, memory):
-        """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
+        """Take up Newton's memory and factor, so that a resumed run is the same to the last bit."""
         self.memory.past[step.CHANGE], self.memory.past[step.EARLIER] = memory["change"], memory["earlier"]
         self._weigh(memory.get("weights", self.memory.past[step.MASSES].copy()))
         if len(memory["factored_at"]):
-            self._factor(lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v), float("nan"))
+            self._factor(float("nan"), lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v))
         self.memory.marks[:] = memory["marks"]
         self.method = self.method._replace(extent=float(memory["extent"]))
 
     def run(self, grid):
-        """Yield stretches of the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
+        """Yield stretches of the states at the ends of the grid's steps, as long as h is to stay. Raises StepFailure."""
         done = grid.done
         while done < grid.count and (stretch := self.stretch(grid, done)):
             done += len(stretch)
             yield stretch
 
     def stretch(self, grid, done):
-        """The states at the ends of the next steps of a grid, of which `done` are taken; None where the verdict says otherwise first.
-
-        Raises StepFailure.
-        """
+        """The states at the ends of the next steps of a grid, of which `done` are taken; None if h is to change first. Raises StepFailure."""
         if not self.waiting:
-            found = None if self.verdict else self._stretch(grid, done)
-            if found is None or self.watch is None:
+            found = None if self.resize else self._stretch(grid, done)
+            if found is None or self.recorder is None:
                 return found
             self.waiting = [found.part(k, k + 1) for k in reversed(range(len(found)))]
         part = self.waiting.pop()
-        self.watch.stepped(part.last)
+        self.recorder.stepped(part.last)
         return part
 
-    def aside(self, grid):
+    def last_of(self, grid):
         """The State at the end of the grid, in arrays of its own. Raises StepFailure."""
         rows, self.rows = self.rows, _no_rows
         try:
@@ -125,25 +113,25 @@ class Steps:
             self.rows = rows
 
     def _prepare(self, grid, done):
-        """Get ready for as many steps of a grid as the model's table takes at once, or as may be taken before the next pause."""
-        if self.taken is not None:
-            self._limit(self.taken.memory)
+        """Prepare as many steps of a grid as the model's table takes at once, or as may be taken before the next pause."""
+        if self.last is not None:
+            self._limit_stretch(self.last.memory)
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
         most = int(max(1, min(most, self.longest, self.table.longest)))
-        left, h = self.pause - self.counts.steps, self.method.h
-        self.times = times = grid.times(done, min(done + (left if 0 < left < most else most), grid.count))
+        to_pause, h, n, m = self.pause - self.counts.steps, self.method.h, self.model.n, self.model.m
+        self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))
         self.first, self.count = 0, len(times) - 1
-        self.frames = self.rows(self.count) or _fresh(self.count, self.model.n, self.model.m)
+        self.frames = self.rows(self.count) or room([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
         self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
 
     def _stretch(self, grid, done):
-        """The same, as far as one call of compiled steps goes."""
+        """The same, as far as one call of the compiled loop goes."""
         if self.ended:
             self._refactor_or_fail(*self.ended)
         if self.first == self.count:
             self._prepare(grid, done)
         steps = 0
-        while not steps and self.verdict is None:
+        while not steps and self.resize is None:
             first, fresh = self.first, self.system is None
             if fresh:
                 step.predict(self.method, self.memory, self.trial)
@@ -152,36 +140,36 @@ class Steps:
             if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, self.frames)
             self.first += steps
-            if ended in (TOO_FAR, TOO_NEAR):
-                self.verdict = "far" if ended == TOO_FAR else "near"
+            if ended in (ERROR_LARGE, ERROR_SMALL):
+                self.resize = "shorter" if ended == ERROR_LARGE else "longer"
             elif ended != DONE:
                 self.ended = ended, fresh and not steps, self.times[self.first + 1], moved
                 if not steps:
                     self._refactor_or_fail(*self.ended)
         if not steps:
             return None
-        made = slice(first, self.first)
-        stretch = Stretch(self.times[1:][made], *(frame[made] for frame in self.frames))
-        if self.first == self.count or ended == TOO_NEAR:
+        part = slice(first, self.first)
+        stretch = Stretch(self.times[1:][part], *(frame[part] for frame in self.frames))
+        if self.first == self.count or ended == ERROR_SMALL:
             last = stretch.last
             last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + steps)))
             stretch = Stretch(stretch.t, stretch.q, stretch.v, stretch.a, stretch.lam, last)
-        self.taken = stretch.last
+        self.last = stretch.last
         return stretch
 
-    def _steps(self, method, first, last, frames):
-        """Take the steps from `first` to `last` with the factor at hand: (steps, how it ended, last |dq|)."""
-        counts, c, frames = np.zeros(3, np.int64), np.array([method.to_a, method.to_v]), [frame[first:last] for frame in frames]
+    def _steps(self, method, first, end, frames):
+        """Take the steps from `first` to before `end` with the present factor: (steps, how it ended, last |dq|)."""
+        counts, c, frames = np.zeros(3, np.int64), np.array([method.to_a, method.to_v]), [frame[first:end] for frame in frames]
         with self.table.at_work(self.system) as (functions, workspace):
-            result = step.stretch(functions, workspace, first, method, c, self.tied, self.memory, self.trial, counts, *frames)
-        residuals, solves, made = map(int, counts)
+            result = step.stretch(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, *frames)
+        residuals, solves, factors = map(int, counts)
         self.counts.residuals += residuals
         self.counts.solves += solves
         self.counts.newton_iterations += solves
-        if made:
+        if factors:
             self.system.read()
-            self.counts.tangents += made
-            self.counts.factorizations += made
+            self.counts.tangents += factors
+            self.counts.factorizations += factors
         return result
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
@@ -191,9 +179,8 @@ class Steps:
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
             return
-        status, reason = REASONS[ended]
         phi = float(np.abs(self.trial.rows[step.PHI]).max(initial=0))
-        raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": phi})
+        raise StepFailure(*REASONS[ended], t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
         """One step with a matrix made anew in every iteration."""
@@ -210,57 +197,179 @@ class Steps:
         y.marks[step.MOVED] = 0.0
         return steps, ended, moved
 
-    @property
-    def error(self):
-        """The largest local error seen since the last change of h or look at it, over what is allowed."""
-        return float(self.memory.marks[step.ERROR])
-
-    def state(self, t):
-        """The last accepted state with all that a run goes on from."""
-        y = self.memory
-        return State(float(t), *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), self._memory(None), restart=False)
-
-    def _memory(self, place):
-        y, p = self.memory, self.method
-        made = np.zeros(0) if self.system is None else self.system.made_at
-        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
-        memory |= self.control.memory if self.control else {}
-        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
-        if self.model.needs.mass_varies:
-            memory["weights"] = y.past[step.MASSES].copy()
-        if p.incremental:
-            memory |= {"phi": y.closed[step.PHI].copy(), "rate": y.closed[step.RATE].copy()}
-        return memory if place is None else memory | {"grid": place}
-
     def _factor_here(self, first):
         t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.rows[step.LAM].copy()
+        self._factor(t, lambda system, p: self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v))
 
-        def make(system, p):
-            self.counts.residuals += self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v)
-
-        self._factor(make, t)
-
-    def _factor(self, make, t):
-        """A new factor, made by make(system, method)."""
+    def _factor(self, t, make):
+        """A new factor by make(system, method), which returns the number of residuals it took, or None."""
         system = self.spare or self.table.system(self.settings)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
-            make(system, self.method)
+            self.counts.residuals += make(system, self.method) or 0
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
         self.counts.backend = system.backend
         self.counts.solves += system.solves
         self._take(system)
         if self.control:
-            self.kept.keep(self.method.h, system)
+            self.factors.keep(self.method.h, system)
         else:
-            self.spare = system  # the next factor takes its place
+            self.spare = system  # the next factor overwrites it
+
+    @property
+    def error(self):
+        """The largest local error over the allowed one, since h or `marks` changed."""
+        return float(self.memory.marks[step.ERROR])
+
+    def state(self, t):
+        """The last accepted state with the memory from which a run goes on."""
+        y = self.memory
+        return State(float(t), *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), self._memory(None), restart=False)
+
+    def _memory(self, grid):
+        y, p = self.memory, self.method
+        made_at = np.zeros(0) if self.system is None else self.system.made_at
+        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
+        memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
+        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made_at, "extent": p.extent}
+        if self.model.needs.mass_varies:
+            memory["weights"] = y.past[step.MASSES].copy()
+        if p.incremental:
+            memory |= {"phi": y.closed[step.PHI].copy(), "rate": y.closed[step.RATE].copy()}
+        return memory if grid is None else memory | {"grid": grid}
 
 
 def _no_rows(count):
     return None
 
 
-def _fresh(count, n, m):
-    return room([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * count * (3 * n + m))
+def fixed_steps(engine, state, begin, end, count):
+    """Yield stretches of the states at the ends of `count` equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
+    settings, model, counts, grid = engine.settings, engine.model, engine.counts, grid_of(state, begin, end, count)
+    for state in states_at_rest(model, state, grid, counts):
+        grid = grid._replace(done=grid.done + 1)
+        state.memory["grid"] = grid.after(grid.done)
+        counts.steps += 1
+        yield Stretch.of(state)
+    level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
+    while done < grid.count:
+        failures = []
+        if level == 0:
+            try:
+                engine.begin(started(settings, model, state, grid.h), grid.h)
+                near, same_h = 1e-12 * max(abs(state.t), abs(grid.end)), np.isclose(state.memory.get("h", 0.0), grid.h, rtol=1e-9, atol=0.0)
+                if "factored_at" in state.memory and same_h and not model.kinks(state.t - near, state.t + near):
+                    engine.recall(state.memory)
+                while done < grid.count:
+                    stretch = engine.stretch(grid, done)
+                    state, done = stretch.last, done + len(stretch)
+                    counts.steps += len(stretch)
+                    yield stretch
+                return
+            except StepFailure as failure:
+                failures.append(failure)
+                counts.rejected += 1
+        for level in range(max(1, level), settings.max_halvings + 1):
+            parts = Grid(grid.time(done), grid.time(done + 1), 2**level)
+            try:
+                engine.begin(started(settings, model, _cut(state, level), parts.h), parts.h)
+                state = engine.last_of(parts)
+                break
+            except StepFailure as failure:
+                failures.append(failure)
+                counts.rejected += 1
+        else:
+            raise _first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
+        done, level = done + 1, level - 1
+        counts.steps += 1
+        state = _cut(state, level, grid=grid.after(done))
+        yield Stretch.of(state)
+
+
+def _cut(state, level, **memory):
+    """A state from which the method starts with a_alg = q''."""
+    return State(state.t, state.q, state.v, state.a, state.lam, {"cut": float(level), "h": 0.0} | memory)
+
+
+def _first_of(failures, attempts):
+    """The first failure, with the attempts that followed and the reason of the last one."""
+    first, last = failures[0], failures[-1]
+    reason = first.reason if last is first else f"{first.reason}; {attempts}, at last: {last.reason}"
+    return StepFailure(first.status, reason, first.t, **last.seen)
+
+
+def adaptive_steps(engine, state, begin, end, longest, most_steps):
+    """Yield stretches of states from begin to end, with h as the local error allows, but no step above `longest`.
+
+    Raises StepFailure below the lowest level, if h is round-off of t, and if the steps counted and rejected would be more than most_steps.
+    """
+    settings, model, counts, control = engine.settings, engine.model, engine.counts, engine.control
+    most, t, failures = (end - begin) / number_of_steps(model, state, begin, end, longest), begin, []
+    controller = StepSizeController(control, float(state.memory.get("h", control.first)) or np.inf, most, longest)
+
+    def require_progress(h):
+        if counts.steps + counts.rejected >= most_steps:
+            raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
+        if h < 16 * np.spacing(abs(t)):
+            raise StepFailure("step too small", "the step has shrunk to the round-off of t", t, step=h)
+
+    def require_level(down, failures):
+        if controller.level + down > LOWEST:
+            raise _first_of(failures, f"down to steps of {controller.h:.3g} s")
+
+    for state in states_at_rest(model, state, Grid(t, end, max(1, int(np.ceil((end - t) / most * (1 - 1e-12))))), counts):
+        require_progress(state.t - t)
+        t = state.t
+        counts.steps += 1
+        state.memory.update({"sizes": np.array(control.sizes)} if control.sizes else {})
+        yield Stretch.of(state)
+    while t < end:
+        remaining, moved = (end - t) / controller.h, False
+        if remaining <= 3:  # the last few steps are equal
+            grid = Grid(t, end, max(1, int(np.ceil(remaining - 1e-9))))
+        else:
+            grid = Grid(t, t + (int(remaining) - 1) * controller.h, int(remaining) - 1)
+        require_progress(grid.h)
+        try:
+            engine.begin(started(settings, model, state, grid.h), grid.h)
+            done = 0
+            while done < grid.count and counts.steps + counts.rejected < most_steps and (stretch := engine.stretch(grid, done)):
+                stretch = stretch.part(0, most_steps - counts.steps - counts.rejected)
+                t, moved, done = stretch.last.t, True, done + len(stretch)
+                counts.steps += len(stretch)
+                yield stretch
+            failures = []
+        except StepFailure as failure:
+            failures.append(failure)
+            require_level(CUT, failures)
+            controller.level += CUT
+        if failures or engine.resize == "shorter":
+            counts.rejected += 1
+        if engine.resize == "shorter":
+            controller.reduce(engine.error)
+            require_level(0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
+        elif engine.resize == "longer":
+            controller.raise_step(engine.error)
+        state = engine.state(t) if moved else state  # not the state that `started` returned: that is behind a kink already
+
+
+def extrapolated(settings, model, state, t_end, counts):
+    """Yield `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h (Richardson), of order 3 to 4. Raises StepFailure, also if the runs diverge.
+
+    The runs with h and h/2 are independent. phi = 0 and energy hold to the order of the result only. A kink at the end of a step does no harm;
+    mesh modes that no step resolves gain nothing. Once the runs are different motions there is nothing to extrapolate, and the run stops.
+    """
+    plain = replace(settings, extrapolate=False)
+    coarse, fine = (States(plain.in_pieces(model, state, t_end, counts, split), counts) for split in (1, 2))
+    for one in coarse:
+        next(fine)
+        two = next(fine)
+        counts.steps -= 2
+        distance = float(np.abs(two.q - one.q).max())
+        if distance > DIVERGED * extent(model, two.q):
+            reason = f"the runs with h and h/2 are {distance:.3g} apart in q; there is nothing to extrapolate: take a shorter h"
+            raise StepFailure("extrapolation", reason, one.t, **{"|q(h) - q(h/2)|": distance})
+        x = [(4 * b - a) / 3 for a, b in ((one.q, two.q), (one.v, two.v), (one.a, two.a), (one.lam, two.lam))]
+        yield State(one.t, *x, restart=False)

@@ -1,48 +1,74 @@
-"""The energy-momentum method of Simo and Tarnow (1992), with the discrete derivative of Gonzalez (1996) beyond plates."""
+"""The energy-momentum method of Simo and Tarnow (1992), with the discrete derivative of Gonzalez (1996) for users' models.
 
+`phi = 0` at both ends leaves the deviation of `v_1 = 2 (q_1 - q_0)/h - v_0` from `phi_q v + phi_t = 0` as large as that of v_0, with the
+opposite sign: the effect of a motor's jerk would alternate for ever, and appear in lam divided by h. So if phi is driven, v_1 is projected
+along M^-1 phi_q^T; lam takes up what a step misses; a motor's energy was measured to be off by 4e-13 a step at 20 rad/s and 4 ms.
+If nothing is driven, there is an energy to conserve, and v_1, off its constraint by O(h^2), has it. So the next step begins from that v_1
+(memory "v_free"), which conserves energy and momenta; in the frame v_1 is projected and scaled to its kinetic energy.
+"""
+
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from polyida.errors import InputError
-from polyida.integrate.energy.dense import OF_ENERGY
-from polyida.integrate.energy.steps import HALVINGS, Steps
-from polyida.integrate.kinks import Grid, at_kink, enough_steps, stretches
-from polyida.integrate.rest import held
-from polyida.integrate.start import on_velocity
+from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, InputError, StepFailure
+from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
+from polyida.integrate.energy import loop
+from polyida.integrate.energy.tables import OF_ENERGY, table_of
+from polyida.integrate.sizes import states_at_rest
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts, Integrator, State, States, Stretch
+from polyida.linear.lu import SingularSystem
 from polyida.model import Model
 from polyida.model.check import require_energies
 from polyida.model.differences import beside
 from polyida.model.guarded import Compiled, guard, require_constraints, unguarded
 from polyida.validation import is_number, is_whole, named_keywords
 
-SAME = 1e-9  # of its size, by which what ought to be equal may differ
+SAME = 1e-9  # relative difference of what should be equal
+MUCH_SHORTER = 10.0  # the accelerations of a step shorter by that factor are not used
+HALVINGS = 6  # of a step that fails
+CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 
 
 @named_keywords
 @dataclass(frozen=True)
 class EnergyMomentum(Integrator):
-    """Constant steps that keep energy and momenta in the discrete sense.
+    """Constant steps that conserve energy and momenta in the discrete sense.
 
-    `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
-    of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
-    the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities of the frames are
-    on their constraint. Second order in q, v, a and lam; a and lam follow from q and v, for the frames that are kept: on plates that costs
-    half to two thirds of a step. Damping enters at the middle of the step and only takes energy.
+    `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`.
 
-    It takes every scene, force elements and bodies of one's own by the discrete derivative of their energy, and every model of one's own that gives
-    `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/dense.py). Other forces act at the middle. That
-    the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
+    Parameters
+    ----------
+    h : float, s
+        Step. A run takes the largest step not above h that divides its time evenly, and at least four steps behind a kink of loads that are
+        not straight lines.
+    tolerance : float
+        Newton's tolerance, of h^2 times the size of the acceleration.
+    max_iterations : int
+        Largest number of iterations of one Newton solve.
 
-    All models go through one compiled loop, which keeps its factor while Newton contracts; it calls force elements, bodies and models in Python back.
+    Raises
+    ------
+    InputError
+        For a setting out of range; a run raises it for a model that the method does not take.
 
-    h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
-    the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
-    acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that it does not take.
-    Source: Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress;
-    J. Nonlinear Sci. 6 (1996) 449-467 for the discrete derivative.
+    Notes
+    -----
+    The stress is that of the mean of the strains at both ends on the mean F; B is phi_q at the mean q and t. Without motors and damping the
+    energy changes by what Newton's method leaves, since `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Damping acts at the middle
+    of the step and only takes energy. q, v, a and lam are of second order; velocities of frames satisfy their constraint. a and lam are
+    computed for the frames that are kept; on plates that costs half to two thirds of a step.
+
+    Models: every scene, with users' force elements and bodies by the discrete derivative of their energy, and every user's model with a
+    `potential`, constant mass and phi at most quadratic in q. Other forces act at the middle. If phi_q varies, energy is conserved with
+    `Needs(driven=False)` only.
+
+    Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress; J. Nonlinear Sci. 6 (1996) 449-467 for the
+    discrete derivative.
     """
 
     h: float
@@ -64,26 +90,37 @@ class EnergyMomentum(Integrator):
         return float(self.h)
 
     def require(self, model: Model) -> None:
-        """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic.
+        """Raise InputError unless the method takes the model: any scene; a user's with a potential, constant mass, phi at most quadratic.
 
-        Forces must be those of the energies that are given, where elements and models say that they are conservative.
+        Elements and models that declare conservative forces must give the energies of these. Functions are tested at random places.
         """
         if not model.is_scene:
-            require_own(model)
+            own, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
+            require_constraints(own)
+            q, d = random.standard_normal((2, own.n))
+            part, other = f"EnergyMomentum: {own.name}", "; use GeneralizedAlpha or IDA"
+            if own.potential(q) is None:
+                raise InputError(f"{part} gives no potential(q), so there is no energy to keep{other}")
+            if own.needs.mass_varies and not _equal(own.mass(q), own.mass(q + d)):
+                raise InputError(f"{part}: its mass varies with q; it must be constant{other}")
+            if own.m and not _equal(own.phi(0.0, q + d) - own.phi(0.0, q - d), 2.0 * own.phi_q(0.0, q) @ d):
+                raise InputError(
+                    f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{other}"
+                )
+            if unguarded(own).by_numba:
+                Compiled(own, OF_ENERGY)
         require_energies(guard(model), 0.0, np.zeros(model.n))
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        """Accepted states after `state` up to t_end, one for each step. Raises StepFailure."""
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
-        for begin, end, most in stretches(model, state.t, t_end, self.h):
-            v = on_velocity(
-                model, beside(begin, 1) if at_kink(model, begin) else begin, state.q, state.v
-            )  # a motor's speed may have jumped
-            state = State(state.t, state.q, v, state.a, state.lam, state.memory)
-            grid = Grid(begin, end, enough_steps(model, state, begin, end, min(self.h, most)))
-            for state in held(model, state, grid, counts):
+        for begin, end, most in pieces(model, state.t, t_end, self.h):
+            t = beside(begin, 1) if at_kink(model, begin) else begin  # behind a jump of a motor's speed
+            state = State(state.t, state.q, on_velocity(model, t, state.q, state.v), state.a, state.lam, state.memory)
+            grid = Grid(begin, end, number_of_steps(model, state, begin, end, min(self.h, most)))
+            for state in states_at_rest(model, state, grid, counts):
                 grid = grid._replace(done=grid.done + 1)
                 counts.steps += 1
                 yield Stretch.of(state)
@@ -95,24 +132,236 @@ class EnergyMomentum(Integrator):
             state = ends.last
 
 
-def require_own(model):
-    """Raise InputError, naming what is in the way, unless the discrete derivative takes a model of one's own.
-
-    What its functions are like is seen at places drawn at random.
-    """
-    model, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
-    require_constraints(model)
-    q, d = random.standard_normal((2, model.n))
-    part, else_ = f"EnergyMomentum: {model.name}", "; use GeneralizedAlpha or IDA"
-    if model.potential(q) is None:
-        raise InputError(f"{part} gives no potential(q), so there is no energy to keep{else_}")
-    if model.needs.mass_varies and not _equal(model.mass(q), model.mass(q + d)):
-        raise InputError(f"{part}: its mass varies with q; it must be constant{else_}")
-    if model.m and not _equal(model.phi(0.0, q + d) - model.phi(0.0, q - d), 2.0 * model.phi_q(0.0, q) @ d):
-        raise InputError(f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{else_}")
-    if unguarded(model).by_numba:
-        Compiled(model, OF_ENERGY)
-
-
 def _equal(one, other):
     return abs(one - other).max() <= SAME * (abs(one).max() + abs(other).max())
+
+
+class Steps:
+    """Steps of one h on one model; halvings: how often a step that fails is halved."""
+
+    def __init__(self, settings, model, h, counts, halvings=HALVINGS):
+        self.settings, self.model, self.h, self.counts, self.halvings = settings, model, h, counts, halvings
+        self.c, self.system, self.table = np.array([4.0 / h**2, 2.0 / h]), None, table_of(model)
+        self.extent = float(np.ptp(model.reference, axis=0).max()) if model.is_scene else 0.0
+        self.now, self.rows, self.marks = np.zeros((loop.NOW, model.n)), np.zeros((loop.ROWS, model.m)), np.zeros(loop.MARKS)
+        turning = model.m and model.needs.phi_q_varies
+        self.kind = loop.PROJECTED if model.needs.driven else loop.FRAMES_PROJECTED if turning else loop.FREE
+
+    def run(self, state, grid):
+        """Yield stretches of the states at the ends of the grid's steps. Raises StepFailure."""
+        self._begin(state)
+        self.end = grid.end, inner_side(self.model, grid.end, self.h)
+        pause, done = state.memory.get("pause", 0), grid.done
+        most = 1 if self.model.switching else max(1, CHUNK_BYTES // (48 * self.model.n))
+        while done < grid.count:
+            longest, to_pause = min(most, self.table.longest), pause - self.counts.steps
+            end = min(done + (to_pause if 0 < to_pause < longest else longest), grid.count)
+            for ends in self._stretches(grid.times(done, end)):
+                done += len(ends)
+                yield ends
+
+    def _begin(self, state):
+        now, memory = self.now, state.memory
+        a, lam = memory.get("a_middle", state.a), memory.get("lam_middle", state.lam)
+        if self.h > MUCH_SHORTER * memory.get("h_middle", self.h):  # the shorter step may have been a blow
+            a = lam = 0.0
+        now[loop.A :], self.rows[loop.LAMS :], self.marks[:] = 0.0, 0.0, 0.0
+        now[loop.Q0], now[loop.V0], now[loop.A], self.rows[loop.LAMS] = state.q, memory.get("v_free", state.v), a, lam
+        self._forget()
+
+    def _forget(self):
+        """Let Newton's method begin as with a new matrix."""
+        self.marks[[loop.ORDER, loop.ORDER_LAM, loop.CONTRACTION, loop.AGE]] = 0.0, 0.0, 1.0, loop.FRESHEN
+
+    def _stretches(self, times):
+        """The states at times[1:], as far as each call of the loop goes."""
+        count, first, fresh = len(times) - 1, 0, False
+        qs, vs = np.empty((2, count, self.model.n))
+        self.table.prepare(times, self._side(times[-1]), self.h)
+        while first < count:
+            if self.system is None:
+                self._factor(times[first + 1])
+                fresh = True
+            steps, ended, moved = self._steps(first, qs[first:], vs[first:])
+            if steps:
+                part, first, fresh = slice(first, first + steps), first + steps, False
+                yield Ends(self, times[1:][part], qs[part], vs[part], self._memory() if first == count else None)
+            if ended == DONE:
+                continue
+            if not fresh and ended != HALF_TURN:
+                self.system = None
+                continue
+            now = self.now.copy()
+            here = State(float(times[first]), now[loop.Q0], now[loop.V0], now[loop.A], self.rows[loop.LAMS].copy(), self._memory())
+            last = self._halved(here, times[first + 1], ended, moved).last
+            self._begin(last)
+            first, fresh = first + 1, False
+            yield Stretch.of(last)
+
+    def _steps(self, first, qs, vs):
+        """(steps, how it ended, last |dq|) of the compiled loop."""
+        counts, s = np.zeros(3, np.int64), self.settings
+        settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind
+        with self.table.at_work(self.system) as (functions, workspace):
+            ended = loop.stretch(functions, workspace, first, *settings, self.now, self.rows, self.marks, counts, qs, vs)
+        residuals, solves, factors = map(int, counts)
+        self.counts.residuals += residuals
+        self.counts.solves += solves
+        self.counts.newton_iterations += solves
+        self.table.raise_left()
+        if factors:
+            self.system.read()
+            self.counts.tangents += factors
+            self.counts.factorizations += factors
+        return ended
+
+    def _memory(self):
+        """What the next step begins from, beside q."""
+        now = self.now
+        memory = {"a_middle": now[loop.A].copy(), "lam_middle": self.rows[loop.LAMS].copy(), "h_middle": self.h}
+        return memory | ({"v_free": now[loop.V0].copy()} if self.kind == loop.FRAMES_PROJECTED else {})
+
+    def _factor(self, t):
+        """A new factor for the step that ends at t."""
+        h, now, counts = self.h, self.now, self.counts
+        q = now[loop.Q0] + 0.5 * h * now[loop.V0] + 0.25 * h * h * now[loop.A]
+        self._forget()
+        self.system, lam = self.table.system(self), self.rows[loop.LAMS].copy()
+        counts.tangents += 1
+        counts.factorizations += 1
+        counts.residuals += 1
+        try:
+            self.system.factor(t - 0.5 * h, q, now[loop.V0].copy(), now[loop.A].copy(), lam, *self.c)
+        except SingularSystem as error:
+            raise StepFailure("singular", str(error), t) from None
+        counts.backend = self.system.backend
+        counts.solves += self.system.solves
+
+    def step_matrix(self, model):
+        """The model's own."""
+        return model.step_matrix()
+
+    def _halved(self, state, t, ended, moved):
+        """The end at t by two steps of half the size, each of which conserves energy."""
+        if not self.halvings:
+            status, reason = REASONS[ended]
+            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.rows[loop.PHI]).max(initial=0.0)), "step": self.h}
+            raise StepFailure(status, f"{reason}; the step in 2 to {2**HALVINGS} parts fails too", t, **seen)
+        self.system = None
+        self.counts.rejected += 1
+        half = Steps(self.settings, self.model, self.h / 2, self.counts, self.halvings - 1)
+        for begin, end in ((t - self.h, t - self.h / 2), (t - self.h / 2, t)):
+            *_, ends = half.run(state, Grid(begin, end, 1))
+            state = ends.last
+        return ends
+
+    def projected(self, t, q, v_free):
+        """[v] at ends, projected onto their constraints and scaled to their kinetic energy, (k, n)."""
+        if self.table.complete:
+            v = v_free.copy()
+            self._call(loop.project_frames, t, q, v, np.zeros(self.model.m))
+            return [v]
+        velocities = []
+        for at, place, free in zip(map(self._side, t), q, v_free):
+            v, M = on_velocity(self.model, at, place, free), self.model.mass(place)
+            energy = v @ (M @ v)
+            velocities.append(v * np.sqrt(free @ (M @ free) / energy) if energy > 0.0 else v)
+        return [np.array(velocities)]
+
+    def forces(self, t, q, v):
+        """(a, lam) at ends: `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`."""
+        if self.table.complete:
+            arrays = np.empty(q.shape), np.empty((len(q), self.model.m))
+            self._call(loop.forces, t, q, v, *arrays)
+            return arrays
+        try:
+            each = [consistent_acceleration(self.model, *at) for at in zip(map(self._side, t), q, v)]
+        except np.linalg.LinAlgError:
+            raise StepFailure("singular", REASONS[SINGULAR][1], t[0]) from None
+        return tuple(map(np.array, zip(*each)))
+
+    def _side(self, t):
+        """The time of an end, on the step's side of a kink, which may be at the grid's end only."""
+        return self.end[1] if t == self.end[0] else float(t)
+
+    def _call(self, function, t, *arrays):
+        """Call a function of the loop for ends at times t."""
+        first = self.table.prepare_ends(t, self._side(t[-1]))
+        ended = function(self.table.functions, self.table.workspace, first, *map(np.ascontiguousarray, arrays))
+        self.table.raise_left()
+        if ended != DONE:
+            raise StepFailure(*REASONS[ended], t[0])
+
+
+class Ends(Stretch):
+    """Ends of steps, whose v, a and lam are computed from q and the v of the next step, for the ends that are asked for them.
+
+    a and lam have the order of q and v, need no step before or after, and balance the forces of a frame. memory: what the step behind the
+    last end starts from, or None if a run cannot go on from there.
+    """
+
+    def __init__(self, steps, t, q, v_free, memory=None, shared=None):
+        self.steps, self.t, self.q, self.v_free, self.memory = steps, t, q, v_free, memory
+        self._computed, self._at, self._size = shared or ({}, np.arange(len(t)), len(t))
+
+    def _compute(self, name, function, v):
+        """Arrays of these ends, function(t, q, v), called for those of the whole stretch that were not computed before."""
+        computed, at, size = self._computed, self._at, self._size
+        known, arrays = computed.get(name) or (np.zeros(size, bool), None)
+        if not known[at].all():
+            new = ~known[at]
+            results = function(self.t[new], self.q[new], v[new])
+            known, arrays = computed.setdefault(name, (known, [np.empty((size, *values.shape[1:])) for values in results]))
+            known[at[new]] = True
+            for values, of_new in zip(arrays, results):
+                values[at[new]] = of_new
+        return [values[at] for values in arrays]
+
+    @property
+    def v(self):
+        """Velocities on their constraints, (k, n)."""
+        projected = self.steps.kind == loop.FRAMES_PROJECTED
+        return self._compute("v", self.steps.projected, self.v_free)[0] if projected else self.v_free
+
+    a = property(lambda self: self._compute("forces", self.steps.forces, self.v)[0])
+    lam = property(lambda self: self._compute("forces", self.steps.forces, self.v)[1])
+
+    @cached_property
+    def last(self):
+        """The last State."""
+        return self.state(len(self) - 1)
+
+    def state(self, k):
+        """State number k, from 0, with Ends of its own, not these, which may hold it."""
+        return End(self._part(slice(k, k + 1)))
+
+    def part(self, first, end, every=1):
+        """The ends from number `first` to before `end`, or each `every`-th of them."""
+        if first == 0 and end >= len(self) and every == 1:
+            return self
+        return self._part(slice(first, end, every))
+
+    def _part(self, at):
+        """The ends in a slice; all parts of a stretch share the computed arrays, and no part holds another."""
+        has_last = range(len(self))[at][-1:] == range(len(self))[-1:]
+        shared = self._computed, self._at[at], self._size
+        return Ends(self.steps, self.t[at], self.q[at], self.v_free[at], self.memory if has_last else None, shared)
+
+    def finite(self):
+        """True if q and v are finite; a and lam are not computed for it."""
+        return math.isfinite(np.vdot(self.q, self.v_free))
+
+
+class End(State):
+    """A State whose v, a and lam are computed when they are first asked for. ends: Ends of this state alone."""
+
+    def __init__(self, ends):
+        vars(self).update(t=float(ends.t[0]), q=ends.q[0], memory=ends.memory or {}, restart=ends.memory is not None, ends=ends)
+
+    v = property(lambda self: self.ends.v[0])
+    a = property(lambda self: self.ends.a[0])
+    lam = property(lambda self: self.ends.lam[0])
+
+    def finite(self):
+        """True if q and v are finite."""
+        return self.ends.finite()

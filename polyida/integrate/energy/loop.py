@@ -1,11 +1,11 @@
 """The compiled loop of the energy-momentum method: stretches of steps of any model, through its table (polyida.system).
 
-Newton on dq of the end. The derivative of the residual is `S/2`, `S = (4/h^2) M + (2/h) C + K` at the middle, which is a step matrix, but for
-what is not symmetric and for the Jacobian of phi at the end in place of that at the middle. Both are near enough for Newton to contract, and
-what it converges to is the exact residual's root.
+Newton's method on dq of the end. The derivative of the residual is `S/2`, `S = (4/h^2) M + (2/h) C + K` at the middle, a step matrix, except
+for what is not symmetric and for the Jacobian of phi, which is that at the end and not at the middle. Newton's method converges with both, to
+the root of the exact residual.
 
-Newton begins where a and lam of the earlier steps lead: each is extrapolated by the polynomial that would have been nearest in the last step.
-It ends after one correction if the contraction that was measured in earlier steps leaves less than the tolerance.
+It starts from extrapolated a and lam, each by the polynomial that would have been nearest in the last step, and ends after one correction if
+the contraction measured in earlier steps leaves less than the tolerance.
 """
 
 import numpy as np
@@ -19,13 +19,11 @@ from polyida.jit.intrinsics import address, call
 Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps
 TERMS = 5
 NOW = A + TERMS
-PHI, DLAM, LAM, KNOWN = range(4)  # from KNOWN on: those of the multipliers
-ROWS = KNOWN + TERMS
-ORDER, ORDER_LAM, CONTRACTION, AGE, ERRORS = range(
-    5
-)  # of `marks`: orders of the polynomials; the contraction and its age in steps; scratch
+PHI, DLAM, LAM, LAMS = range(4)  # from LAMS on: backward differences of the multipliers
+ROWS = LAMS + TERMS
+ORDER, ORDER_LAM, CONTRACTION, AGE, ERRORS = range(5)  # of `marks`: orders of the polynomials; contraction, its age in steps; workspace
 MARKS = ERRORS + TERMS
-FREE, DRIVEN, TURNING = range(3)  # what v_1 needs: nothing; to be put on its constraint; that in frames alone, as fast as it was
+FREE, PROJECTED, FRAMES_PROJECTED = range(3)  # v_1: as it is; on its constraint; on it in frames only, with unchanged kinetic energy
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
@@ -44,7 +42,7 @@ def extrapolate(x, first, order, out):
 
 @part
 def remember(x, value, first, errors):
-    """Take x[value] into the backward differences; the order of the polynomial that would have been nearest to it."""
+    """Add x[value] to the backward differences. Returns the order of the polynomial that would have been nearest to it."""
     for j in range(TERMS):
         errors[j] = 0.0
     for i in range(x.shape[1]):
@@ -63,9 +61,9 @@ def remember(x, value, first, errors):
 
 @part
 def predict(h, now, rows, marks):
-    """The end where the accelerations lead."""
+    """The end by extrapolated accelerations, and extrapolated multipliers."""
     extrapolate(now, A, int(marks[ORDER]), AM)
-    extrapolate(rows, KNOWN, int(marks[ORDER_LAM]), LAM)
+    extrapolate(rows, LAMS, int(marks[ORDER_LAM]), LAM)
     for i in range(now.shape[1]):
         now[Q1, i] = now[Q0, i] + h * (now[V0, i] + 0.5 * h * now[AM, i])
 
@@ -81,22 +79,22 @@ def fill_middle(h, now):
 
 @part
 def correct(now, rows):
-    """Move the end by dq, the multipliers by half of dlam; the largest entries of dq, q and the acceleration, and whether dq is finite."""
-    moved = size = pull = finite = 0.0
+    """Move the end by dq, the multipliers by half of dlam. Returns the largest dq, q and acceleration, and True if dq is finite."""
+    moved = size = accel = finite = 0.0
     for i in range(now.shape[1]):
         now[Q1, i] += now[DQ, i]
         finite += 0.0 * now[DQ, i]
         moved = max(moved, abs(now[DQ, i]))
         size = max(size, abs(now[Q1, i]))
-        pull = max(pull, abs(now[AM, i]))
+        accel = max(accel, abs(now[AM, i]))
     for k in range(rows.shape[1]):
         rows[LAM, k] += 0.5 * rows[DLAM, k]
-    return moved, size, pull, finite == 0.0
+    return moved, size, accel, finite == 0.0
 
 
 @part
 def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
-    """Newton's iteration from the predicted end. Returns how it ended and the last |dq|."""
+    """Newton's method from the predicted end. Returns how it ended and the last |dq|."""
     before = 0.0
     places = address(now[Q1]), address(rows[LAM]), address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
     for iteration in range(most):
@@ -111,7 +109,7 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
         if ended != DONE:
             return ended, before
         counts[1] += 1
-        moved, size, pull, finite = correct(now, rows)
+        moved, size, accel, finite = correct(now, rows)
         if not finite:
             return NOT_FINITE, before
         rate, share = (1.0 + marks[AGE]) * marks[CONTRACTION], UNSEEN
@@ -119,7 +117,7 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
             rate, share = moved / before, 1.0
             marks[CONTRACTION], marks[AGE] = max(rate, 0.5 * marks[CONTRACTION] if iteration == 1 else marks[CONTRACTION]), 0.0
         known = (before > 0.0 or marks[AGE] < FRESHEN) and rate < 1.0
-        if moved <= 4.0 * EPS * size or (known and moved * rate / (1.0 - rate) <= share * tolerance * h * h * pull):
+        if moved <= 4.0 * EPS * size or (known and moved * rate / (1.0 - rate) <= share * tolerance * h * h * accel):
             return call(f[table.ACCEPT], w, instant, places[0], 0, 0, 0, 0, 0), moved
         if iteration > 1 and rate > SLOW:
             close = moved <= 256.0 * EPS * (size + extent)
@@ -129,21 +127,21 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
 
 
 @part
-def put(f, w, instant, q, v, level):
-    """v onto the velocity constraint of the end."""
-    ended = call(f[table.RATE], w, instant, q, v, level, 0, 0, 0)
-    return call(f[table.PROJECT], w, instant, level, v, 0, 0, 0, 0) if ended == DONE else ended
+def project(f, w, instant, q, v, rate):
+    """Project v onto the velocity constraint of the end; rate: address of workspace."""
+    ended = call(f[table.RATE], w, instant, q, v, rate, 0, 0, 0)
+    return call(f[table.PROJECT], w, instant, rate, v, 0, 0, 0, 0) if ended == DONE else ended
 
 
 @part
-def finish(f, w, instant, h, kind, now, rows, marks, q, v):
-    """Make the frame of the end, and take that as the next beginning."""
+def end_step(f, w, instant, h, kind, now, rows, marks, q, v):
+    """Fill the frame of the end, and begin the next step there. Returns how the step ended."""
     total = 0.0
     for i in range(now.shape[1]):
         now[V1, i] = 2.0 * (now[Q1, i] - now[Q0, i]) / h - now[V0, i]
         now[AM, i] = (now[V1, i] - now[V0, i]) / h
-    if kind == DRIVEN:
-        ended = put(f, w, instant, address(now[Q1]), address(now[V1]), address(rows[DLAM]))
+    if kind == PROJECTED:
+        ended = project(f, w, instant, address(now[Q1]), address(now[V1]), address(rows[DLAM]))
         if ended != DONE:
             return ended
     for i in range(now.shape[1]):
@@ -154,17 +152,17 @@ def finish(f, w, instant, h, kind, now, rows, marks, q, v):
     for i in range(now.shape[1]):
         now[V0, i], now[Q0, i] = now[V1, i], now[Q1, i]
     marks[ORDER] = remember(now, AM, A, marks[ERRORS:])
-    marks[ORDER_LAM] = remember(rows, LAM, KNOWN, marks[ERRORS:])
+    marks[ORDER_LAM] = remember(rows, LAM, LAMS, marks[ERRORS:])
     marks[AGE] += 1.0
     return DONE
 
 
 @entry
 def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, counts, qs, vs):
-    """Steps until the frames or the factor's use end: (steps, how it ended, last |dq|).
+    """Take steps until the frames are full or a factor is needed: (steps, how it ended, last |dq|).
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h. counts (3,): of residuals,
-    solves and matrices made. q and v that the next steps begin with go to qs, vs (steps, n).
+    f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h; counts (3,):
+    of residuals, solves and matrices made. q and v from which the next steps begin are written to qs, vs (steps, n).
     """
     moved = 0.0
     for k in range(qs.shape[0]):
@@ -172,7 +170,8 @@ def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, 
         predict(h, now, rows, marks)
         ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
         if f[table.FACTOR] and ended in (REFACTOR, NOT_FINITE):
-            forget(marks)
+            marks[ORDER] = marks[ORDER_LAM] = 0.0
+            marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
             predict(h, now, rows, marks)
             fill_middle(h, now)
             places = address(now[QM]), address(now[VM]), address(now[AM]), address(rows[LAM]), address(c)
@@ -181,28 +180,21 @@ def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, 
             if ended == DONE:
                 ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
         if ended == DONE:
-            ended = finish(f, w, instant, h, kind, now, rows, marks, qs[k], vs[k])
+            ended = end_step(f, w, instant, h, kind, now, rows, marks, qs[k], vs[k])
         if ended != DONE:
             return k, ended, moved
     return qs.shape[0], DONE, moved
 
 
-@part
-def forget(marks):
-    """Begin as with a new matrix: from the last accelerations, with a contraction that is not known."""
-    marks[ORDER] = marks[ORDER_LAM] = 0.0
-    marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
-
-
 @entry
-def put_as_fast(f, w, first, qs, vs, level):
-    """Velocities (steps, n) onto the velocity constraints of the ends from `first` on, each with the kinetic energy that it had. How it ended."""
+def project_frames(f, w, first, qs, vs, rate):
+    """Project velocities (steps, n) onto their constraints and scale them to the kinetic energy that they had. Returns how it ended."""
     energy = np.zeros(1)
     for k in range(qs.shape[0]):
         v = address(vs[k])
         call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
         before = energy[0]
-        ended = put(f, w, first + k, address(qs[k]), v, address(level))
+        ended = project(f, w, first + k, address(qs[k]), v, address(rate))
         if ended != DONE:
             return ended
         call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
@@ -213,7 +205,7 @@ def put_as_fast(f, w, first, qs, vs, level):
 
 @entry
 def forces(f, w, first, qs, vs, accelerations, lams):
-    """Consistent accelerations and multipliers of the ends from `first` on. How it ended."""
+    """Consistent accelerations and multipliers of the ends from `first` on. Returns how it ended."""
     for k in range(qs.shape[0]):
         ended = call(f[table.ACCELERATION], w, first + k, address(qs[k]), address(vs[k]), address(accelerations[k]), address(lams[k]), 0, 0)
         if ended != DONE:

@@ -1,4 +1,4 @@
-"""The forms in which IDA solves a model: the constraint rows beside the equations of motion, and the unknowns.
+"""The forms in which IDA solves a model: its constraint rows and unknowns.
 
 Unknowns y = (q, v, multipliers); equations
 
@@ -24,12 +24,12 @@ import numpy as np
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import dense
 
-UNTESTED = 1e9  # absolute tolerance of what carries no error estimate, as multipliers: far above any size of theirs
+UNTESTED = 1e9  # absolute tolerance of multipliers, which are not in the error estimate: far above their size
 
 
 @dataclass(frozen=True)
 class Form:
-    """Data of a form. `rows`: which derivatives of phi are constraint rows; `combined`: as one, Baumgarte's sum."""
+    """rows: orders of the derivatives of phi that are constraint rows; combined: their sum is one row, Baumgarte's."""
 
     rows: tuple
     stabilised: bool = False
@@ -48,16 +48,16 @@ FORMS = {
 
 
 class System:
-    """A model in one form: its constraint rows, and the way from a State to (y, y') and back.
+    """A model in one form.
 
-    rate: w of Baumgarte. levels (k, 3): what phi, phi' and phi'' count for in each of k blocks of m rows. limits: t is held to this range, so
-    that at a kink a smooth piece sees its own side.
+    baumgarte_rate: w of Baumgarte, 1/s. levels (k, 3): weights of phi, phi' and phi'' in each of k blocks of m rows. limits: interval to which
+    t is clamped, so that a smooth piece evaluates its own side of a kink.
     """
 
-    def __init__(self, model, form, rate):
-        self.model, self.form = model, FORMS[form]
-        self.limits = (-np.inf, np.inf)
-        self.levels = np.array([[rate**2, 2.0 * rate, 1.0]]) if self.form.combined else np.eye(3)[list(self.form.rows)]
+    def __init__(self, model, form, baumgarte_rate=0.0):
+        self.model, self.form, self.limits = model, FORMS[form], (-np.inf, np.inf)
+        weights = [[baumgarte_rate**2, 2.0 * baumgarte_rate, 1.0]]
+        self.levels = np.array(weights) if self.form.combined else np.eye(3)[list(self.form.rows)]
         self.size = 2 * model.n + len(self.levels) * model.m
 
     def split(self, y, yp):
@@ -69,55 +69,54 @@ class System:
 
     def pack(self, state):
         """(y, y') at a consistent State."""
-        n, m = self.model.n, self.model.m
-        y, yp = np.zeros(self.size), np.zeros(self.size)
-        y[:n], y[n : 2 * n], yp[:n], yp[n : 2 * n] = state.q, state.v, state.v, state.a
-        (yp if self.form.integrated else y)[2 * n : 2 * n + m] = state.lam
+        y, yp = np.zeros((2, self.size))
+        q, v, a, lam, _ = self.split(y, yp)
+        q[:], v[:], a[:], lam[:], yp[: self.model.n] = state.q, state.v, state.a, state.lam, state.v
         return y, yp
 
     def tolerances(self, atol_q, atol_v):
         """Absolute tolerances of y, (size,), from those of q and v."""
-        n, atol = self.model.n, np.empty(self.size)
-        atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, UNTESTED
+        n, atol = self.model.n, np.full(self.size, UNTESTED)
+        atol[:n], atol[n : 2 * n] = atol_q, atol_v
         return atol
 
+    def clamp(self, t):
+        """t clamped to `limits`."""
+        return min(max(t, self.limits[0]), self.limits[1])
+
+    def at(self, t, y, yp):
+        """(t, q, v, a, lam) for the model, in arrays of their own."""
+        return self.clamp(t), *self.split(y.copy(), yp.copy())[:4]
+
     def rejection_reason(self, t, q):
-        """Why the model cannot stand at an accepted (t, q), or None."""
+        """Why the model rejects (t, q), or None."""
         return self.model.rejection_reason(self.clamp(t), q)
 
     @property
     def holds_phi(self):
-        """Whether phi itself is a row."""
+        """True if phi itself is a row."""
         return 0 in self.form.rows and not self.form.combined
-
-    def opened(self, t, q, allowed):
-        """What has drifted from phi = 0 by more than `allowed`, in q, at (t, q), or None; of a form that holds phi nothing has."""
-        if not self.model.m or self.holds_phi:
-            return None
-        t, model = self.clamp(t), self.model
-        apart = np.abs(model.phi(t, q)) / np.linalg.norm(dense(model.phi_q(t, q)), axis=1)
-        worst = int(apart.argmax())
-        return None if apart[worst] <= allowed else f"{model.constraint_name(worst)} has drifted apart by {apart[worst]:.2g}"
-
-    def clamp(self, t):
-        """t held to `limits`."""
-        return min(max(t, self.limits[0]), self.limits[1])
-
-    def at(self, t, y, yp):
-        """(t, q, v, a, lam) for the model."""
-        return self.clamp(t), *self.split(y.copy(), yp.copy())[:4]
 
     @property
     def rows_vary(self):
-        """Whether phi_q does, in rows of phi and its first derivative; those of the second cost too much to be made anew."""
+        """True if phi_q varies in rows of phi and phi'; phi'' is too expensive to evaluate anew in each iteration."""
         needs = self.model.needs
         return self.model.m > 0 and (needs.driven or needs.phi_q_varies) and max(self.form.rows) < 2
 
+    def drift(self, t, q, allowed):
+        """Message of the constraint whose drift from phi = 0, in q, is more than `allowed`; None without drift or if phi is a row."""
+        if not self.model.m or self.holds_phi:
+            return None
+        t, model = self.clamp(t), self.model
+        distances = np.abs(model.phi(t, q)) / np.linalg.norm(dense(model.phi_q(t, q)), axis=1)
+        worst = int(distances.argmax())
+        return None if distances[worst] <= allowed else f"{model.constraint_name(worst)} has drifted apart by {distances[worst]:.2g}"
 
-class Accepted(Stretch):
-    """Accepted states of a System at the times t (k,), from rows y and y' (k, size); each has the memory that a run goes on from.
 
-    work: for each state the counts of the work done up to it, but for the steps. mu, zero but for truncation, is in that memory.
+class AcceptedStates(Stretch):
+    """Accepted states of a System at the times t (k,), from rows y and y' (k, size); a run can go on from each of them.
+
+    work: for each state the counts of the work up to it, except the steps. mu, zero but for truncation, is in the memory.
     """
 
     def __init__(self, system, memory, work, t, y, yp):
@@ -137,7 +136,7 @@ class Accepted(Stretch):
         return self._last
 
     def state(self, k):
-        """The State number k, counted from 0."""
+        """State number k, from 0."""
         return self.last if k == len(self) - 1 else self._state(k)
 
     def _state(self, k):
@@ -145,9 +144,9 @@ class Accepted(Stretch):
         return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory))
 
     def part(self, first, end, every=1):
-        """The same of the states from number `first` to before `end`, or of each `every`-th of them."""
-        made, at = copy(self), slice(first, end, every)
-        made._last = self.last if end >= len(self) and every == 1 else None
+        """The states from number `first` to before `end`, or each `every`-th of them."""
+        part, at = copy(self), slice(first, end, every)
+        part._last = self.last if end >= len(self) and every == 1 else None
         for name in ("t", "q", "v", "a", "lam", "_mu", "_work"):
-            setattr(made, name, None if getattr(self, name) is None else getattr(self, name)[at])
-        return made
+            setattr(part, name, None if getattr(self, name) is None else getattr(self, name)[at])
+        return part

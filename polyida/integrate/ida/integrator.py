@@ -1,6 +1,9 @@
 """IDA of SUNDIALS: variable-step, variable-order BDF on a stabilised form of the model's equations."""
 
 import math
+import re
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.ida.error_lines import error_lines_kept
-from polyida.integrate.ida.forms import FORMS, Accepted, System
-from polyida.integrate.ida.linear import Correction
-from polyida.integrate.ida.whole import SCALINGS
-from polyida.integrate.kinks import at_kink, segments, stops
-from polyida.integrate.moves import cells_of
-from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
+from polyida.integrate.discontinuities import at_kink, edges, sampling, stop_times
+from polyida.integrate.ida.forms import FORMS, AcceptedStates, System
+from polyida.integrate.ida.newton import Correction
+from polyida.integrate.ida.tables import SCALINGS
+from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
@@ -24,27 +25,19 @@ from polyida.system import INSTANTS
 from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
-AIM, WAYS, FLEXIBLE_WAYS = (
+AIM, LENGTHS, FLEXIBLE_LENGTHS = (
     1e-5,
     3.0,
     30.0,
-)  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
-VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
+)  # default rtol of a motion over that many lengths of the model; the error is about ten times
+VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
-OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
-LONGEST = 5e-3  # s, that a stretch of states takes, unless a step takes longer
-STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
-STATUS = {
-    -2: "accuracy",
-    -3: "error test",
-    -4: "newton",
-    -6: "linear setup",
-    -7: "linear solve",
-    -8: "residual",
-    -9: "residual",
-    -12: "residual",
-    -22: "input",
-}
+DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
+LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
+STANDSTILL = 20  # steps in a row that hardly change t and so end the run; IDA alone would not end
+STATUS = {-2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve"}
+STATUS |= {-8: "residual", -9: "residual", -12: "residual", -22: "input"}
+ERROR_LINE = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
 
 
 @named_keywords
@@ -52,28 +45,51 @@ STATUS = {
 class IDA(Integrator):
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
 
-    rtol: relative tolerance; by default 1e-5, or less where the motion goes the model's length more than three times (30 times with flexible
-    bodies), for an error about 1e-4 of that. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from
-    its first state (integrate/sizes.py). The run's summary says what was chosen. A number is that of q (m), with 1e3 1/s times it
-    for v (m/s); a pair is (of q, of v); 2n numbers are those of every entry of (q, v).
-    Multipliers are not in the error estimate. v of a model with flexible bodies, where atol is not given, is tested LOOSE times less
-    sharply: that of stiff modes jumps with every change of the step, h, as in index 3, and no step would be long enough to leave
-    order 1. q is tested the more sharply for it, to rtol^(1 + 1/max_order): what a tolerance of v allows q to err by in a step
-    goes with h rtol, and, where mesh modes ring, h with rtol^(1/order); where plates turn smoothly it is sharper than need be.
-    max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
-    imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
-    form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
-    are in integrate/ida/forms.py. index3 is there to be studied: it is slow, and fails on many models.
-    linear: "auto" takes compiled functions for a scene and for a model with n + m <= 50, "kkt" the general ones that any model has, all
-    through S = K + cj C + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
-    matrix divided by "characteristic" sizes (integrate/ida/whole.py) or "none"; the other two do not depend on it.
-    nonholonomic: the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, need not be the derivative of phi; only with form
-    "index2" or "index1", which hold these and not phi. A run refuses a phi_rate, or phi_bias, that is not the derivative of phi otherwise.
-    max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
+    Parameters
+    ----------
+    rtol : float, optional
+        Relative tolerance. By default 1e-5, or less if the motion covers more than 3 lengths of the model (30 with flexible bodies), for an
+        error of about 1e-4 of that length.
+    atol : float, (2,) or (2n,) array_like, optional
+        Absolute tolerance of q, m, with 1e3 1/s times it for v; of (q, v); or of every entry of (q, v). By default rtol times a length and a
+        speed of the model's first state. Multipliers are not in the error estimate.
+    max_order : int, optional
+        Largest order, 1 to 5. By default 2 with flexible bodies, whose mesh modes lie near the imaginary axis, where BDF of order 3 to 5 is
+        unstable, and 5 without.
+    form : {"ggl2", "ggl1", "index2", "index1", "baumgarte", "index3"}
+        Form of the equations, see Notes. "index3" is slow and fails on many models.
+    max_step : float, s
+        Largest step; 0 for none.
+    max_num_steps : int
+        The run fails beyond that number of steps.
+    first_step : float, s
+        First step; 0 for IDA's choice.
+    baumgarte_rate : float, 1/s
+        w of form "baumgarte".
+    linear : {"auto", "kkt", "whole"}
+        "auto": compiled functions for scenes and for models with n + m <= 50; "kkt": those that any model has. Both solve by
+        S = K + cj C + cj^2 M and a border. "whole": one matrix of (q, v, multipliers).
+    scaling : {"characteristic", "none"}
+        Scaling of the whole matrix; the other two do not depend on it.
+    nonholonomic : bool
+        True if the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, are not the derivative of phi; with form "index2" or
+        "index1" only. Otherwise a run rejects a phi_rate or phi_bias that is not the derivative of phi.
 
-    The error of a run, over the model's size, is commonly 2 to 20 times rtol with flexible bodies (far more on very stiff ones with rtol above
-    1e-5) and 4 to 500 times without (`studies/defaults.py`). Raises InputError where a setting makes no sense.
-    Source: Hindmarsh et al. 2005, SUNDIALS; Gear, Gupta, Leimkuhler 1985.
+    Raises
+    ------
+    InputError
+        For a setting out of range.
+
+    Notes
+    -----
+    `q' - v + phi_q^T mu = 0`, `M v' + g + phi_q^T lam = 0` and, for "ggl2" and "ggl1" (with integrated multipliers), phi and phi'; mu is zero in
+    the other forms, which have phi', phi'', `phi'' + 2 w phi' + w^2 phi` or phi.
+
+    The error of q over the model's size is commonly 2 to 20 times rtol with flexible bodies (far more on very stiff ones with rtol above 1e-5)
+    and 4 to 500 times without. With flexible bodies and default atol the error test of v is 5 times less strict, because v of stiff modes
+    jumps with every change of the step, which would keep the order at 1; q is tested with rtol^(1 + 1/max_order) instead.
+
+    Hindmarsh et al., ACM TOMS 31 (2005) 363-396; Gear, Gupta, Leimkuhler, J. Comput. Appl. Math. 12-13 (1985) 77-90.
     """
 
     rtol: float | None = None
@@ -83,7 +99,7 @@ class IDA(Integrator):
     max_step: float = 0.0
     max_num_steps: int = 200_000
     first_step: float = 0.0
-    rate: float = 10.0
+    baumgarte_rate: float = 10.0
     linear: str = "auto"
     scaling: str = "characteristic"
     nonholonomic: bool = False
@@ -93,51 +109,45 @@ class IDA(Integrator):
         if not is_one_of(self.form, FORMS):
             raise InputError(f"IDA: form {self.form!r} is unknown; there are {', '.join(FORMS)}")
         if self.atol is not None and not is_number(self.atol):
-            given = floats(self.atol)
-            _check("atol", self.atol, given is not None and given.ndim == 1, "must be a number, a pair or a list of numbers")
-            object.__setattr__(self, "atol", tuple(given.tolist()))
-        on_velocity = self.form in ("index1", "index2")
-        allowed = "must be True or False, and True with form index1 or index2 alone"
-        _check("nonholonomic", self.nonholonomic, is_flag(self.nonholonomic) and (on_velocity or not self.nonholonomic), allowed)
-        _check("linear", self.linear, is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}")
-        _check("scaling", self.scaling, is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}")
-        _check("rtol", self.rtol, self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1")
-        in_range = self.max_order is None or is_whole(self.max_order, 1, 5)
-        _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
-        _check("max_num_steps", self.max_num_steps, is_whole(self.max_num_steps), "must be a positive whole number")
-        for name in ("max_step", "first_step", "rate"):
-            value = getattr(self, name)
-            _check(name, value, is_number(value) and value >= 0, "must be a finite number, not negative")
+            entries = floats(self.atol)
+            _check("atol", self.atol, entries is not None and entries.ndim == 1, "must be a number, a pair or a list of numbers")
+            object.__setattr__(self, "atol", tuple(entries.tolist()))
         entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
-        positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
-        _check("atol", self.atol, positive, "must be positive")
+        on_velocity, not_negative = self.form in ("index1", "index2"), "must be a finite number, not negative"
+        allowed = "must be True or False, and True with form index1 or index2 alone"
+        for name, good, wanted in (
+            ("nonholonomic", is_flag(self.nonholonomic) and (on_velocity or not self.nonholonomic), allowed),
+            ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
+            ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
+            ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1"),
+            ("max_order", self.max_order is None or is_whole(self.max_order, 1, 5), "must be 1, 2, 3, 4 or 5"),
+            ("max_num_steps", is_whole(self.max_num_steps), "must be a positive whole number"),
+            ("max_step", is_number(self.max_step) and self.max_step >= 0, not_negative),
+            ("first_step", is_number(self.first_step) and self.first_step >= 0, not_negative),
+            ("baumgarte_rate", is_number(self.baumgarte_rate) and self.baumgarte_rate >= 0, not_negative),
+            ("atol", len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries), "must be positive"),
+        ):
+            _check(name, getattr(self, name), good, wanted)
 
     def relative(self, model: Model, sizes: NDArray) -> float:
-        """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
-        ways = FLEXIBLE_WAYS if model.flexible else WAYS
-        return relative_tolerance(AIM, ways, float(sizes[3])) if self.rtol is None else float(self.rtol)
+        """rtol, or its default in a run of these sizes, (length, speed, time, lengths)."""
+        most = FLEXIBLE_LENGTHS if model.flexible else LENGTHS
+        return relative_tolerance(AIM, most, float(sizes[3])) if self.rtol is None else float(self.rtol)
 
     def tolerances(self, model: Model, sizes: NDArray) -> tuple[float, float | NDArray, float | NDArray]:
-        """(Relative tolerance, absolute ones of q, of v) that IDA gets in a run of these sizes, (length, speed, time, ways).
-
-        InputError where atol does not fit the model.
-        """
+        """(relative tolerance, absolute ones of q and of v) in a run of these sizes. Raises InputError if atol does not fit the model."""
         rtol, n = self.relative(model, sizes), model.n
         if self.atol is None and model.flexible:
-            tight = rtol ** (1 + 1 / self.order(model))
-            return tight, tight * float(sizes[0]), LOOSE * rtol * float(sizes[1])
+            strict = rtol ** (1 + 1 / self.order(model))
+            return strict, strict * float(sizes[0]), LOOSE * rtol * float(sizes[1])
         if self.atol is None:
             return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
         if not isinstance(self.atol, tuple):
             return rtol, self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
             return rtol, *self.atol
-        _check(
-            "atol",
-            f"of {len(self.atol)} entries",
-            len(self.atol) == 2 * n,
-            f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}",
-        )
+        wanted = f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}"
+        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, wanted)
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def relative_tolerance(self) -> float | None:
@@ -145,12 +155,12 @@ class IDA(Integrator):
         return self.rtol
 
     def summary_of_steps(self, memory: dict) -> str:
-        """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
-        words = [chosen(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []
+        """Text of a summary on the tolerances that a run chose; memory of one of its states."""
+        words = [rtol_message(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []
         if "tolerances" in memory:
             rtol, of_q, of_v = memory["tolerances"]
-            sharper = f"rtol {rtol:.1e} and " if rtol != float(memory["rtol"]) else ""
-            words.append(f"{sharper}atol {of_q:.1e} of q, {of_v:.1e} of v")
+            strict = f"rtol {rtol:.1e} and " if rtol != float(memory["rtol"]) else ""
+            words.append(f"{strict}atol {of_q:.1e} of q, {of_v:.1e} of v")
         return ", ".join(words)
 
     def order(self, model: Model) -> int:
@@ -158,7 +168,7 @@ class IDA(Integrator):
         return self.max_order or (2 if model.flexible else 5)
 
     def require_reach(self, model: Model, state: State, t_end: float) -> None:
-        """Raise InputError where times near t_end are too far apart, as numbers, to resolve the model's motion."""
+        """Raise InputError if the distance of adjacent floating-point times near t_end does not resolve the model's motion."""
         length, speed = typical_sizes(model, state, t_end - state.t)
         if math.ulp(t_end) > length / speed:
             raise InputError(
@@ -167,35 +177,36 @@ class IDA(Integrator):
             )
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
+        """Accepted States after `state` (consistent), one for each internal step, the last at t_end. Raises StepFailure.
 
-        At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
-        State.memory: "mu" of the stabilised forms, and "sizes", from which "rtol" and "tolerances" came; a run that goes on keeps them.
+        At a kink of the model a step ends and IDA starts anew from the state consistent with the far side. State.memory: "mu" of the
+        stabilised forms, and "sizes", "rtol" and "tolerances", which a run that goes on keeps.
         """
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
         sizes = sizes_of_run(model, state, t_end)
-        run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
-        for begin, end in segments(model, state.t, t_end):
+        run, cells = _Run(self, model, sizes, counts), sampling(math.inf, t_end - state.t)
+        times = edges(model, state.t, t_end)
+        for begin, end in zip(times[:-1], times[1:]):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
                 limits = (beside(begin, 1), math.inf)
                 state = far_side(model, state, limits[0])
             if at_kink(model, end):
                 limits = (limits[0], beside(end, -1))
-            for stretch in run.piece(state, begin, stops(model, state, begin, end, *look), limits):
+            for stretch in run.piece(state, begin, stop_times(model, state, begin, end, *cells), limits):
                 yield stretch
             state = stretch.last
 
 
-def _check(name, value, right, wanted):
-    if not right:
+def _check(name, value, good, wanted):
+    if not good:
         raise InputError(f"IDA: {name} {value} {wanted}")
 
 
 class _Run:
-    """One run of IDA: the solver of the binding with its callbacks, and the counting of steps."""
+    """One run of IDA: the solver of the binding with its callbacks, and the counts."""
 
     def __init__(self, settings, model, sizes, counts):
         from sksundae.ida import IDA as Solver
@@ -205,11 +216,11 @@ class _Run:
         rtol, *atol = settings.tolerances(model, sizes)
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
-        self.system = System(model, settings.form, settings.rate)
+        self.system = System(model, settings.form, settings.baumgarte_rate)
         self.linear = Correction(self.system, counts, settings.order(model), settings.linear, settings.scaling)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
-        self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
+        self.refused, self.not_finite = None, ""  # (t, q) at which F was not finite since the last step, and what was not
         self.solver = Solver(
             self._residual,
             rtol=rtol,
@@ -228,12 +239,12 @@ class _Run:
             self.attempts, self.tried = self.attempts + 1, t
         if not self.linear.residual(t, y, yp, res):
             res[:] = math.nan
-            self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
+            self.refused, self.not_finite = (t, np.array(y[: self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
-        """Stretches of accepted states on the smooth piece from begin to the last of `times`, all of which it hits.
+        """Stretches of accepted states on the smooth piece from begin to the last of `times`; a step ends at each of these.
 
-        The model's time is held to `limits`. A stretch ends before it takes LONGEST, for progress and Ctrl-C wait for it.
+        The model's time is clamped to `limits`. A stretch takes no longer than LONGEST, because progress and Ctrl-C wait for its end.
         """
         self.system.limits = limits
         y, yp = self.system.pack(state)
@@ -242,32 +253,30 @@ class _Run:
         self.t, self.q, most = begin, state.q, 1 if self.model.switching else INSTANTS
         for end in times:
             while self.t < end:
-                made, until = [], time.perf_counter() + LONGEST
+                states, until = [], time.perf_counter() + LONGEST
                 try:
-                    with error_lines_kept as printed:
-                        while self.t < end and len(made) < most and (not made or time.perf_counter() < until):
-                            self._step(end, printed, made)
+                    with _error_lines as printed:
+                        while self.t < end and len(states) < most and (not states or time.perf_counter() < until):
+                            self._step(end, printed, states)
                 except BaseException:
-                    if made:
-                        spent = self._work()
-                        yield self._stretch(made)
-                        vars(self.counts).update(spent)
+                    if states:
+                        work = self._work()
+                        yield self._stretch(states)
+                        vars(self.counts).update(work)
                     raise
-                if made:
-                    yield self._stretch(made)
+                if states:
+                    yield self._stretch(states)
 
-    def _stretch(self, made):
-        work, *rows = zip(*made)
-        return Accepted(self.system, self.memory, work, *map(np.array, rows))
+    def _stretch(self, states):
+        work, *rows = zip(*states)
+        return AcceptedStates(self.system, self.memory, work, *map(np.array, rows))
 
     def _work(self):
-        """The counts but for the steps, which are counted as the states are taken."""
-        work = vars(self.counts).copy()
-        del work["steps"]
-        return work
+        """The counts except the steps, which are counted when the states are taken."""
+        return {name: count for name, count in vars(self.counts).items() if name != "steps"}
 
-    def _step(self, end, printed, made):
-        """Take a step; one below the round-off of t has no instant of its own."""
+    def _step(self, end, printed, states):
+        """Take a step. One within the round-off of t gives no state."""
         if self.steps >= self.settings.max_num_steps:
             raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)")
         if self.standing >= STANDSTILL:
@@ -286,23 +295,62 @@ class _Run:
         self.linear.accept(t, y)
         if self.linear.objects and (objection := self.system.rejection_reason(t, q)):
             raise self._failure("objection", objection)
-        if opened := self.system.opened(t, q, OPEN * self.sizes[0]):
-            raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed")
+        if drift := self.system.drift(t, q, DRIFT * self.sizes[0]):
+            raise self._failure("drift", f"{drift}; a form that holds phi, or a tighter rtol, keeps it closed")
         self.refused = self.refused if self.standing else None
         if t > self.t:
             self.t, self.q = t, q
-            made.append((self._work(), t, y, result.yp))
+            states.append((self._work(), t, y, result.yp))
 
     def _failure(self, status, reason):
-        """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
+        """StepFailure at the last accepted state, with the step that was tried and the constraint with the largest violation."""
         if self.refused:
-            why = self.model.rejection_reason(*self.refused)
-            status, reason = (
-                ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
-            )
+            objection = self.model.rejection_reason(*self.refused)
+            status, cause = ("objection", objection) if objection else (status, self.not_finite or "the residual is not finite")
+            reason = f"{cause}; {reason}"
         phi = np.abs(self.model.phi(self.t, self.q))
         tried = float(self.tried - self.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}
         if phi.size:
             seen |= {"worst constraint": self.model.constraint_name(int(phi.argmax())), "|phi|": float(phi.max())}
         return StepFailure(status, f"IDA: {reason}", self.t, **seen)
+
+
+class _ErrorLines:
+    """Replaces sys.stdout while a thread is within it: the error line that the binding prints becomes a message, other text passes through.
+
+    It returns an object whose `message` is the thread's last error line, or empty.
+    """
+
+    def __init__(self):
+        self.lock, self.users, self.stream, self.printed = threading.Lock(), 0, None, threading.local()
+
+    def __enter__(self):
+        with self.lock:
+            self.users += 1
+            if sys.stdout is not self:
+                self.stream, sys.stdout = sys.stdout, self
+        self.printed.message, self.printed.line_ends = "", False
+        return self.printed
+
+    def __exit__(self, *error):
+        with self.lock:
+            self.users -= 1
+            if not self.users and sys.stdout is self:
+                sys.stdout = self.stream
+
+    def write(self, text):
+        found = ERROR_LINE.search(text)
+        if found:
+            self.printed.message, self.printed.line_ends = " ".join(found[1].split()), True
+        elif text == "\n" and getattr(self.printed, "line_ends", False):
+            self.printed.line_ends = False
+        else:
+            self.stream.write(text)
+        return len(text)
+
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+
+
+_error_lines = _ErrorLines()

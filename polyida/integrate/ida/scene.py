@@ -6,16 +6,16 @@ from polyida import system as of
 from polyida.assembly import joints
 from polyida.assembly.stabilised_border import massive, stabilised_room
 from polyida.errors import DONE
-from polyida.integrate.ida.step import INSTANT
+from polyida.integrate.ida.newton import INSTANT
 from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.scene import SceneStages, Solver, rows
 from polyida.jit import entry
 
 
 @entry
-def rate(w, instant, q, v, found, known, e, f):
-    """phi_q v + phi_t, where the last residual was."""
-    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], w.vz, w.spare, rows(w, found), w.spare)
+def rate(w, instant, q, v, out, known, e, f):
+    """phi_q v + phi_t at the q of the last residual."""
+    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], w.vz, w.spare, rows(w, out), w.spare)
     return DONE
 
 
@@ -23,14 +23,14 @@ FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RES
 
 
 class SceneForm(SceneStages):
-    """The table of a scene for IDA: one factor, filled anew in place."""
+    """The table of a scene for IDA, with one factor that is filled anew in place."""
 
     def __init__(self, model, tableau):
         super().__init__(model, tableau, True)
         self.entries, self.step, self.solver = FUNCTIONS, model.step_matrix(), None
 
     def stand(self, t):
-        """The equations are asked for at t."""
+        """Set the time of the equations."""
         if self.model.profiles:
             self.w["drives"][INSTANT] = self.model.drives(t)
 
@@ -40,11 +40,11 @@ class SceneForm(SceneStages):
         at = float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3))
         step.factor(*at, c * c, c)
         damping = model.force_v(*at[:2], np.zeros(model.n)) / c if model.damped else None
-        kept = before is not None and before.factored is step.corotated
-        columns = massive(model, step.corotated, damping, before.massive if kept else None)
+        in_place = before is not None and before.factored is step.corotated
+        columns = massive(model, step.corotated, damping, before.massive if in_place else None)
         counts.backend = step.backend
         counts.solves += 2 * step.solves
-        if kept:
+        if in_place:
             before.c[0] = c
             return
         self.solver = Solver(np.array([c]), step.corotated, step.room, columns, stabilised_room(model))

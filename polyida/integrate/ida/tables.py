@@ -1,24 +1,103 @@
-"""The tables of IDA: those of Radau IIA for one stage and a real mode (integrate/radau/tables), with the rows of IDA's forms.
+"""The tables and iteration matrices of IDA: tables of Radau IIA for one stage and a real mode (integrate/radau/tables) with rows of IDA's forms.
 
-`linear`: "auto" takes compiled code, of a scene in a stabilised form and of a small model of a user's own; "kkt" any model's step matrix with
-a border; "whole" one matrix for everything (integrate/ida/whole.py).
+`linear`: "auto" takes compiled code for a scene in a stabilised form and for a user's small model; "kkt" any model's step matrix with a
+border; "whole" one matrix for everything,
+
+    |  cj I     -I               B^T |  |dq  |   |r1|
+    |  K      cj M + C   B^T         |  |dv  | = |r2|     P = c_q,  Q = c_v + cj c_a
+    |  P         Q                   |  |dlam|   |rc|
+                                        |dmu |
+
+| scaling | unknowns measured in | rows measured in |
+|---|---|---|
+| none | 1 | 1 |
+| characteristic | dv: cj, dlam: s, dmu: cj, integrated multipliers: another 1/cj | q': cj, r: s, k-th derivative of phi: cj^k |
+
+s is the mean size of the diagonal of `S = K + cj C + cj^2 M`. Unscaled, the condition number grows as h^-3 (index3), h^-2 (ggl2, index2) or
+h^-1 (the others), cj = 1/h; scaled, it is bounded. Source: as linear/saddle.py's, for the unknowns of index 2.
 """
 
 from functools import partial
 
 import numpy as np
 
-from polyida.integrate.ida.whole import FormRows, WholeForm
-from polyida.integrate.radau.matrices import Matrices
+from polyida.integrate.radau import matrices
+from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
+from polyida.linear.lu import dense, first_order_sizes, first_order_units
 from polyida.linear.step_matrix import MANY
+from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
 from polyida.system.python import small_own
 
-HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
+SCALINGS = ("characteristic", "none")
+HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the Python callbacks in double precision
 ONE = np.ones(1)
 EULER = Tableau(ONE, ONE[None], ONE[None], (Mode(1.0, ONE, ONE),), -ONE)
+
+
+class FormRows:
+    """The rows of a System at a state, like radau/matrices.py's Rows: on_q = P, on_v = Q, both = P + cj Q; B: phi_q if it is known."""
+
+    def __init__(self, system, cj, t, q, v, a, B=None):
+        model, self.tied = system.model, system.form.stabilised
+        self.B = B = dense(model.phi_q(t, q)) if B is None else B
+        self.G, m = B if self.tied else B[:0], len(B)
+        H = N = np.zeros_like(B)
+        if (model.needs.phi_q_varies or model.needs.driven) and system.levels[:, 1:].any():
+            H, N = bend(lambda s: dense(model.phi_q(t + s, q + s * v + s * s / 2 * a)), B, reach_along(q, v))
+        self.on_q, self.on_v = np.zeros((2, len(system.levels) * m, model.n))
+        for k, order in zip(*np.nonzero(system.levels)):
+            weight, at = system.levels[k, order], slice(k * m, (k + 1) * m)
+            self.on_q[at] += weight * (B, H, N)[order]
+            if order:
+                self.on_v[at] += weight * (B if order == 1 else 2 * H + cj * B)
+        self.both = self.on_q + cj * self.on_v
+
+    def below(self, c, *rows):
+        """The right-hand sides of the rows on dq."""
+        return -np.concatenate(rows)
+
+    def corner(self):
+        """The block of the multipliers in the rows."""
+        corner = np.zeros((len(self.both), len(self.both)))
+        corner[:, len(self.B) :] = self.on_v @ self.G.T
+        return corner
+
+
+def sizes(scaling, form, n, m, cj, s):
+    """Factors (of rows, of columns), (N,) each, of a scaling; n coordinates, m constraints, s the typical size of S."""
+    if scaling == "none":
+        return first_order_units(n, m, form.stabilised)
+    orders = (max(form.rows),) if form.combined else form.rows
+    return first_order_sizes(cj, s, n, m, orders, form.stabilised, 1 / cj if form.integrated else 1.0)
+
+
+def whole_matrix(system, t, y, yp, cj):
+    """(J, typical size s of S) at (t, y, y'): CSC if the model's matrices are sparse, else dense."""
+    t, q, v, a, lam = system.at(t, y, yp)
+    model, D = system.model, cj * system.model.mass(q)
+    if model.needs.velocity_forces:
+        D = D + model.force_v(t, q, v)
+    K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
+    rows, unit = FormRows(system, cj, t, q, v, a), cj if system.form.integrated else 1.0
+    rows.B, rows.G = unit * rows.B, unit * rows.G
+    return matrices.whole_matrix(cj, K, D, rows)
+
+
+class WholeForm(WholeModes):
+    """WholeModes of a System's rows; its unknowns are the multipliers themselves."""
+
+    def __init__(self, model, modes, h, made_at, system, scaling):
+        super().__init__(model, modes, h, made_at, scaling)
+        self.system = system
+
+    def _sizes(self, c, s):
+        n, form = self.model.n, self.system.form
+        rows, columns = sizes(self.scaling, form, n, self.model.m, c, s)
+        columns[2 * n :] *= c if form.integrated else 1.0
+        return rows, columns
 
 
 class PythonForm(PythonStages):
@@ -30,13 +109,13 @@ class PythonForm(PythonStages):
         self.functions[BIAS] = self._address(self._bias)
 
     def stand(self, t):
-        """The equations are asked for at t."""
+        """Set the time of the equations."""
         self.at = [t, t]
 
-    def _bias(self, instant, q, v, a, found, *_):
+    def _bias(self, instant, q, v, a, bias, *_):
         model, at = self.model, self._state(instant, q)
         v, a = (self._array(x, model.n).copy() for x in (v, a))
-        self._array(found, model.m)[:] = self.B[0] @ a + model.phi_bias(*at, v)
+        self._array(bias, model.m)[:] = self.B[0] @ a + model.phi_bias(*at, v)
 
     def _made_rows(self, t, q, v, a):
         B = self.B[0] if self.system.levels[:, 1:].any() else None
@@ -44,19 +123,16 @@ class PythonForm(PythonStages):
 
 
 def table_of(system, linear, scaling):
-    """(the table of a System, whether its rows are made anew for every iterate)."""
+    """(the table of a System, True if its rows are evaluated in every iteration)."""
     model, form = system.model, system.form
-    if model.compiled and form.stabilised and linear == "auto" and not _top_heavy(model):
-        from polyida.integrate.ida.scene import SceneForm
+    if model.compiled and form.stabilised and linear == "auto":
+        heaviest = model.arrays.links.point_mass.max(initial=0.0)
+        if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
+            from polyida.integrate.ida.scene import SceneForm
 
-        return SceneForm(model, EULER), True
+            return SceneForm(model, EULER), True
     if linear == "auto" and small_own(model):
         return dense_table(model, EULER, system.levels), system.rows_vary
     if linear == "whole":
         return PythonForm(system, partial(WholeForm, system=system, scaling=scaling)), False
     return PythonForm(system, partial(Matrices, linear="kkt")), system.rows_vary and model.m <= MANY
-
-
-def _top_heavy(model):
-    """Whether a mass at a point is so far above its bodies' that the border drowns in the single precision of their factor."""
-    return model.arrays.links.point_mass.max(initial=0.0) > HEAVY * model.lightest

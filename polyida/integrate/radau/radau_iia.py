@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.kinks import at_kink, run_of, stretches
-from polyida.integrate.moves import PARTS, cells_of
+from polyida.integrate.discontinuities import PARTS, at_kink, pieces, run_interval, sampling
 from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
-from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
+from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
@@ -124,7 +123,7 @@ class RadauIIA(Integrator):
         if not self.adaptive or "sizes" not in memory:
             return ""
         sizes, rtol = memory["sizes"], self.relative(memory["sizes"])
-        words = [] if self.rtol else [chosen(rtol, sizes[3])]
+        words = [] if self.rtol else [rtol_message(rtol, sizes[3])]
         return ", ".join(words + ([f"atol {rtol * sizes[0]:.1e} of q"] if self.atol is None else []))
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
@@ -135,13 +134,13 @@ class RadauIIA(Integrator):
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
-        sizes, run = sizes_of_run(model, state, t_end), run_of(state, t_end)
+        sizes, run = sizes_of_run(model, state, t_end), run_interval(state, t_end)
         engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
-        h, fine = (self.h, PARTS) if self.h else cells_of(longest, np.ptp(run))
-        for begin, end, most in stretches(model, run[0], t_end, h, fine, now=state.t):
+        h, fine = (self.h, PARTS) if self.h else sampling(longest, np.ptp(run))
+        for begin, end, most in pieces(model, run[0], t_end, h, fine, now=state.t):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
             if at_kink(model, begin):
                 engine.limits = (beside(begin, 1), engine.limits[1])

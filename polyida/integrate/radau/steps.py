@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from polyida.errors import DONE, REFACTOR, StepFailure
-from polyida.integrate.kinks import PULSE, Grid, enough_steps, grid_of
+from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
 from polyida.integrate.radau import loop
 from polyida.integrate.radau.accepted import Common, Ends
 from polyida.integrate.radau.loop import (
@@ -53,8 +53,7 @@ from polyida.integrate.radau.step import (
 )
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
-from polyida.integrate.rest import held
-from polyida.integrate.sizes import ROUND_OFF, weights
+from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
@@ -309,7 +308,7 @@ def _table(settings, model, tableau, tied):
 def march(engine, settings, model, state, begin, end, most, counts):
     """Yield stretches of the states at the ends of equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
     grid = _grid(model, state, begin, end, most)
-    for state in held(model, state, grid, counts):
+    for state in states_at_rest(model, state, grid, counts):
         grid = grid._replace(done=grid.done + 1)
         state.memory.update(radau_grid=grid.after(grid.done), **engine.of_run)
         counts.steps += 1
@@ -338,7 +337,7 @@ def _grid(model, state, begin, end, most):
     known = grid_of(stored, begin, end, 0)
     if known.count and known.h <= most * (1 + 1e-9) and (known.h > 0.5 * most or known.count <= PULSE):
         return known
-    return Grid(begin, end, enough_steps(model, state, begin, end, most))
+    return Grid(begin, end, number_of_steps(model, state, begin, end, most))
 
 
 def _in_parts(engine, settings, state, grid, first, counts):
@@ -397,7 +396,7 @@ def _most(model, state, begin, end, most):
     piece = state.memory.get("radau_piece")
     if piece is not None and piece[0] == end and "stages_e" in state.memory and piece[1] <= most * (1 + 1e-9):
         return float(piece[1])
-    return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
+    return (end - begin) / number_of_steps(model, state, begin, end, min(most, end - begin))
 
 
 def ladder_of(state, first):

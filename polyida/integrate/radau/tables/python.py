@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida import system as of
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.matrices import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration

@@ -21,7 +21,7 @@ from polyida.assembly.projection import ConstraintProjection, constrain, constra
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.jit import entry, fast, pack, part

@@ -1,0 +1,363 @@
+"""The tables of models for the energy-momentum method: forces at the middle of a step, constraints at its end.
+
+Scenes take the algorithmic stress of their elements. For users' models the work of the force at the middle is not the difference of the
+potential; Gonzalez (J. Nonlinear Sci. 6 (1996) 449-467) adds the difference along M dq:
+
+    M (v_1 - v_0)/h + g(t_m, q_m, v_m) + [V_1 - V_0 - V'] M dq / (dq^T M dq) + phi_q(q_m)^T lam = 0,     V' = grad V(q_m) . dq
+
+Forces beyond the potential act at the middle. A constraint that is at most quadratic satisfies `phi_q(q_m) dq = phi_1 - phi_0` and does no
+work. The matrix leaves out the derivative of the bracket, which is of second order in dq: Newton's method converges without.
+"""
+
+from functools import cache
+
+import numpy as np
+from numba import carray, typeof
+
+from polyida.assembly import compact, joints
+from polyida.assembly import equilibrium as kernels
+from polyida.assembly.increments import drive_table
+from polyida.assembly.own_laws import NO_ENERGY, NOISE, take_midpoint_forces
+from polyida.assembly.projection import constrain
+from polyida.element import kernels as elements
+from polyida.element import two_field
+from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import pointer
+from polyida.linear.dense import clear
+from polyida.model.differences import FIRST_ORDER_STEP, along
+from polyida.model.guarded import OF_STEPS, unguarded
+from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_address
+from polyida.system import dense as small
+from polyida.system import scene as of_scene
+from polyida.system.dense import END, ENDED, INNER, vector
+from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, rows
+
+SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: nearer ones have more round-off
+STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them on each side
+ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
+OF_ENERGY = (*OF_STEPS, "potential")
+
+
+def table_of(model):
+    """The table of a model with the entries of the method."""
+    if model.is_scene:
+        python = not model.compiled or (model.laws is not None and NO_ENERGY in model.laws.energies)
+        return PythonScene(model) if python else EnergyTable(model)
+    if not small_own(model):
+        return PythonOwn(model)
+    return (CompiledOwn if unguarded(model).by_numba else DenseOwn)(model)
+
+
+@part
+def potential(w, x, d, s):
+    """V at x + s d."""
+    for i in range(w.q.shape[0]):
+        w.q[i] = x[i] + s * d[i]
+    small.ask(w, small.POTENTIAL, INNER, w.x)
+    return w.x[0]
+
+
+@entry
+def own_middle(w, instant, states, lam, r, phi, e, f):
+    """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    small.take(w, instant - 1, states + 16 * n, states + 24 * n)
+    small.take_forces(w, states + 32 * n, lam)
+    residual, constraints = vector(r, n), vector(phi, m)
+    small.take_rows(w)
+    small.equilibrium(w, residual)
+    x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
+    for i in range(n):
+        d[i] = x1[i] - x0[i]
+    first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
+    for k in range(4):
+        work += (8.0, -8.0, -1.0, 1.0)[k] * potential(w, x, d, (1.0, -1.0, 2.0, -2.0)[k] * STEP) / (12.0 * STEP)
+    if w.flags[ENDED] != DONE:
+        return w.flags[ENDED]
+    metric, size = w.near[1], 0.0
+    for i in range(n):
+        metric[i] = 0.0
+        for j in range(n):
+            metric[i] += w.M[i, j] * d[j]
+        size += d[i] * metric[i]
+    bracket = last - first - work
+    if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
+        for i in range(n):
+            residual[i] += bracket / size * metric[i]
+    if m:
+        small.take(w, instant, states + 8 * n, states + 24 * n)
+        ended = small.ask(w, small.PHI, END, w.phi)
+        for k in range(m):
+            constraints[k] = w.phi[k]
+    return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
+
+
+@entry
+def own_kinetic(w, instant, v, energy, c, d, e, f):
+    """v^T M v."""
+    n, total = w.q.shape[0], 0.0
+    speed = vector(v, n)
+    for i in range(n):
+        for j in range(n):
+            total += speed[i] * w.M[i, j] * speed[j]
+    vector(energy, 1)[0] = total
+    return DONE
+
+
+@cache
+def own_addresses():
+    """{number: address} of these functions, for every small model."""
+    kind = typeof(small.example())
+    functions = {MIDDLE: own_middle, KINETIC: own_kinetic, ACCELERATION: small.acceleration}
+    return {number: c_address(function, kind) for number, function in functions.items()}
+
+
+def discrete_derivative(potential, x0, x1, metric, slope=None):
+    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric = M dx; zero if it is round-off.
+
+    slope: grad V at the middle, in the shape of x; None: V' by differences, which are wrong at a kink of V near the middle.
+    """
+    dx, middle = x1 - x0, 0.5 * (x0 + x1)
+    size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
+    along_dx = along(lambda s: potential(middle + s * dx), SPAN) if slope is None else np.vdot(slope, dx)
+    bracket = last - first - along_dx
+    if not (size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last))):
+        return np.zeros_like(dx)
+    return bracket / size * metric
+
+
+class MiddleTable:
+    """Mixed into tables with instants of a step's middle and end. complete: True if entries of the table make v, a and lam of frames."""
+
+    instants = 3 * INSTANTS
+    complete = False
+
+    def prepare(self, times, last, h):
+        """Prepare steps between the times; last: the last time, or one beside it at a kink."""
+        steps, self.h, at = len(times) - 1, h, np.repeat(times[1:], 2)
+        at[::2] -= 0.5 * h
+        self.times[: 2 * steps] = at[:, None]
+        self.times[2 * steps - 1, INNER] = last
+
+    def prepare_ends(self, times, last):
+        """Prepare frames at the times. Returns the number of the first one's instant."""
+        end = ENDS + len(times)
+        self.times[ENDS:end] = times[:, None]
+        self.times[end - 1, INNER] = last
+        return ENDS
+
+    def _entries(self):
+        return super()._entries() | {MIDDLE: self._middle}
+
+
+class PythonOwn(MiddleTable, PythonTable):
+    """The table of a user's model in Python that is large or solves its systems itself."""
+
+    def _middle(self, instant, states, lam, r, phi, *_):
+        model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
+        x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
+        residual, constraints = self._array(r, model.n), self._array(phi, model.m)
+        residual[:], constraints[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy()), model.phi(end, x1)
+        if not (np.isfinite(residual).all() and np.isfinite(constraints).all()):
+            return NOT_FINITE
+        residual += discrete_derivative(model.potential, x0, x1, model.mass(q) @ (x1 - x0))
+        return DONE
+
+
+class DenseOwn(MiddleTable, DenseTable):
+    """The table of a user's small model in Python."""
+
+    def __init__(self, model):
+        super().__init__(model, False)
+        self.functions[MIDDLE] = own_addresses()[MIDDLE]
+
+    def _functions(self, w):
+        def potential(*_):
+            w.x[0] = self.model.potential(w.q.copy())
+
+        return super()._functions(w) | {"potential": potential}
+
+
+class CompiledOwn(MiddleTable, CompiledTable):
+    """The table of a user's small model that numba compiles; it makes v, a and lam of frames if nothing is driven."""
+
+    names = OF_ENERGY
+
+    def __init__(self, model):
+        super().__init__(model, False)
+        self.complete = not model.needs.driven
+        for number, at in own_addresses().items():
+            self.functions[number] = at if number == MIDDLE or self.complete else 0
+
+
+@entry
+def middle(w, instant, states, lam, r, phi, e, f):
+    """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
+    links, out, points, drives = w.scene.links, pairs(w, r), w.points, w.drives[instant]
+    given = carray(pointer(states), (5, out.shape[0], 2))
+    least = equilibrium(w.scene, drives, w.numbers[H], given, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
+    if not least > 0.0:
+        return INVERTED if least <= 0.0 else NOT_FINITE
+    joints.point_values(links, given[1], points[DZ])
+    add_elements(links, w.laws, drives, given, points, out)
+    w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
+    return DONE
+
+
+@part
+def add_elements(links, laws, drives, states, points, r):
+    """Add force elements to r; without any, laws is None and nothing is compiled."""
+    if laws is not None:
+        joints.point_values(links, states[0], points[START])
+        joints.point_values(links, states[3], points[VX])
+        clear(points[FORCES])
+        take_midpoint_forces(laws, drives, points[START], points[DZ], points[VX], points[FORCES])
+        joints.spread(links, points[FORCES], r)
+
+
+@entry
+def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
+    """Fill r (nodes, 2) except for force elements. Returns the least det F at the end.
+
+    states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
+    (points, 2) are workspace; rotation (nodes, 2) as of the equilibrium of a state.
+    """
+    s, links, u0, u1, um, vm, a = scene.plates, scene.links, states[0], states[1], states[2], states[3], states[4]
+    for i in range(r.shape[0]):
+        r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
+    clear(rotation)
+    few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
+    least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
+    for k in range(s.load_drive.shape[0]):
+        factor = drives[s.load_drive[k], 0]
+        for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
+            r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
+            r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
+    joints.point_values(links, a, dz)
+    for p in range(dz.shape[0]):
+        for k in range(2):
+            forces[p, k] = links.point_mass[p] * (dz[p, k] - links.gravity[k])
+    joints.point_values(links, um, dz)
+    joints.joint_forces(links, drives, dz, lam, phi, forces)
+    joints.spread(links, forces, r)
+    return least
+
+
+@part
+def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
+    """Add inner, inertia and damping forces of all plates to r. Returns the least det F."""
+    least = 1e300
+    for b in range(s.body_operator.shape[0]):
+        o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
+        given = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
+        least = compact.lesser(least, two_field.internal_force_midpoint(*kernels.cells(s, o), n0, *given))
+        elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
+        if s.body_drag[b] != 0.0:
+            elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
+        if s.body_stabilisation[b] != 0.0:
+            elements.stabilisation_force(*kernels.on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, um, r)
+    return least
+
+
+@entry
+def kinetic(w, instant, v, energy, c, d, e, f):
+    """v^T M v of a scene without plates."""
+    s, speed, total = w.solid, pairs(w, v), 0.0
+    clear(s.r)
+    compact.momentum(s.mass, speed, s.r)
+    for i in range(speed.shape[0]):
+        total += speed[i, 0] * s.r[i, 0] + speed[i, 1] * s.r[i, 1]
+    carray(pointer(energy), (1,))[0] = total
+    return DONE
+
+
+@entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` of a scene without plates."""
+    s, links, drives, out, multipliers = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
+    u, speed = pairs(w, q), pairs(w, v)
+    kernels.equilibrium(w.scene, drives, u, s.still, w.level, s.r, multipliers, w.rotation, w.points[DZ], w.points[FORCES])
+    of_scene.add_forces(w.scene, w.damp, w.laws, drives, u, speed, s.r)
+    for i in range(out.shape[0]):
+        s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
+    clear(out)
+    compact.momentum(s.inverse, s.r, out)
+    return DONE if constrain(links, w.projection, drives, w.points[DZ], speed, out, multipliers) else SINGULAR
+
+
+class EnergyTable(SceneTable):
+    """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate."""
+
+    entries = {number: of_scene.FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
+
+    def __init__(self, model):
+        super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven), False)
+        self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not model.bodies
+        if self.complete:
+            self.entries = self.entries | {KINETIC: kinetic, ACCELERATION: acceleration}
+            self.w["solid"] = Solid(*model.once(masses), *np.zeros((2, model.n_nodes, 2)))
+
+    @property
+    def workspace(self):
+        """Address of the workspace."""
+        return self.work.address
+
+    def prepare(self, times, last, h):
+        """Prepare steps between the times; last: the last time, or one beside it at a kink."""
+        at = np.repeat(times, 2)[1:]
+        at[1::2] = times[1:] - 0.5 * h
+        self.w["drives"][1 : len(at)] = drive_table(self.model, at[1:], (at[1], last))
+        self.w["numbers"][H] = h
+
+    def prepare_ends(self, times, last):
+        """Prepare frames at the times. Returns the number of the first one's instant."""
+        ends = (last if len(times) == 1 else times[0]), last
+        self.w["drives"][ENDS + 1 : ENDS + 1 + len(times)] = drive_table(self.model, times, ends)
+        return ENDS
+
+
+class PythonScene(MiddleTable, PythonTable):
+    """The table of a scene with users' force elements or bodies in Python.
+
+    Plates, loads, masses and joints as in `equilibrium`, each force element and elastic body by the discrete derivative of its energy.
+    """
+
+    def __init__(self, model):
+        super().__init__(model, False)
+        self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
+
+    def _middle(self, instant, states, lam, r, phi, *_):
+        model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
+        given, constraints = self._array(states, 5 * model.n).copy().reshape(5, -1), self._array(phi, model.m)
+        out, lam = self._array(r, model.n).copy().reshape(-1, 2), self._array(lam, model.m).copy()
+        fields, scratch = given.reshape(5, -1, 2), constraints.copy()
+        det = equilibrium(model.arrays, model.drives(t), self.h, fields, lam, scratch, *self.points, out, self.rotation)
+        if not det > 0.0:
+            return INVERTED if det <= 0.0 else NOT_FINITE
+        (u0, u1, _, vm, a), residual = given, out.ravel()
+        if model.uneven_mass is not None:
+            residual += model.uneven_mass @ a
+        if model.uneven_drag is not None:
+            residual += model.uneven_drag @ vm
+        for own in model.own_forces.each:
+            x0, x1 = own.places(u0), own.places(u1)
+            middle = 0.5 * (x0 + x1)
+            force = own.forces(t, middle, own.velocities(vm))
+            if np.isfinite(force).all():
+                held = own.conservative(t, middle)
+                force = force - discrete_derivative(own.energy, x0, x1, x1 - x0, None if held is None else -held)
+            residual -= own.A.T @ force.ravel()
+        self._array(r, model.n)[:], constraints[:] = residual, model.phi(end, u1)
+        return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
+
+
+def masses(model):
+    """Masses of the bodies of a scene without plates, and their inverses."""
+    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in model.few]
+    compacts = []
+    for matrices in (each, [np.linalg.inv(mass) for mass in each]):
+        flat = np.concatenate([mass.ravel() for mass in matrices])
+        compacts.append(model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1)))
+    return compacts

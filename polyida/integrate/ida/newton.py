@@ -1,0 +1,315 @@
+"""IDA's equations and their Newton corrections, by the functions of a model's table: one compiled driver for every model.
+
+IDA asks for `J d = -F`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu), mu only if the form has it:
+
+    |  cj I     -I               B^T |  |dq  |   |r1|     q' - v + B^T mu
+    |  K      cj M + C   B^T         |  |dv  | = |r2|     M v' + g + B^T lam
+    |  P         Q                   |  |dlam|   |rc|     the form's constraint rows c(t, q, v, v')
+                                        |dmu |            P = c_q,  Q = c_v + cj c_a
+
+The first row gives dv; the rest is
+
+    |  S       B^T   D B^T | |dq  |   |r2 + D r1|     S = K + cj D,  D = cj M + C
+    |  P + cj Q      Q B^T | |dlam| = |rc + Q r1|
+                             |dmu |
+
+the system of a real mode of Radau IIA with c = cj and D = 1 for mu (polyida.system), solved by the same entries of the tables.
+
+IDA's residual is `J^-1 F`, which has the same zeros and Newton corrections as F. Its own linear system is then that of the identity, and its
+GMRES ends after one product that returns the vector. IDA gives cj only with that product, after the residual; before, it is computed from
+what IDA predicts (`Predicted`). If it was wrong, the next iteration has the right one.
+
+With this solve as IDA's preconditioner, which is given cj, IDA takes the same steps, but makes two calls more in each iteration, of five arrays
+each, which the binding wraps one by one: 1.15 times the time of a run on the pendulum, 1.19 if numba compiles its class, 1.0 to 1.1 on the car
+axis, Andrews' mechanism, chains of bars and plates (`python studies/step_cost.py`).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.errors import DONE, HALF_TURN, INVERTED, NO_MATRIX, NOT_FINITE, REASONS, SINGULAR, StepFailure
+from polyida.integrate.ida.tables import table_of
+from polyida.integrate.state import Counts
+from polyida.jit import entry, pack, part, typed
+from polyida.jit.intrinsics import address, call
+from polyida.linear.lu import SingularSystem
+from polyida.model.guarded import unguarded, writes
+from polyida.system import BIAS, CLOSE, MATRICES, OFF, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
+from polyida.system.dense import finite
+
+# constants of compiled code
+INTEGRATED, BENDS = range(2)  # of Iterate.flags; BENDS: phi is a row and not linear
+SLOT = 0  # of the matrices
+INSTANT = 1  # the stage of the step that begins at instant 0
+MAX_ORDER = 5  # of a backward differentiation formula
+CJ_H = np.cumsum(1 / np.arange(1, MAX_ORDER + 1)).tolist()  # cj h of each order, whatever the steps before
+SHORTEST = float(np.finfo(float).tiny)  # s
+SAME_CJ = 1e-3  # relative change of cj up to which the factor is kept
+LARGEST_CJ = 1e60  # 1/s: there is no factor for a larger one, of a step within the round-off of t; its powers would overflow
+LATE = 2  # iterations of one step after which the factor is made anew
+
+
+@pack
+class Iterate(NamedTuple):
+    """An iterate of a form with k blocks of m constraint rows, and its correction.
+
+    levels (k, 3): weights of phi, phi' and phi'' in each block; c (3,): cj as SELECT takes it; q, v, a, lam, mu: the iterate; first, r (n,),
+    rows (2, m): F; phi, derivative (m,), vector, force (n,), rates (2, m): workspace; dq, multipliers (2, m): the correction.
+    """
+
+    levels: np.ndarray
+    flags: np.ndarray
+    c: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    mu: np.ndarray
+    first: np.ndarray
+    r: np.ndarray
+    rows: np.ndarray
+    phi: np.ndarray
+    derivative: np.ndarray
+    vector: np.ndarray
+    force: np.ndarray
+    rates: np.ndarray
+    dq: np.ndarray
+    multipliers: np.ndarray
+
+
+@entry
+def equations(functions, model, z, y, yp):
+    """F at (y, y'). Returns how it ended."""
+    n, m, ended = z.q.shape[0], z.lam.shape[0], DONE
+    multipliers = yp if z.flags[INTEGRATED] else y
+    for i in range(n):
+        z.q[i], z.v[i], z.a[i], z.first[i] = y[i], y[n + i], yp[n + i], yp[i] - y[n + i]
+    for k in range(m):
+        z.lam[k] = multipliers[2 * n + k]
+        z.mu[k] = multipliers[2 * n + m + k] if z.levels.shape[0] == 2 else 0.0
+    if m and (has_order(z, 1) or has_order(z, 2)):
+        ended = call(functions[REACTION], model, INSTANT, address(z.q), address(z.mu), address(z.first), 0, 0, 0)
+    if ended == DONE:
+        places = address(z.q), address(z.v), address(z.a), address(z.lam), address(z.r), address(z.phi)
+        ended = call(functions[RESIDUAL], model, INSTANT, places[0], places[1], places[2], places[3], places[4], places[5])
+    for block in range(z.levels.shape[0]):
+        for k in range(m):
+            z.rows[block, k] = z.levels[block, 0] * z.phi[k]
+    if ended == DONE and m and has_order(z, 1):
+        ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.v), address(z.derivative), 1, 0, 0)
+        add_derivative(z, 1)
+    if ended == DONE and m and has_order(z, 2):
+        ended = call(functions[BIAS], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.derivative), 0, 0)
+        add_derivative(z, 2)
+    return NOT_FINITE if ended == DONE and not (finite(z.r) and finite(z.rows[0]) and finite(z.rows[1])) else ended
+
+
+@part
+def has_order(z, order):
+    """True if the derivative of phi of that order is in the rows."""
+    return z.levels[0, order] != 0.0 or z.levels[z.levels.shape[0] - 1, order] != 0.0
+
+
+@part
+def add_derivative(z, order):
+    """Add a derivative of phi to the rows."""
+    for block in range(z.levels.shape[0]):
+        for k in range(z.derivative.shape[0]):
+            z.rows[block, k] += z.levels[block, order] * z.derivative[k]
+
+
+@entry
+def correction(functions, model, z, cj, anew, fresh, out):
+    """out = J^-1 F behind `equations`; anew: with the matrices of this iterate; fresh: with its rows. Returns how it ended."""
+    n, m, ended, tied = z.q.shape[0], z.lam.shape[0], DONE, z.levels.shape[0] == 2
+    made = anew and functions[MATRICES] != 0  # perhaps with differences of phi_q, so that B is not that of the last residual
+    if made:
+        ended = call(functions[MATRICES], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.lam), SLOT, 0)
+    if anew and functions[SELECT]:
+        z.c[0] = cj
+        call(functions[SELECT], model, SLOT, address(z.c), 0, 0, 0, 0, 0)
+    if ended == DONE and fresh:
+        ended = call(functions[ROWS], model, INSTANT, address(z.q), address(z.v), address(z.a), 0 if made else 1, 0, 0)
+    for i in range(n):
+        z.vector[i] = cj * z.first[i]
+    if ended == DONE:
+        places = address(z.first), address(z.vector), address(z.force), address(z.q), address(z.rates)
+        ended = call(functions[OFF], model, INSTANT, places[0], places[1], places[2], 0, places[3], places[4])
+    for i in range(n):
+        z.r[i] += z.force[i]
+    for block in range(z.levels.shape[0]):
+        for k in range(m):
+            z.rows[block, k] += z.rates[block, k]
+    if ended == DONE:
+        ended = solve(functions, model, z)
+    if ended == DONE and z.flags[BENDS] and functions[CLOSE]:
+        for i in range(n):
+            z.vector[i] = z.q[i] + z.dq[i]
+        ended = call(functions[CLOSE], model, INSTANT, address(z.vector), 0, 0, address(z.derivative), address(z.phi), 0)
+        for k in range(m):
+            z.rows[0, k] += z.derivative[k]
+        if ended == DONE:
+            ended = solve(functions, model, z)
+    if ended != DONE:
+        return ended
+    for i in range(n):
+        out[i], z.vector[i] = -z.dq[i], z.first[i] + cj * z.dq[i]
+    if tied and m:
+        ended = call(functions[REACTION], model, INSTANT, address(z.q), address(z.multipliers) + 8 * m, address(z.vector), 1, 0, 0)
+    for i in range(n):
+        out[n + i] = -z.vector[i]
+    for k in range(2 * m if tied else m):
+        change = z.multipliers[k // m, k % m]
+        out[2 * n + k] = -change / cj if z.flags[INTEGRATED] else -change
+    return ended
+
+
+@part
+def solve(functions, model, z):
+    """The correction from z.r and z.rows."""
+    places = address(z.r), address(z.rows), address(z.lam), address(z.dq), address(z.multipliers)
+    return call(functions[REAL], model, INSTANT, places[0], places[1], places[2], places[3], places[4], 0)
+
+
+class Predicted:
+    """The cj of the step that IDA is trying, which it does not give before it asks for the residual.
+
+    A step of order k begins with the polynomial through the last k + 1 accepted states; the order is that of the nearest polynomial. Of each
+    q (n,) one number is stored: its product with a random vector.
+    """
+
+    def __init__(self, n, max_order):
+        self.vector, self.max_order = np.random.default_rng(0).uniform(0.5, 1.5, n), max_order
+        self.times, self.differences = [], []
+
+    def begin(self, t, q):
+        """Start from a state: IDA begins with order 1."""
+        self.times, self.differences = [t], [float(self.vector @ q)]
+
+    def accept(self, t, q):
+        """Take the end of a step, unless the step is within the round-off of t."""
+        if t == self.times[0]:
+            return
+        times, differences = [t, *self.times[: self.max_order]], [float(self.vector @ q)]
+        for earlier, before in zip(times[1:], self.differences):
+            differences.append((differences[-1] - before) / (t - earlier))
+        self.times, self.differences = times, differences
+
+    def cj(self, t, q):
+        """The cj of a step to t that begins with q."""
+        begin, value, product, order, nearest = float(self.vector @ q), self.differences[0], 1.0, 1, np.inf
+        for k in range(1, len(self.times)):
+            product *= t - self.times[k - 1]
+            value += product * self.differences[k]
+            if abs(value - begin) < nearest:
+                order, nearest = k, abs(value - begin)
+        return CJ_H[order - 1] / max(t - self.times[0], SHORTEST)
+
+
+class Correction:
+    """IDA's callbacks for a System.
+
+    IDA itself would keep a factor while cj changes by up to 5/3. Here S is factored whenever cj has changed: with an old cj Newton's method
+    contracts at up to 0.5, needs up to 1.7 times the residuals, and on flexible bodies ends farther from the solution; few factors would be
+    saved.
+
+    Rows that vary are those of each iterate: with those of the factor's state phi falls only as Newton contracts. If phi is a row and not
+    linear, its curvature over the correction is removed too, so that one iteration satisfies it.
+    """
+
+    def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
+        self.system, self.counts, self.predicted, self.cj = system, counts, Predicted(system.model.n, order), math.nan
+        self.table, self.renews = table_of(system, linear, scaling)
+        n, m, bends = system.model.n, system.model.m, system.rows_vary and system.holds_phi and self.renews
+        shapes = (3,), (n,), (n,), (n,), (m,), (m,), (n,), (n,), (2, m), (m,), (m,), (n,), (n,), (2, m), (n,), (2, m)
+        self.iterate = Iterate(system.levels, np.array([system.form.integrated, bends], np.int64), *map(np.zeros, shapes))
+        self.equations, self.correction = typed(equations), typed(correction)
+        model = unguarded(system.model)
+        self.objects = writes(model, "rejection_reason") and not (model.is_scene and self.table.single)
+
+    def begin(self, t, y):
+        """IDA starts anew from y at t."""
+        n = self.system.model.n
+        self.predicted.begin(t, y[:n])
+        self.table.hold_constant(t, y[:n].copy())
+        self.tried = math.nan
+
+    def accept(self, t, y):
+        """IDA has taken a step, to y at t."""
+        self.predicted.accept(t, y[: self.system.model.n])
+
+    def residual(self, t, y, yp, z):
+        """z = J^-1 F, NaN if there is no inverse. False if F is not finite or the model rejects the state."""
+        anew, system = self.due(t, y), self.system
+        made = anew and not self.table.functions[RESIDUAL]  # a scene's functions are compiled for the type of its factor
+        if made:
+            self._factor(t, y, yp)
+        if not (self.objects and system.rejection_reason(t, y[: system.model.n].copy())) and self.evaluate(t, y, yp):
+            self.correct(t, y, yp, anew, z, made)
+            return True
+        self.cj = math.nan if anew else self.cj
+        return False
+
+    def F(self, t, y, yp, res):
+        """F(t, y, y') into res. False if it is not finite."""
+        if not self.table.functions[RESIDUAL]:
+            self.cj = 1.0
+            self._factor(t, y, yp)
+        n, z, finite = self.system.model.n, self.iterate, self.evaluate(t, y, yp)
+        res[:n], res[n : 2 * n], res[2 * n :] = z.first, z.r, z.rows.ravel()[: self.system.size - 2 * n]
+        return finite
+
+    def evaluate(self, t, y, yp):
+        """True if F could be evaluated."""
+        table = self.table
+        if not table.functions[RESIDUAL]:
+            return False
+        table.stand(self.system.clamp(t))
+        ended = self.equations(table.functions, table.workspace, self.iterate, y, yp)
+        return ended == DONE or self._recoverable(ended, t)
+
+    def _recoverable(self, ended, t):
+        """False if a smaller step may help. Otherwise raises."""
+        self.table.raise_left()
+        if ended in (NOT_FINITE, INVERTED, HALF_TURN):
+            return False
+        raise StepFailure(*REASONS[ended], t)
+
+    def correct(self, t, y, yp, anew, z, made=False):
+        """z = J^-1 F behind `evaluate`, NaN if there is no inverse; anew: with the matrices of this iterate; made: these are factored."""
+        counts, table, ended = self.counts, self.table, SINGULAR
+        counts.tangents += anew
+        counts.factorizations += anew
+        counts.solves += 1
+        if anew and not made and not table.functions[MATRICES]:
+            self._factor(t, y, yp)
+        if not math.isnan(self.cj):
+            fresh = anew or self.renews
+            ended = self.correction(table.functions, table.workspace, self.iterate, self.cj, anew, fresh, z)
+        if ended in (SINGULAR, NO_MATRIX) or (ended != DONE and not self._recoverable(ended, t)):
+            self.cj, z[:] = math.nan, math.nan
+
+    def _factor(self, t, y, yp):
+        made = Counts()
+        try:
+            self.table.make(0, 1.0 / self.cj, np.concatenate([np.ravel(x) for x in self.system.at(t, y, yp)]), made)
+        except SingularSystem:
+            self.cj = math.nan
+        self.counts.backend, self.counts.solves = made.backend, self.counts.solves + made.solves
+
+    def due(self, t, y):
+        """Count an iteration at the cj that is expected. True if a factor is to be made; no factor is possible if cj is NaN."""
+        if t != self.tried:
+            self.tried, self.iterations, self.expected = t, 0, self.predicted.cj(t, y[: self.system.model.n])
+        anew = not abs(self.expected - self.cj) <= SAME_CJ * self.expected or self.iterations == LATE
+        if anew:
+            self.cj = self.expected if self.expected < LARGEST_CJ else math.nan
+        self.iterations += 1
+        self.counts.newton_iterations += 1
+        return anew and not math.isnan(self.cj)
+
+    def product(self, t, y, yp, res, vector, result, cj):
+        """The vector itself; cj is that of the next iteration."""
+        result[:], self.expected = vector, cj if abs(cj - self.cj) > SAME_CJ * cj else self.expected

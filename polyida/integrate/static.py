@@ -1,0 +1,299 @@
+"""Static equilibrium: `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0`, by Newton's method along a growing load."""
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.sizes import memory_of_rest
+from polyida.integrate.start import vector_of
+from polyida.integrate.state import State
+from polyida.linear.lu import SingularSystem, dense
+from polyida.linear.saddle import KKT, falling, require_independent, typical
+from polyida.model import Model, differences
+from polyida.model.check import require_declared
+from polyida.model.guarded import guard, unguarded
+from polyida.reprs import brief
+from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, read_only
+
+FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
+FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
+REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
+HALVINGS = 10  # of a part of the load, in a row
+ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
+
+
+@dataclass(frozen=True)
+class Equilibrium(State):
+    """A State at rest in equilibrium.
+
+    falling: number of independent directions that the constraints allow and in which the potential energy falls; None if there is no
+    potential (dr/dq is not symmetric), if the factorization of its matrix breaks down, and for small displacements. parts, halved: number
+    of parts in which the load was applied, and of parts that were halved because Newton's method failed. model: the model. linear: True
+    for small displacements.
+    """
+
+    falling: int | None = None
+    parts: int = 1
+    halved: int = 0
+    model: Any = field(default=None, repr=False)
+    linear: bool = False
+
+    __repr__ = brief
+
+    @property
+    def stable(self) -> bool | None:
+        """True if the energy has a minimum here, False if it falls in some direction, None if that is unknown."""
+        return None if self.falling is None else self.falling == 0
+
+    def summary(self) -> str:
+        """One line: the time, the kind of equilibrium and how the load was applied."""
+        if self.linear:
+            return f"equilibrium at t = {self.t:.9g} s for small displacements"
+        unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
+        ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
+        kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
+        how = f"; load in {self.parts} parts, halved {self.halved} times" if self.halved else ""
+        return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}{how}"
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """`g(t, q, 0) + phi_q^T lam = base + factor slope`, `phi(t, q) = 0`; base and slope (n,), N. Converged: |dq| <= tolerance max(1, |q|)."""
+
+    model: Model
+    t: float
+    base: np.ndarray
+    slope: np.ndarray
+    tolerance: float
+    max_iterations: int
+
+    def residuals(self, q, lam, factor):
+        """r (n,) and phi (m,). Raises StepFailure if they are not finite."""
+        zero = np.zeros(self.model.n)
+        r = self.model.residual(self.t, q, zero, zero, lam) - self.base - factor * self.slope
+        phi = self.model.phi(self.t, q)
+        if not (np.isfinite(r).all() and np.isfinite(phi).all()):
+            raise StepFailure("not finite", "r or phi is not finite; use more load steps", self.t)
+        return r, phi
+
+    def stiffness(self, q, lam):
+        """`K = d(g + phi_q^T lam)/dq`, (n, n)."""
+        zero = np.zeros(self.model.n)
+        return self.model.tangent(self.t, q, zero, zero, lam, 0.0, 0.0, 1.0)
+
+    def multipliers(self, q, factor):
+        """lam (m,) that best balances the forces at q, for all stiffness may come from it. Raises InputError for redundant constraints."""
+        model = self.model
+        if not model.m:
+            return np.zeros(0)
+        B = model.phi_q(self.t, q)
+        require_independent(model, B, q)
+        return np.linalg.solve(dense(B @ B.T), B @ (self.base + factor * self.slope - model.force(self.t, q, np.zeros(model.n))))
+
+    def solve(self, q, lam, factor):
+        """(q, lam, the factored system) in equilibrium, from a guess. Raises StepFailure."""
+        for iteration in range(self.max_iterations):
+            r, phi = self.residuals(q, lam, factor)
+            K, B = self.stiffness(q, lam), self.model.phi_q(self.t, q)
+            for regular in (True, False):  # a hanging chain that is not stretched yet is singular; a small mass regularizes it
+                M = None if regular else self.model.mass(q)
+                try:
+                    system = self.factored(K if regular else K + REGULARIZATION * typical(K) / typical(M) * M, B)
+                    dq, dlam = system.solve(r, phi)
+                    self.require_near(q, dq, iteration)
+                    break
+                except StepFailure:
+                    if not regular:
+                        raise
+            q, lam = q + dq, lam + dlam
+            if regular and self.converged(q, dq):
+                return q, lam, system
+        if not regular:
+            raise StepFailure("singular", FREE, self.t)
+        reason, moved = "static equilibrium not found; use more load steps", float(np.abs(dq).max())
+        raise StepFailure("newton", reason, self.t, iterations=self.max_iterations, moved=moved)
+
+    def factored(self, K, B, reason=FREE, pull=None):
+        """The factored KKT. Raises StepFailure if it is singular."""
+        try:
+            return KKT(K, B, pull=pull)
+        except SingularSystem:
+            raise StepFailure("singular", reason, self.t) from None
+
+    def require_near(self, q, dq, iteration):
+        """Raise StepFailure for a Newton step that is a mechanism's."""
+        moved = np.abs(dq).max()
+        if not moved <= FAR * (np.abs(q).max() + (self.model.extent or 1.0)):
+            raise StepFailure("singular", FREE, self.t, iteration=iteration, **{"|dq|": float(moved)})
+
+    def converged(self, q, dq):
+        """True if a step is below the tolerance."""
+        return np.abs(dq).max() <= self.tolerance * max(1.0, np.abs(q).max())
+
+    def require_accepted(self, q):
+        """Raise StepFailure if the model rejects q."""
+        if objection := self.model.rejection_reason(self.t, q):
+            raise StepFailure("objection", objection, self.t)
+
+    def equilibrium(self, q, lam, solve, **parts):
+        """The Equilibrium at (q, lam); solve: of the system factored there."""
+        model, t, zero = self.model, self.t, np.zeros(self.model.n)
+        memory = memory_of_rest(model, t, q, lam, model.residual(t, q, zero, zero, lam), solve)
+        try:
+            directions = falling(self.stiffness(q, lam), model.phi_q(t, q))
+        except SingularSystem:
+            directions = None
+        return Equilibrium(t, q, zero, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts)
+
+    def small_displacements(self):
+        """The Equilibrium of small displacements under the whole load. Raises InputError for redundant constraints, StepFailure."""
+        model, zero, none = self.model, np.zeros(self.model.n), np.zeros(self.model.m)
+        r, phi = self.residuals(zero, none, 1.0)
+        K, B = self.stiffness(zero, none), model.phi_q(self.t, zero)
+        if model.m:
+            require_independent(model, B, zero)
+        system = self.factored(K, B)
+        if system.lu.doubtful():
+            raise StepFailure("singular", FREE, self.t)
+        q, lam = system.solve(r, phi)
+        return Equilibrium(self.t, q, zero, zero.copy(), lam, model=unguarded(model), linear=True)
+
+
+def whole_load(part, model, t, tolerance, max_iterations):
+    """The Loading whose factor goes from 0, no load, to 1, the model's load. Raises InputError, in the name of `part`, for wrong settings."""
+    if not is_whole(max_iterations):
+        raise InputError(f"{part}: max_iterations = {max_iterations!r} must be a whole number of at least 1")
+    if not is_number(t):
+        raise InputError(f"{part}: t = {t!r} must be a finite time in s")
+    if not (is_number(tolerance) and 0 < tolerance < 1):
+        raise InputError(f"{part}: tolerance = {tolerance!r} must be between 0 and 1")
+    load = model.force(float(t), np.zeros(model.n), np.zeros(model.n))
+    load = np.where(np.isfinite(load), load, 0.0)  # a model that is singular at q = 0 gets its whole load at once
+    return Loading(model, float(t), load, -load, tolerance, max_iterations)
+
+
+@named_keywords
+def static(
+    model: Model,
+    t: float = 0.0,
+    q0: ArrayLike | None = None,
+    steps: int = 1,
+    tolerance: float = 1e-10,
+    max_iterations: int = 50,
+    linear: bool = False,
+) -> Equilibrium:
+    """Solve `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0` for the static equilibrium.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    t : float, s
+        Time at which loads and motors are evaluated.
+    q0 : (n,) array_like, optional
+        Guess of the coordinates, zero by default.
+    steps : int
+        Number of equal parts in which the load is applied: at its factor s `g(q) + phi_q^T lam = (1 - s) g(0)`. A part for which Newton's
+        method fails is halved; parts grow again after two that succeed.
+    tolerance : float
+        Newton's method ends at |dq| <= tolerance max(1, |q|), largest entries.
+    max_iterations : int
+        Largest number of Newton iterations in a part of the load.
+    linear : bool
+        Small displacements: `K q + phi_q^T lam = -g`, `phi + phi_q q = 0`, with all matrices at q = 0 and lam = 0. The other settings have no
+        effect.
+
+    Returns
+    -------
+    Equilibrium
+        A State at rest, with `stable`; an unstable one comes with a warning.
+
+    Raises
+    ------
+    InputError
+        For a wrong setting and for redundant constraints.
+    StepFailure
+        If a part of 1/1024 of the load fails or the structure can move freely.
+
+    Notes
+    -----
+    `equilibrium_path` continues beyond the largest load that a structure bears.
+    """
+    model = guard(model, "static")
+    loading = whole_load("static", model, t, tolerance, max_iterations)
+    if not is_whole(steps):
+        raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
+    if not is_flag(linear):
+        raise InputError(f"static: linear = {linear!r} must be True or False")
+    q = vector_of("q0", q0, model)
+    require_declared(model, loading.t, q, np.zeros(model.n))
+    if linear:
+        return loading.small_displacements()
+    system: Any = None
+    factor, part, lam = 0.0, 1.0 / steps, None
+    parts = halved = in_a_row = 0
+    while factor < 1.0:
+        target = 1.0 if factor + part > 1.0 - 1e-9 else factor + part
+        try:
+            *reached, system = loading.solve(q, loading.multipliers(q, target) if lam is None else lam, target)
+            loading.require_accepted(reached[0])
+        except StepFailure as failure:
+            if part * steps < 0.5**HALVINGS * 1.5 or parts + halved > steps + ATTEMPTS:
+                if not factor:
+                    raise
+                hint = f"{failure.reason}; {factor:.6g} of the load is borne: if that is the most, pi.equilibrium_path goes beyond"
+                raise StepFailure(failure.status, hint, failure.t, **failure.seen) from None
+            part, halved, in_a_row = part / 2, halved + 1, 0
+            continue
+        factor, parts, (q, lam) = target, parts + 1, reached
+        part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
+    found = loading.equilibrium(q, lam, system.solve, parts=parts, halved=halved)
+    if found.stable is False:
+        warnings.warn(f"static: {found.summary()}; look for another from a disturbed q0", stacklevel=3)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class InputDirection:
+    """`r + ... = force u`, `phi + row u = 0` for a small input u: force (n,), row (m,). label: the profile's name, or empty."""
+
+    label: str
+    force: np.ndarray
+    row: np.ndarray
+
+
+def input_names(model):
+    """Names of the model's profiles, numbered if several have one name; empty for those without a name."""
+    names = [name for name, _ in model.named_profiles]
+    return [name if not name or names.count(name) == 1 else f"{name} {names[:k].count(name)}" for k, name in enumerate(names)]
+
+
+def input_direction(part, model, state, value):
+    """The InputDirection of the name of a profile, of a vector (n,), or of a function of q that returns one, at a state.
+
+    Raises InputError, in the name of `part`, for anything else and for a profile that has no effect there.
+    """
+    names = input_names(model)
+    known = ", ".join(repr(name) for name in names if name) or "none"
+    if not isinstance(value, str):
+        force = floats(value(read_only(state.q)) if callable(value) else value)
+        if force is None or force.shape != (model.n,):
+            what = f"must be the name of a profile ({known}), {model.n} finite numbers, or a function of q that gives these"
+            raise InputError(f"{part}: input {str(value)[:80]} {what}")
+        return InputDirection("", force, np.zeros(model.m))
+    if not value or value not in names:
+        raise InputError(f"{part}: no load or motor with a profile is called {value!r}; known: {known}")
+    number, zero, t, q = names.index(value), np.zeros(model.n), state.t, state.q
+
+    def equations(s):
+        pushed = model.pushed(t, number, s)
+        return np.concatenate([pushed.residual(t, q, zero, zero, state.lam), pushed.phi(t, q)])
+
+    slope = differences.along(equations)
+    if not slope.any():
+        raise InputError(f"{part}: the profile of {value!r} moves nothing at this state")
+    return InputDirection(value, -slope[: model.n], slope[model.n :])
