@@ -1,6 +1,6 @@
 """A plate reduced to few modes for large rotations, its exact elastic energy, and modes of a run (POD)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +58,7 @@ class Reduced(FieldBody):
     Generalised component mode synthesis (Gerstmayr and Ambrosio 2008; Pechstein, Reischl and Gerstmayr 2013).
     """
 
-    plate: Plate
+    plate: Plate = field()  # required, although Body has the attribute
     modes: int = 5
     fields: Any = None
     stored_fields: Any = None
@@ -353,15 +353,15 @@ def _modes(K, M, kkt, C, arms, count):
 
 def _orthogonal(M, rigid, fields):
     """The fields made orthonormal in M, complex, to the rigid ones and each other; dependent ones are dropped."""
-    basis = [field / np.sqrt(np.vdot(field, M @ field).real) for field in rigid]
-    for field in fields.T:
-        size = np.sqrt(np.vdot(field, M @ field).real)
+    basis = [f / np.sqrt(np.vdot(f, M @ f).real) for f in rigid]
+    for f in fields.T:
+        size = np.sqrt(np.vdot(f, M @ f).real)
         for _ in range(2):
             for other in basis:
-                field = field - np.vdot(other, M @ field) * other
-        rest = np.sqrt(np.vdot(field, M @ field).real)
+                f = f - np.vdot(other, M @ f) * other
+        rest = np.sqrt(np.vdot(f, M @ f).real)
         if rest > INDEPENDENT * size:
-            basis.append(field / rest)
+            basis.append(f / rest)
     return np.array(basis[len(rigid) :]).reshape(-1, len(fields)).T
 
 

@@ -1,7 +1,7 @@
 """Point masses, rigid bodies, and the base class of bodies whose few coordinates move all nodes of a plate."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -308,7 +308,7 @@ class Rigid(FieldBody):
         If `plate` is no Plate.
     """
 
-    plate: Plate
+    plate: Plate = field()  # required, although Body has the attribute
     name: str | None = None
     turns_only = True
 

@@ -34,7 +34,7 @@ class PointLoad:
 
     at: Attachment
     force: tuple
-    profile: Profile | Callable[[float], float] | float = constant(1.0)
+    profile: "Profile | Callable[[float], float] | float" = constant(1.0)
     name: str | None = None
 
     def __post_init__(self):
@@ -69,7 +69,7 @@ class EdgeTraction:
 
     at: Attachment
     traction: tuple
-    profile: Profile | Callable[[float], float] | float = constant(1.0)
+    profile: "Profile | Callable[[float], float] | float" = constant(1.0)
     name: str | None = None
 
     def __post_init__(self):
@@ -140,7 +140,7 @@ class Torque(ForceElement):
     """
 
     at: Attachment
-    moment: Profile | Callable | float
+    moment: "Profile | Callable | float"
     against: Attachment | None = None
     name: str | None = None
 
@@ -219,7 +219,7 @@ class Force(ForceElement):
     """
 
     at: Attachment
-    force: Sequence[Profile | Callable[[float], float] | float] | Callable[..., Any]
+    force: "Sequence[Profile | Callable[[float], float] | float] | Callable[..., Any]"
     follower: bool = False
     name: str | None = None
 

@@ -79,7 +79,7 @@ class SpringDamper(ForceElement):
     damping: float = 0.0
     length: float | None = None
     preload: float = 0.0
-    force: Callable[[float, float], float] | None = None
+    force: "Callable[[float, float], float] | None" = None
     name: str | None = None
     dissipates = True
 

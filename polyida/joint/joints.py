@@ -254,7 +254,7 @@ class AngleMotor(Joint):
         For an angle that is no profile, an offset that is no number, a side without a direction, and as for Joint.
     """
 
-    angle: Profile | Callable[[float], float] | float
+    angle: "Profile | Callable[[float], float] | float"
     offset: float | None = None
     kind = "motor"
     directed = ("a", "b")
@@ -300,8 +300,8 @@ class PrescribedPosition(Joint):
     a: Any = field(default=ground, init=False)
     b: Any = field(default=None, init=False)
     at: Attachment
-    x: Profile | Callable[[float], float] | float | None
-    y: Profile | Callable[[float], float] | float | None
+    x: "Profile | Callable[[float], float] | float | None"
+    y: "Profile | Callable[[float], float] | float | None"
 
     def __post_init__(self):
         label = labelled("PrescribedPosition", self.name)

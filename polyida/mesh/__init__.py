@@ -1,14 +1,11 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
-from polyida.mesh.density_filter import density_filter
 from polyida.mesh.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
-from polyida.mesh.drawings import read_outline, svg_path
-from polyida.mesh.mesher import polygonize
-from polyida.mesh.outline import Outline
-from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh
+from polyida.mesh.mesher import polygonize, quads, rectangle, triangles
+from polyida.mesh.outline import Outline, read_outline, svg_path
+from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh, density_filter
 from polyida.mesh.raw import MeshWarning, RawMesh
 from polyida.mesh.read_write import FORMATS, Format, from_lists, read, write
-from polyida.mesh.rectangles import quads, rectangle, triangles
 from polyida.mesh.sections import Section
 
 __all__ = [
@@ -38,3 +35,7 @@ __all__ = [
     "triangles",
     "write",
 ]
+
+
+def __dir__():
+    return __all__

@@ -1,6 +1,6 @@
 """Abaqus' .inp: *NODE, *ELEMENT, *NSET and *ELSET (of lines) of one part, *BOUNDARY and *CLOAD on it.
 
-Other keywords are passed over. Nodes within *ASSEMBLY are reference points, not the part's. Source: the Abaqus keywords reference guide.
+Other keywords are ignored. Nodes within *ASSEMBLY are reference points, not nodes of the part. Source: the Abaqus keywords reference guide.
 """
 
 import re
@@ -11,22 +11,22 @@ from polyida.errors import InputError
 from polyida.mesh.meshio_files import runs
 from polyida.mesh.raw import RawMesh
 
-PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|CGAX|M3D|SFM3D|DC2D|DCAX|AC2D|R3D|STRI|S)([34689])")  # and the count of nodes
-PASSED = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D|SAX|SFMAX|MAX")  # lines and points
+PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|CGAX|M3D|SFM3D|DC2D|DCAX|AC2D|R3D|STRI|S)([34689])")  # with the number of nodes
+IGNORED = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D|SAX|SFMAX|MAX")  # ignored: lines and points
 CORNERS = {3: 3, 6: 3, 4: 4, 8: 4, 9: 4}
-MOST = 10_000_000  # members of a set
+MOST = 10_000_000  # members of a generated set
 FIXED = {"ENCASTRE": (1, 2), "PINNED": (1, 2), "XSYMM": (1,), "YSYMM": (2,), "ZSYMM": (), "XASYMM": (2,), "YASYMM": (1,)}
 
 
 def read(path):
-    """RawMesh of an .inp file; InputError names the line."""
+    """Return the RawMesh of an .inp file. An InputError names the line."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError(f"it cannot be read: {error.strerror or error}") from None
-    found = _Part()
+    part = _Part()
     for line, keyword, options, rows in _blocks(text):
-        take = getattr(found, "take_" + keyword.lower(), None)
+        take = getattr(part, "take_" + keyword.lower(), None)
         try:
             if take is not None:
                 take(options, rows)
@@ -34,11 +34,11 @@ def read(path):
             raise InputError(f"*{keyword} in line {line}: {error}") from None
         except (ValueError, IndexError, OverflowError) as error:
             raise InputError(f"it cannot be read as .inp: *{keyword} in line {line}: {error}") from None
-    return found.raw()
+    return part.raw()
 
 
 def write(mesh, path):
-    """Elements CPS3 and CPS4, sections as node sets, loads in a static step."""
+    """Write elements CPS3 and CPS4, sections as node sets, loads in a static step."""
     lines = ["*HEADING", "*NODE", *(f"{i}, {x!r}, {y!r}" for i, (x, y) in enumerate(mesh.points.tolist(), 1))]
     number = 0
     for cells in runs(mesh):
@@ -64,7 +64,7 @@ def _label(name):
 
 
 def _blocks(text):
-    """(line number, keyword, {option: value}, rows of texts) of each keyword."""
+    """Yield (line number, keyword, {option: value}, rows of texts) of each keyword."""
     block, more = None, False
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
@@ -103,7 +103,7 @@ def _targets(options, rows):
 
 
 class _Part:
-    """What has been read of the one part; nodes by their place in the file, sets by their names in capitals."""
+    """The part as read so far; nodes by their order in the file, sets by their names in capitals."""
 
     def __init__(self):
         self.points, self.places, self.cells, self.lines, self.notes = [], {}, [], {}, []
@@ -139,17 +139,17 @@ class _Part:
 
     def take_element(self, options, rows):
         kind = options.get("TYPE", "").upper()
-        found = PLANE.match(kind)
-        if PASSED.match(kind) and not found:
-            # elements along lines and at points: their sets are sections
+        plane = PLANE.match(kind)
+        if IGNORED.match(kind) and not plane:
+            # sets of line and point elements are sections
             for number, *nodes in rows if not self.in_assembly else []:
                 self.lines[int(number)] = [self.places[int(node)] for node in nodes if node.isdecimal() and int(node) in self.places]
             if name := options.get("ELSET"):
                 self.take_elset({"ELSET": name}, [[number] for number, *_ in rows])
             return
-        if not found:
+        if not plane:
             raise InputError(f"holds cells of type {kind or 'none'}; only plane triangles and quads can be used")
-        count = int(found[1])
+        count = int(plane[1])
         numbers = [int(part) for row in rows for part in row]
         if len(numbers) % (count + 1):
             raise InputError(f"elements of type {kind} have a number and {count} nodes; {len(numbers)} numbers are no multiple")
@@ -177,7 +177,7 @@ class _Part:
             label = FIXED.get(first.upper())
             axes = range(int(first), int(more[0] or first) + 1 if more else int(first) + 1) if label is None else label
             if len(more) > 1 and float(more[1] or 0):
-                self.notes.append(f"the motion {more[1]} given to {target!r} was left out")
+                self.notes.append(f"the prescribed motion {more[1]} of {target!r} was left out")
                 continue
             for node in self._known(target, "support"):
                 self.fixed.setdefault(node, set()).update(axes)
@@ -200,7 +200,7 @@ class _Part:
         return self.places[int(number)]
 
     def _nodes(self, target, what):
-        """Nodes of a number or a set's name, that of an instance before it put aside."""
+        """Nodes of a node number or a set's name; the name of an instance before it is ignored."""
         target = str(target).strip('"').rpartition(".")[2]
         if target.isdecimal():
             return [self._place(target, what)]
@@ -209,7 +209,7 @@ class _Part:
         return self.sets[target.upper()][1]
 
     def _known(self, target, what):
-        """The same for supports and loads, which may be on a reference point of the assembly."""
+        """The same for supports and loads; a reference point of the assembly gives a note."""
         try:
             return self._nodes(target, what)
         except InputError as error:

@@ -1,4 +1,4 @@
-"""What a PolygonMesh must be, checked once at construction; every message names the cell or node and its place."""
+"""Validity checks of a PolygonMesh at construction; every message names the cell or node and its position."""
 
 from collections.abc import Mapping
 
@@ -16,21 +16,20 @@ def _frozen(array, dtype):
 
 
 def point_array(points):
-    """Read-only (n, 2) float64 copy; InputError unless finite and of that shape."""
-    given = reals(points)
-    if given is None:
+    """Return a read-only (n, 2) float64 copy. Raise InputError for another shape or numbers that are not finite."""
+    array = reals(points)
+    if array is None:
         raise InputError(f"mesh points must be an (n, 2) array of numbers, not {repr(points)[:80]}")
-    points = _frozen(given, np.float64)
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise InputError(f"mesh points have shape {points.shape}, they must be (n, 2)")
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InputError(f"mesh points have shape {array.shape}, they must be (n, 2)")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if bad.size:
-        raise InputError(f"mesh point {bad[0]} is {points[bad[0]].tolist()}; all coordinates must be finite")
-    return points
+        raise InputError(f"mesh point {bad[0]} is {array[bad[0]].tolist()}; all coordinates must be finite")
+    return _frozen(array, np.float64)
 
 
 def index_array(values, what):
-    """Read-only one-dimensional int32 copy; InputError for anything that is not a list of integers."""
+    """Return a read-only one-dimensional int32 copy. Raise InputError for anything but a list of integers."""
     try:
         array = np.asarray(values)
     except ValueError as error:
@@ -45,7 +44,7 @@ def index_array(values, what):
 
 
 def cell_arrays(nodes, offsets, n_nodes):
-    """Read-only nodes and offsets; InputError unless they describe cells of at least three existing nodes."""
+    """Return read-only nodes and offsets. Raise InputError unless all cells have at least three existing nodes."""
     nodes, offsets = index_array(nodes, "mesh nodes"), index_array(offsets, "mesh offsets")
     if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != len(nodes):
         raise InputError(f"mesh offsets must run from 0 to the number of corners ({len(nodes)}) over at least one cell")
@@ -60,7 +59,7 @@ def cell_arrays(nodes, offsets, n_nodes):
 
 
 def section_nodes(name, values, n_nodes):
-    """Read-only node indices of a section; InputError for nodes out of range, repeated or none at all."""
+    """Return the read-only node indices of a section. Raise InputError for nodes out of range, repeated nodes or none."""
     nodes = index_array(values, f"section {name!r}")
     if nodes.size == 0:
         raise InputError(f"section {name!r} has no nodes")
@@ -71,13 +70,13 @@ def section_nodes(name, values, n_nodes):
     return nodes
 
 
-def node_pairs(what, given, n_nodes, kind):
-    """{node: (x, y)} with both as kind, bool or float; InputError for other nodes and other values."""
-    if not isinstance(given, Mapping):
-        raise InputError(f"mesh {what} are {repr(given)[:80]}; they must be a dictionary, node -> (x, y)")
+def node_pairs(what, values, n_nodes, kind):
+    """Return {node: (x, y)} with x and y of a kind, bool or float. Raise InputError for other nodes or values."""
+    if not isinstance(values, Mapping):
+        raise InputError(f"mesh {what} are {repr(values)[:80]}; they must be a dictionary, node -> (x, y)")
     right = "two of True or False, whether x and y are fixed" if kind is bool else "two finite numbers, N"
     pairs = {}
-    for node, value in given.items():
+    for node, value in values.items():
         if not is_whole(node, 0, n_nodes - 1):
             raise InputError(f"mesh {what} name node {node!r}; the mesh has 0..{n_nodes - 1}")
         pair = floats([float(part) if is_flag(part) else part for part in value] if np.iterable(value) else value)
@@ -87,13 +86,14 @@ def node_pairs(what, given, n_nodes, kind):
     return pairs
 
 
-def _place(mesh, cell):
+def described(mesh, cell):
+    """Return 'cell 3 at (0.1, 0.2)'."""
     x, y = mesh.points[mesh.cell(cell)].mean(axis=0)
     return f"cell {cell} at ({x:.6g}, {y:.6g})"
 
 
 def require_valid_cells(mesh):
-    """InputError unless every node is used, every cell counter-clockwise and simple, and no two cells overlap."""
+    """Raise InputError unless every node is used, every cell is counter-clockwise and simple, and no two cells overlap."""
     unused = np.flatnonzero(np.bincount(mesh.nodes, minlength=mesh.n_nodes) == 0)
     if unused.size:
         raise InputError(f"node {unused[0]} at {mesh.points[unused[0]].tolist()} belongs to no cell ({unused.size} such nodes)")
@@ -101,135 +101,112 @@ def require_valid_cells(mesh):
     keys = np.sort(cell.astype(np.int64) * mesh.n_nodes + mesh.nodes)
     twice = np.flatnonzero(keys[1:] == keys[:-1])
     if twice.size:
-        raise InputError(f"{_place(mesh, keys[twice[0]] // mesh.n_nodes)} has node {keys[twice[0]] % mesh.n_nodes} as two of its corners")
+        number, node = divmod(keys[twice[0]], mesh.n_nodes)
+        raise InputError(f"{described(mesh, number)} has node {node} as two of its corners")
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.ptp(mesh.points, axis=0).max()
         bad = np.flatnonzero(~(mesh.cell_areas > 1e-14 * np.square(size) / mesh.n_cells))
     if bad.size:
         area = mesh.cell_areas[bad[0]]
         raise InputError(
-            f"{_place(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
+            f"{described(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
         )
-    # a cell whose corners all turn left, once around in sum, is simple; only the others need their edges crossed
+    # a cell whose corners all turn left, by one full turn in sum, is simple; only in the others the edges are tested for crossings
     turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
     once = np.abs(np.add.reduceat(turn, mesh.offsets[:-1]) - 2 * np.pi) < 1e-6
     left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > 0
     for number in np.flatnonzero(~(once & left)):
-        # two edges that share no corner may not meet, two that do may not fold back on each other
+        # edges without common corner must not meet, edges with a common corner must not fold back on each other
         a = mesh.points[mesh.cell(number)]
         b = np.roll(a, -1, axis=0)
         edge = b - a
         after = np.roll(edge, -1, axis=0)
         folded = (topology.cross(edge, after) == 0) & (np.einsum("ij,ij->i", edge, after) <= 0)
-        side_a = topology.cross(edge[:, None], a[None] - a[:, None])
-        side_b = topology.cross(edge[:, None], b[None] - a[:, None])
+        side_a, side_b = (topology.cross(edge[:, None], end[None] - a[:, None]) for end in (a, b))
         split = side_a * side_b <= 0
         low, high = np.minimum(a, b), np.maximum(a, b)
         near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
         i, j = np.indices(split.shape)
         apart = np.minimum((i - j) % len(a), (j - i) % len(a)) > 1
         if folded.any() or (split & split.T & near & apart).any():
-            raise InputError(f"{_place(mesh, number)} crosses or touches itself")
+            raise InputError(f"{described(mesh, number)} crosses or touches itself")
     edges = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
     sides = edges[:, 0] * mesh.n_nodes + edges[:, 1]
     order = np.argsort(sides, kind="stable")
     same = np.flatnonzero(sides[order][1:] == sides[order][:-1])
     if same.size:
-        first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
+        first, second = cell[order[[same[0], same[0] + 1]]]
         raise InputError(
-            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
+            f"{described(mesh, first)} and {described(mesh, second)} lie on the same side of the edge "
             f"{edges[order[same[0]]].tolist()}: cells must not overlap"
         )
     if cells := overlapping_cells(mesh):
         raise InputError(
-            f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
+            f"{described(mesh, cells[0])} and {described(mesh, cells[1])} overlap: a mesh covers no place twice; "
             "what lies on another part is a plate of its own"
         )
 
 
-def require_convex(mesh, tolerance):
-    """InputError naming the first corner whose turn, as a sine, is not above the tolerance."""
-    turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
-    bad = np.flatnonzero(~((np.sin(turn) > tolerance) & (turn > 0)))
-    if bad.size:
-        cell = topology.corner_cells(mesh.offsets)[bad[0]]
-        angle = 180.0 - np.degrees(turn[bad[0]])
-        raise InputError(
-            f"{_place(mesh, cell)} is not strictly convex: its angle at node {mesh.nodes[bad[0]]} is "
-            f"{angle:.4f} degrees and must be below 180"
-        )
-
-
-DEPTH = 1e-4  # of an edge's length: what overlaps by less was drawn to touch
-CROSSING = 1e-6  # the same of the ends of two edges that cross
-AT_ONCE = 500_000  # pairs of edges
+DEPTH = 1e-4  # relative to an edge's length: smaller overlaps count as touching
+CROSSING = 1e-6  # the same for the ends of two edges that cross
+AT_ONCE = 500_000  # pairs of edges in memory
 
 
 def overlapping_cells(mesh):
-    """(cell, other cell) that overlap, or None: where boundary edges cross or the inner side of one is covered twice."""
+    """Return two cells that overlap, or None.
+
+    Cells overlap if two boundary edges cross, or if a point beside a boundary edge, on its inner side, is covered twice: the winding number
+    of the boundary about it exceeds 1.
+    """
+    all_edges = topology.directed_edges(mesh.nodes, mesh.offsets)
     edges = mesh.boundary_edges
     places = mesh.points - mesh.points.min(axis=0)
-    places = places[:, ::-1] * [-1, 1] if np.ptp(places[:, 1]) > np.ptp(places[:, 0]) else places
+    places = places[:, ::-1] * [-1, 1] if np.ptp(places[:, 1]) > np.ptp(places[:, 0]) else places  # pairs are sought along the longer axis
     start, end = places[edges[:, 0]], places[edges[:, 1]]
     along = end - start
+    length = np.hypot(*along.T)
     inner = start + along / 2 + DEPTH * np.column_stack([-along[:, 1], along[:, 0]])
     round_off = 8 * np.finfo(float).eps * np.abs(mesh.points).max()
-    cover = np.zeros(len(edges), int)
-    for i, j in _side_by_side(start[:, 0], end[:, 0], inner[:, 0]):
-        crossing = np.flatnonzero(_cross(start, end, i, j, round_off))
-        if crossing.size:
-            return _owner(mesh, edges[i[crossing[0]]]), _owner(mesh, edges[j[crossing[0]]])
-        for point, edge in ((i, j), (j, i)):
-            cover += np.bincount(point, _winding(inner[point], start[edge], end[edge]), len(edges)).astype(int)
-    cover += _winding(inner, start, end)
-    twice = np.flatnonzero(cover > 1)
-    return _covering(mesh, places, inner[twice[0]], _owner(mesh, edges[twice[0]])) if twice.size else None
 
+    def owner(edge):
+        return int(topology.corner_cells(mesh.offsets)[np.argmax((all_edges == edge).all(axis=1))])
 
-def _side_by_side(*places):
-    """Pairs (i, j), i before j in x, of edges whose ranges of x meet, a bounded number at once."""
-    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    def separated(a, b, depth):
+        """True if the ends of edge b lie on both sides of edge a."""
+        side = [topology.cross(along[a], ends[b] - start[a]) / length[a] for ends in (start, end)]
+        return (np.minimum(*side) < -depth) & (np.maximum(*side) > depth)
+
+    cover = _winding(inner, start, end)
+    low, high = (function([start[:, 0], end[:, 0], inner[:, 0]], axis=0) for function in (np.min, np.max))
     order = np.argsort(low, kind="stable")
     reach = np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(order) + 1)
     begin = 0
-    while begin < len(order):
-        room = np.searchsorted(np.cumsum(reach[begin:]), AT_ONCE, side="right")
-        part = np.arange(begin, begin + max(1, int(room)))[: len(order) - begin]
-        count = reach[part]
-        step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        first = np.repeat(part, count)
-        yield order[first], order[first + 1 + step]
+    while begin < len(order):  # pairs of edges whose ranges of x meet
+        chunk = max(1, int(np.searchsorted(np.cumsum(reach[begin:]), AT_ONCE, side="right")))
+        part = np.arange(begin, min(begin + chunk, len(order)))
+        first = np.repeat(part, reach[part])
+        step = np.arange(len(first)) - np.repeat(np.cumsum(reach[part]) - reach[part], reach[part])
+        i, j = order[first], order[first + 1 + step]
+        depth = CROSSING * np.minimum(length[i], length[j]) + round_off
+        crossing = np.flatnonzero(separated(i, j, depth) & separated(j, i, depth))
+        if crossing.size:
+            return owner(edges[i[crossing[0]]]), owner(edges[j[crossing[0]]])
+        for point, edge in ((i, j), (j, i)):
+            cover += np.bincount(point, _winding(inner[point], start[edge], end[edge]), len(edges)).astype(int)
         begin = part[-1] + 1
+    twice = np.flatnonzero(cover > 1)
+    if not twice.size:
+        return None
+    own, corners = owner(edges[twice[0]]), places[all_edges]
+    around = np.add.reduceat(
+        _winding(np.broadcast_to(inner[twice[0]], corners[:, 0].shape), corners[:, 0], corners[:, 1]), mesh.offsets[:-1]
+    )
+    return own, int(next(cell for cell in np.flatnonzero(around) if cell != own))
 
 
 def _winding(points, start, end):
-    """What each edge adds to the winding number about its point, told by a ray upwards: 1 leftwards, -1 rightwards, 0."""
+    """Contribution of each edge to the winding number about its point, by a ray upwards: 1 leftwards, -1 rightwards, 0."""
     right = (start[:, 0] <= points[:, 0]) & (points[:, 0] < end[:, 0])
     left = (end[:, 0] <= points[:, 0]) & (points[:, 0] < start[:, 0])
     side = topology.cross(end - start, points - start)
     return (left & (side > 0)).astype(int) - (right & (side < 0))
-
-
-def _cross(start, end, i, j, round_off):
-    """(pairs,) mask: the ends of each edge lie on both sides of the other."""
-    length = np.hypot(*(end - start).T)
-    depth = CROSSING * np.minimum(length[i], length[j]) + round_off
-
-    def parted(a, b):
-        side = [topology.cross(end[a] - start[a], ends[b] - start[a]) / length[a] for ends in (start, end)]
-        return (np.minimum(*side) < -depth) & (np.maximum(*side) > depth)
-
-    return parted(i, j) & parted(j, i)
-
-
-def _owner(mesh, edge):
-    """The cell of a boundary edge."""
-    found = (topology.directed_edges(mesh.nodes, mesh.offsets) == edge).all(axis=1)
-    return int(topology.corner_cells(mesh.offsets)[np.argmax(found)])
-
-
-def _covering(mesh, places, point, own):
-    """(own, another cell) of those around a point."""
-    start, end = (places[nodes] for nodes in topology.directed_edges(mesh.nodes, mesh.offsets).T)
-    around = np.add.reduceat(_winding(np.broadcast_to(point, start.shape), start, end), mesh.offsets[:-1])
-    return own, int(next(cell for cell in np.flatnonzero(around) if cell != own))

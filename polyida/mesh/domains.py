@@ -1,30 +1,30 @@
-"""Plane domains by signed distance: negative inside, combined by minimum and maximum.
+"""Plane domains by signed distance functions: negative inside, combined by minimum and maximum.
 
-A domain is a list of walls, the pieces of its boundary, each with a signed distance and its gradient, and a rule that combines their
-distances. Source of the idea: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
+A domain has walls, the pieces of its boundary, each with a signed distance and its gradient, and a rule that combines the distances.
+Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.validation import floats, named_keywords, reals
+from polyida.validation import named_keywords, positive, vector2
 
 
 class Wall:
-    """A wall; sign: on which side of it the inside is, closed: whether it goes around."""
+    """A piece of the boundary. sign: of the inside; closed: True if it is a closed curve. Distances are in m, negative inside."""
 
     sign: float
     closed = False
 
     def faces(self, points):
-        """(n,) mask: mirror images through the wall may bound cells."""
+        """(n,) mask: points whose mirror image through the wall may bound a cell."""
         return np.ones(len(points), bool)
 
     def flipped(self):
-        """The same wall with its inside outside."""
+        """Return the wall with inside and outside exchanged."""
         return replace(self, sign=-self.sign)
 
 
@@ -37,30 +37,28 @@ class Line(Wall):
     sign: float
 
     def distance(self, points):
-        """(n,), m, negative inside."""
         return self.sign * (points[:, self.axis] - self.value)
 
     def normal(self, points):
-        """(n, 2), gradient of the distance."""
+        """(n, 2) gradient of the distance."""
         n = np.zeros_like(points)
         n[:, self.axis] = self.sign
         return n
 
     def samples(self, lower, upper):
-        """(200, 2) points of the wall within a box."""
+        """(200, 2) points of the wall, here those within a box."""
         share = (np.arange(200) + 0.5) / 200
         points = lower + share[:, None] * (upper - lower)
         points[:, self.axis] = self.value
         return points
 
     def moved(self, offset):
-        """The wall moved by (x, y), m."""
         return replace(self, value=self.value + offset[self.axis])
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule(Wall):
-    """All points at the distance radius from the segment start-end (a circle where they coincide)."""
+    """Points at the distance radius from the segment start-end; a circle if both coincide."""
 
     start: np.ndarray
     end: np.ndarray
@@ -74,36 +72,32 @@ class Capsule(Wall):
         return points - self.start - share[:, None] * along
 
     def distance(self, points):
-        """(n,), m, negative inside."""
         away = self._from_segment(points)
         return self.sign * (np.hypot(away[:, 0], away[:, 1]) - self.radius)
 
     def normal(self, points):
-        """(n, 2), gradient of the distance (zero on the segment)."""
         away = self._from_segment(points)
         return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
 
     def samples(self, lower, upper):
-        """(200, 2) points of the wall, wherever they are."""
         angle = 2 * np.pi * (np.arange(200) + 0.5) / 200
         ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         ahead = ray @ (self.end - self.start) > 0.0
         return np.where(ahead[:, None], self.end, self.start) + self.radius * ray
 
     def moved(self, offset):
-        """The wall moved by (x, y), m."""
         return replace(self, start=self.start + offset, end=self.end + offset)
 
 
 def project(points, wall):
-    """Nearest points on the wall (Newton along the gradient, exact for lines and circles)."""
+    """Return the nearest points on the wall (Newton's method along the gradient, exact for lines and circles)."""
     for _ in range(2):
         points = points - wall.distance(points)[:, None] * wall.normal(points)
     return points
 
 
 def meet(points, first, second, steps=20):
-    """Points where two walls meet, by Newton from the given points; NaN where they are parallel to 2 degrees."""
+    """Return intersections of two walls, by Newton's method from start points; NaN if the walls are parallel within 2 degrees."""
     with np.errstate(all="ignore"):
         for _ in range(steps):
             a, b = first.normal(points), second.normal(points)
@@ -116,7 +110,7 @@ def meet(points, first, second, steps=20):
 
 
 def nearest(points, start, along, low=0.0, high=1.0):
-    """(edge (n,), share of it (n,)) of the place nearest to each point on the edges start + share along, low <= share <= high."""
+    """Return (edge (n,), share (n,)) of the nearest position start + share along, low <= share <= high, for each point."""
     x, y = points[:, :1] - start[:, 0], points[:, 1:] - start[:, 1]
     share = np.clip((x * along[:, 0] + y * along[:, 1]) / np.sum(along**2, axis=1), low, high)
     x -= share * along[:, 0]
@@ -127,9 +121,9 @@ def nearest(points, start, along, low=0.0, high=1.0):
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """vertices (k + 1, 2), the inside on the left of the way along them; closed ones end where they begin, others go on straight.
+    """A polyline with vertices (k + 1, 2) and the inside on its left. A closed one ends at its start, an open one continues straight.
 
-    outward: whether it leaves the domain by going on at its begin and at its end, as it does at corners that are not re-entrant.
+    outward: True if the continuation at the start, at the end, leaves the domain; it does at corners that are not re-entrant.
     """
 
     vertices: np.ndarray
@@ -138,7 +132,7 @@ class Chain:
     sign: float = 1.0
 
     def _nearest(self, points):
-        """(foot (n, 2), direction of the piece there (n, 2), of unit length; (n,) -1 before the begin, 1 beyond the end, 0)."""
+        """(nearest position (n, 2); unit direction of the chain there (n, 2); (n,) -1 before the start, 1 beyond the end, else 0)."""
         along = np.diff(self.vertices, axis=0)
         low, high = np.zeros(len(along)), np.ones(len(along))
         if not self.closed:
@@ -148,14 +142,12 @@ class Chain:
         return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
 
     def distance(self, points):
-        """(n,), m, negative inside."""
         foot, along, _ = self._nearest(points)
         away = points - foot
         right = along[:, 1] * away[:, 0] - along[:, 0] * away[:, 1]
         return self.sign * np.where(right < 0.0, -1.0, 1.0) * np.hypot(*away.T)
 
     def normal(self, points):
-        """(n, 2), gradient of the distance; that of the piece for points on it."""
         foot, along, _ = self._nearest(points)
         away = points - foot
         outwards = np.column_stack([along[:, 1], -along[:, 0]])
@@ -165,85 +157,65 @@ class Chain:
         return self.sign * np.where(near[:, None], outwards, side[:, None] * away / np.where(near, 1.0, length)[:, None])
 
     def faces(self, points):
-        """(n,) mask: the foot of the point is on the chain, or where it goes on outside the domain."""
+        """(n,) mask: the nearest position is on the chain or on a continuation outside the domain."""
         where = np.zeros(len(points), int) if self.closed else self._nearest(points)[2]
         return (where == 0) | np.where(where < 0, *self.outward)
 
     def samples(self, lower, upper):
-        """(200, 2) points of the wall, wherever they are."""
         ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.vertices, axis=0).T))])
         at = ends[-1] * (np.arange(200) + 0.5) / 200
         return np.column_stack([np.interp(at, ends, column) for column in self.vertices.T])
 
     def flipped(self):
-        """The same wall with its inside outside."""
         return replace(self, sign=-self.sign, outward=tuple(not out for out in self.outward))
 
     def moved(self, offset):
-        """The wall moved by (x, y), m."""
         return replace(self, vertices=self.vertices + offset)
 
 
-def positive(value, what):
-    """value as a finite float > 0, else InputError."""
-    number = finite(value, what)
-    if not number > 0.0:
-        raise InputError(f"{what} is {value!r}; it must be positive")
-    return number
-
-
-def finite(value, what):
-    """value as a finite float, else InputError."""
-    given = reals(value)
-    if given is None or given.ndim:
-        raise InputError(f"{what} is {value!r}; it must be a number")
-    number = float(given.item())
-    if not np.isfinite(number):
-        raise InputError(f"{what} is {value!r}; it must be finite")
-    return number
-
-
-def place(value, what):
-    """value as two finite floats, else InputError."""
-    pair = floats(value)
-    if pair is None or pair.shape != (2,):
-        raise InputError(f"{what} is {value!r}; it must be two finite numbers (x, y)")
-    return pair
-
-
 class Domain:
-    """Base: subclasses set walls (list), lower and upper corner of the bounding box, and distance(points) -> (n,)."""
+    """Base class of domains: a subclass sets the walls, the corners of the bounding box, and distance(points).
+
+    Attributes
+    ----------
+    walls : list
+        Pieces of the boundary.
+    lower, upper : (2,) float, m
+        Corners of the bounding box.
+    convex : bool
+    """
 
     convex = False
     walls: list
-    lower: NDArray
-    upper: NDArray
+    lower: np.ndarray
+    upper: np.ndarray
 
-    def distance(self, points: NDArray) -> NDArray:
-        """Signed distance, m: negative inside, exact at the walls, a bound elsewhere."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance of points (n, 2), (n,), m: negative inside, exact at the walls, a bound elsewhere."""
         return np.max([wall.distance(points) for wall in self.walls], axis=0)
 
-    def corners(self) -> NDArray:
-        """(n, 2) points of the boundary where two walls meet, by Newton's method from a grid over the bounding box."""
+    def corners(self) -> np.ndarray:
+        """Return the points (n, 2) of the boundary where two walls meet, by Newton's method from a grid over the bounding box."""
         if self.convex:
             return np.zeros((0, 2))
         size = float(np.max(self.upper - self.lower))
         grid = np.stack(np.meshgrid(*np.linspace(self.lower, self.upper, 12).T), axis=-1).reshape(-1, 2)
-        found = np.zeros((0, 2))
+        candidates = np.zeros((0, 2))
         for i, first in enumerate(self.walls):
             for second in self.walls[:i]:
                 point = meet(grid, first, second)
                 point = point[np.isfinite(point).all(axis=1)]
                 miss = np.max([np.abs(d(point)) for d in (self.distance, first.distance, second.distance)], axis=0)
-                found = np.concatenate([found, point[miss < 1e-9 * size]])
-        _, one = np.unique(np.round(found / (1e-7 * size)), axis=0, return_index=True)
+                candidates = np.concatenate([candidates, point[miss < 1e-9 * size]])
+        _, one = np.unique(np.round(candidates / (1e-7 * size)), axis=0, return_index=True)
         angle = (np.arange(720) + 0.5) * (2 * np.pi / 720)
         ring = 1e-5 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        share = np.array([np.mean(self.distance(point + ring) < 0.0) for point in found[one]])
-        return found[one][(share > 0.0) & (np.abs(share - 0.5) > 0.01)]
+        # the share of a small circle that lies inside is 1/2 on a smooth boundary
+        share = np.array([np.mean(self.distance(point + ring) < 0.0) for point in candidates[one]])
+        return candidates[one][(share > 0.0) & (np.abs(share - 0.5) > 0.01)]
 
-    def on_boundary(self, points: NDArray) -> NDArray:
-        """(n,) mask: on a wall, with points of the domain nearby (walls that coincide may have none)."""
+    def on_boundary(self, points: np.ndarray) -> np.ndarray:
+        """Return the (n,) mask of points on a wall with points of the domain nearby; coincident walls may have none."""
         size = float(np.max(self.upper - self.lower))
         on = np.abs(self.distance(points)) < 1e-9 * size
         if self.convex:
@@ -264,31 +236,54 @@ class Domain:
 
 @named_keywords
 class Rectangle(Domain):
-    """Axis-parallel rectangle; origin is its lower left corner."""
+    """An axis-parallel rectangle.
+
+    Parameters
+    ----------
+    length, height : float, m, > 0
+    origin : (2,) float, m
+        Lower left corner.
+
+    Raises
+    ------
+    InputError
+        For wrong values.
+    """
 
     convex = True
 
-    def __init__(self, length: float, height: float, origin: ArrayLike = (0.0, 0.0)) -> None:
-        size = np.array([positive(length, "rectangle length"), positive(height, "rectangle height")])
-        self.lower = place(origin, "rectangle origin")
+    def __init__(self, length: float, height: float, origin: "ArrayLike" = (0.0, 0.0)) -> None:
+        size = np.array([positive("Rectangle", name, value, "metres") for name, value in (("length", length), ("height", height))])
+        self.lower = vector2("Rectangle", "origin", origin)
         self.upper = self.lower + size
         self.walls = [Line(0, self.lower[0], -1.0), Line(0, self.upper[0], 1.0), Line(1, self.lower[1], -1.0), Line(1, self.upper[1], 1.0)]
 
 
 @named_keywords
 class Circle(Domain):
-    """Disc, m."""
+    """A disc.
+
+    Parameters
+    ----------
+    radius : float, m, > 0
+    center : (2,) float, m
+
+    Raises
+    ------
+    InputError
+        For wrong values.
+    """
 
     convex = True
 
-    def __init__(self, radius: float, center: ArrayLike = (0.0, 0.0)) -> None:
-        radius, center = positive(radius, "circle radius"), place(center, "circle center")
+    def __init__(self, radius: float, center: "ArrayLike" = (0.0, 0.0)) -> None:
+        radius, center = positive("Circle", "radius", radius, "metres"), vector2("Circle", "center", center)
         self.lower, self.upper = center - radius, center + radius
         self.walls = [Capsule(center, center, radius, 1.0)]
 
 
 class Pair(Domain):
-    """Two domains as one."""
+    """Base class of combinations of two domains."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
         for part in (first, second):
@@ -299,19 +294,39 @@ class Pair(Domain):
 
 @named_keywords
 class Union(Pair):
-    """Points in either domain."""
+    """Points in either domain.
+
+    Parameters
+    ----------
+    first, second : Domain
+
+    Raises
+    ------
+    InputError
+        If a part is no domain.
+    """
 
     def __init__(self, first: Domain, second: Domain) -> None:
         super().__init__(first, second)
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
 
-    def distance(self, points: NDArray) -> NDArray:
+    def distance(self, points: np.ndarray) -> np.ndarray:
         return np.minimum(self.first.distance(points), self.second.distance(points))
 
 
 @named_keywords
 class Intersection(Pair):
-    """Points in both domains."""
+    """Points in both domains.
+
+    Parameters
+    ----------
+    first, second : Domain
+
+    Raises
+    ------
+    InputError
+        If a part is no domain, or if the bounding boxes do not overlap.
+    """
 
     def __init__(self, first: Domain, second: Domain) -> None:
         super().__init__(first, second)
@@ -320,54 +335,77 @@ class Intersection(Pair):
             raise InputError("intersection of two domains is empty: their bounding boxes do not overlap")
         self.convex = first.convex and second.convex
 
-    def distance(self, points: NDArray) -> NDArray:
+    def distance(self, points: np.ndarray) -> np.ndarray:
         return np.maximum(self.first.distance(points), self.second.distance(points))
 
 
 @named_keywords
 class Difference(Pair):
-    """Points of the first domain that are not in the second."""
+    """Points of the first domain that are not in the second.
+
+    Parameters
+    ----------
+    first, second : Domain
+
+    Raises
+    ------
+    InputError
+        If a part is no domain.
+    """
 
     def __init__(self, first: Domain, second: Domain) -> None:
         super().__init__(first, second)
         self.lower, self.upper = first.lower, first.upper
         self.walls = first.walls + [wall.flipped() for wall in second.walls]
 
-    def distance(self, points: NDArray) -> NDArray:
+    def distance(self, points: np.ndarray) -> np.ndarray:
         return np.maximum(self.first.distance(points), -self.second.distance(points))
 
 
 class Moved(Domain):
-    """A domain moved by an offset (x, y), m."""
+    """A domain translated by an offset (2,), m."""
 
     def __init__(self, domain, offset):
         self.domain, self.offset, self.convex = domain, offset, domain.convex
         self.lower, self.upper = domain.lower + offset, domain.upper + offset
         self.walls = [wall.moved(offset) for wall in domain.walls]
 
-    def distance(self, points: NDArray) -> NDArray:
+    def distance(self, points: np.ndarray) -> np.ndarray:
         return self.domain.distance(points - self.offset)
 
-    def corners(self) -> NDArray:
+    def corners(self) -> np.ndarray:
         return self.domain.corners() + self.offset
 
-    def on_boundary(self, points: NDArray) -> NDArray:
+    def on_boundary(self, points: np.ndarray) -> np.ndarray:
         return self.domain.on_boundary(points - self.offset)
 
 
 @named_keywords
 class Link(Domain):
-    """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
+    """A bar with rounded ends and a pin hole in each; the holes become the sections 'hole 0' and 'hole 1'.
 
-    height is the bar's width and the ends' diameter. The holes become the sections 'hole 0' and 'hole 1'.
+    Parameters
+    ----------
+    length : float, m
+        Distance of the pins.
+    height : float, m
+        Width of the bar and diameter of its ends.
+    pin_radius : float, m
+        Below half the height and half the length.
+    origin : (2,) float, m
+        Centre of the left pin; the right one is at origin + (length, 0).
+
+    Raises
+    ------
+    InputError
+        For wrong values.
     """
 
-    def __init__(self, length: float, height: float, pin_radius: float, origin: ArrayLike = (0.0, 0.0)) -> None:
-        length, height = positive(length, "link length"), positive(height, "link height")
-        pin_radius = positive(pin_radius, "link pin radius")
+    def __init__(self, length: float, height: float, pin_radius: float, origin: "ArrayLike" = (0.0, 0.0)) -> None:
+        length, height = positive("Link", "length", length, "metres"), positive("Link", "height", height, "metres")
+        pin_radius, left = positive("Link", "pin_radius", pin_radius, "metres"), vector2("Link", "origin", origin)
         if 2 * pin_radius >= min(height, length):
-            raise InputError(f"link pin radius is {pin_radius}; it must be below half its height {height} and half its length {length}")
-        left = place(origin, "link origin")
+            raise InputError(f"Link: pin_radius = {pin_radius} must be below half its height {height} and half its length {length}")
         right = left + [length, 0.0]
         self.lower, self.upper = left - 0.5 * height, right + 0.5 * height
         self.walls = [

@@ -1,115 +1,249 @@
-"""Polygon mesher: random seeds, reflection at the walls, Lloyd's iteration on bounded Voronoi cells, short edges collapsed, numbering.
+"""Meshers: polygons by Lloyd's iteration on bounded Voronoi cells; structured quadrilaterals and triangles of a rectangle.
 
+The polygon mesher starts from random seeds, reflects them at the walls, iterates, collapses short edges and renumbers.
 Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
 """
 
-import contextlib
 import operator
 from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
-from polyida.mesh.domains import Domain, Moved, meet, project
+from polyida.mesh.domains import Domain, Moved, Rectangle, meet, project
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import ON_CIRCLE, automatic
-from polyida.mesh.topology import renumber
-from polyida.validation import is_whole, named_keywords
+from polyida.validation import is_whole, named_keywords, positive, vector2
 
-ATTEMPTS = 8  # with other seeds, where cells leave a part of the boundary without any
-SAMPLES = 20_000  # points, by which the area of a domain is estimated
-FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
+ATTEMPTS = 8  # with different seeds, if a part of the boundary gets no cells
+SAMPLES = 20_000  # points that estimate the area of a domain
+FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
-def whole(value, what, least, most=10**9):
-    """value as an int from least to most, else InputError."""
-    if not is_whole(value, least, most):
-        raise InputError(f"{what} is {value!r}; it must be a whole number, at least {least} (and at most {most})")
+class Unresolved(InputError):
+    """The cells are too few to follow the boundary."""
+
+
+def _whole(function, name, value, least):
+    if not is_whole(value, least, 10**9):
+        raise InputError(f"{function}: {name} = {value!r} must be a whole number from {least} to {10**9}")
     return operator.index(value)
 
 
 @named_keywords
 def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) -> PolygonMesh:
-    """Polygon mesh of a domain (see polyida.mesh.domains); about `cells` convex polygons.
+    """Return a mesh of convex polygons of a domain.
 
-    Nodes of the boundary lie on the domain's boundary, corners where walls meet are exact. Cells that a concave corner
-    leaves non-convex are cut, so there may be a few more. Sections: left, right, top, bottom where the boundary
-    has straight edges on the bounding box, and 'hole 0', ... for the rims of holes.
-    The same seed gives the same mesh, bit by bit. Raises InputError for bad values.
+    Boundary nodes lie on the walls; corners of the domain are exact.
+
+    Parameters
+    ----------
+    domain : Domain
+    cells : int, >= 1
+        Approximate number of polygons: cells that a concave corner leaves non-convex are cut.
+    seed : int, >= 0
+        Of the random start; the same seed gives the same mesh, bit by bit.
+    iterations : int, >= 1
+        Largest number of Lloyd iterations.
+
+    Returns
+    -------
+    PolygonMesh
+        With the sections left, right, top, bottom if the boundary has straight edges on the bounding box, and 'hole 0', ... for rims of holes.
+
+    Raises
+    ------
+    InputError
+        For wrong values, and for cells that are too few to follow the boundary.
     """
     if not isinstance(domain, Domain):
         raise InputError(f"polygonize needs a domain such as Rectangle or Link, not {domain!r}")
-    cells, seed = whole(cells, "polygonize cells", 1), whole(seed, "polygonize seed", 0)
-    # mesh near the origin, where coordinates have all the digits that Voronoi's squares need; whole powers of two move without round-off
+    cells, seed = _whole("polygonize", "cells", cells, 1), _whole("polygonize", "seed", seed, 0)
+    iterations = _whole("polygonize", "iterations", iterations, 1)
+    # mesh near the origin, where coordinates keep their digits in Voronoi's squares; a shift by whole powers of two has no round-off
     size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
-    place = size * np.round(domain.lower / size)
-    if np.abs(place).max() > FARTHEST * size:
+    shift = size * np.round(domain.lower / size)
+    if np.abs(shift).max() > FARTHEST * size:
         raise InputError(
             f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
             "too far for the digits of its walls; mesh it at the origin and move the plate by its origin="
         )
-    polygons = raw_polygons(Moved(domain, -place) if place.any() else domain, cells, seed, whole(iterations, "polygonize iterations", 1))
-    points, nodes, offsets, _ = renumber(polygons.points, polygons.nodes, polygons.offsets)
+    polygons = _polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations)
+    points, nodes, offsets, _ = topology.renumber(polygons.points, polygons.nodes, polygons.offsets)
     rim = topology.boundary_edges(nodes, offsets, len(points))
-    return PolygonMesh(points + place, nodes, offsets, automatic(points, rim))
+    return PolygonMesh(points + shift, nodes, offsets, automatic(points, rim))
 
 
-def raw_polygons(domain, cells, seed, iterations):
-    """Clean polygons of a domain before numbering, with boundary nodes on the walls and corners exact.
+@named_keywords
+def rectangle(
+    length: float, height: float, cells: int, seed: int = 0, iterations: int = 40, origin: "ArrayLike" = (0.0, 0.0)
+) -> PolygonMesh:
+    """Return a polygon mesh of the rectangle 0 <= x <= length, |y| <= height/2, symmetric about y = 0.
 
-    Few cells may leave a part of the boundary without any: then the next random seeds of the same stream are tried.
+    Half of it is meshed and mirrored: the corners and the mid nodes (0, 0) and (length, 0) are exact.
+
+    Parameters
+    ----------
+    length, height : float, m, > 0
+    cells : int, >= 1
+        Number of polygons; an odd number is increased by one.
+    seed : int, >= 0
+        The same seed gives the same mesh, bit by bit.
+    iterations : int, >= 1
+        Largest number of Lloyd iterations.
+    origin : (2,) float, m
+        Translation of the mesh.
+
+    Returns
+    -------
+    PolygonMesh
+        With the sections left, right, top, bottom.
+
+    Raises
+    ------
+    InputError
+        For wrong values.
+    """
+    length, height = positive("rectangle", "length", length, "metres"), positive("rectangle", "height", height, "metres")
+    cells, seed = _whole("rectangle", "cells", cells, 1), _whole("rectangle", "seed", seed, 0)
+    iterations, origin = _whole("rectangle", "iterations", iterations, 1), vector2("rectangle", "origin", origin)
+    half = _polygons(Rectangle(length, 0.5 * height), (cells + 1) // 2, seed, iterations)
+    off_axis = np.flatnonzero(half.points[:, 1] != 0.0)  # nodes on y = 0 belong to both halves
+    image = np.arange(len(half.points))
+    image[off_axis] = len(half.points) + np.arange(len(off_axis))
+    points = np.concatenate([half.points, half.points[off_axis] * [1.0, -1.0]])
+    sizes = np.diff(half.offsets)
+    offsets = np.concatenate([[0], np.cumsum(np.r_[sizes, sizes[::-1]])])
+    points, nodes, offsets, _ = topology.renumber(points, np.concatenate([half.nodes, image[half.nodes[::-1]]]), offsets)
+    return PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height))
+
+
+def _sides(points, length, height):
+    x, y = points.T
+    masks = {"left": x == 0.0, "right": x == length, "top": y == 0.5 * height, "bottom": y == -0.5 * height}
+    return {name: np.flatnonzero(mask) for name, mask in masks.items()}
+
+
+@named_keywords
+def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0)) -> PolygonMesh:
+    """Return nx by ny equal quadrilaterals of the rectangle 0 <= x <= length, |y| <= height/2.
+
+    Parameters
+    ----------
+    length, height : float, m, > 0
+    nx, ny : int, >= 1
+    origin : (2,) float, m
+        Translation of the mesh.
+
+    Returns
+    -------
+    PolygonMesh
+        With the sections left, right, top, bottom.
+
+    Raises
+    ------
+    InputError
+        For wrong values.
+    """
+    return _structured("quads", length, height, nx, ny, origin)
+
+
+@named_keywords
+def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0)) -> PolygonMesh:
+    """Return the rectangles of `quads`, each cut into two triangles by alternating diagonals.
+
+    Parameters
+    ----------
+    length, height : float, m, > 0
+    nx, ny : int, >= 1
+    origin : (2,) float, m
+        Translation of the mesh.
+
+    Returns
+    -------
+    PolygonMesh
+        With the sections left, right, top, bottom.
+
+    Raises
+    ------
+    InputError
+        For wrong values.
+    """
+    return _structured("triangles", length, height, nx, ny, origin, cut=True)
+
+
+def _structured(function, length, height, nx, ny, origin, cut=False):
+    """Mesh with nodes numbered across the shorter direction first."""
+    length, height = positive(function, "length", length, "metres"), positive(function, "height", height, "metres")
+    nx, ny, origin = _whole(function, "nx", nx, 1), _whole(function, "ny", ny, 1), vector2(function, "origin", origin)
+    x, y = np.meshgrid(length * (np.arange(nx + 1) / nx), height * (np.arange(ny + 1) / ny - 0.5), indexing="ij")
+    number = np.arange(x.size).reshape(x.shape)
+    if ny > nx:
+        x, y, number = x.T, y.T, np.arange(x.size).reshape(ny + 1, nx + 1).T
+    a, b, c, d = (corner if ny <= nx else corner.T for corner in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    corners = np.stack([a, b, c, d], axis=-1)
+    if cut:
+        i, j = np.indices(a.shape)
+        even, up, down = ((i + j) % 2 == 0)[..., None], np.stack([a, b, c, a, c, d], axis=-1), np.stack([a, b, d, b, c, d], axis=-1)
+        corners = np.where(even, up, down).reshape(-1, 3)
+    nodes, offsets = topology.sorted_cells(corners.ravel(), np.arange(0, corners.size + 1, corners.shape[-1]))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    return PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height))
+
+
+def _polygons(domain, cells, seed, iterations, tolerance=5e-3):
+    """Polygons of a domain before numbering, with boundary nodes on the walls and exact corners.
+
+    If the boundary is not resolved, the next random seeds of the same stream are tried.
     """
     rng = np.random.default_rng(seed)
     size = domain.upper - domain.lower
     inside = domain.distance(domain.lower + rng.random((SAMPLES, 2)) * size) < 0.0
-    area = float(np.prod(size)) * max(inside.mean(), 1.0 / SAMPLES)  # within a per cent: no result depends on its digits
-    corners = domain.corners()
+    area = float(np.prod(size)) * max(inside.mean(), 1.0 / SAMPLES)  # accurate to about 1 %: no result depends on its digits
+    corners, spacing = domain.corners(), np.sqrt(area / cells)
+
+    def attempt():
+        fixed = cleanup.corner_seeds(domain, corners, spacing)[: cells - 1]
+        free = _random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
+        seeds, diagram = _lloyd(fixed, free, domain, area, iterations, tolerance)
+        polygons = cleanup.place_corners(_snapped(seeds, diagram, domain, spacing, corners), corners, spacing)
+        polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), lambda points: _to_boundary(points, domain))
+        polygons = cleanup.split_concave_cells(cleanup.relax(polygons, lambda points: _to_boundary(points, domain)))
+        _require_resolved(polygons, domain, corners, area)
+        return polygons
+
     for _ in range(ATTEMPTS - 1):
         with suppress(Unresolved):
-            return _attempt(domain, cells, rng, area, corners, iterations)
-    return _attempt(domain, cells, rng, area, corners, iterations)
+            return attempt()
+    return attempt()
 
 
-def _attempt(domain, cells, rng, area, corners, iterations, tolerance=5e-3):
-    spacing = np.sqrt(area / cells)
-    fixed = cleanup.corner_seeds(domain, corners, spacing)[: cells - 1]
-    free = random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
-    seeds, diagram = lloyd(fixed, free, domain, area, iterations, tolerance)
-
-    def to_wall(points):
-        return to_boundary(points, domain)
-
-    polygons = cleanup.place_corners(snapped(seeds, diagram, domain, spacing, corners), corners, spacing)
-    polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), project=to_wall)
-    polygons = cleanup.split_concave_cells(cleanup.relax(polygons, to_wall))
-    # not resolved where a wall or corner has no nodes, an edge leaves the boundary, the mesh is pinched or too small
+def _require_resolved(polygons, domain, corners, area):
+    """Raise Unresolved if a wall or corner has no nodes, an edge leaves the boundary, or the mesh is pinched or too small."""
     size = float(np.max(domain.upper - domain.lower))
     rim = topology.boundary_edges(polygons.nodes, polygons.offsets, len(polygons.points))
     start, end = polygons.points[rim[:, 0]], polygons.points[rim[:, 1]]
-    found = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
-    followed = [np.sum(np.abs(w.distance(start)) < 1e-9 * size) >= _needed(w, domain) for w in domain.walls]
-    followed += [np.linalg.norm(start - corner, axis=1).min() < 1e-9 * size for corner in corners]
-    followed += [
+    areas = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
+    resolved = [np.linalg.norm(start - corner, axis=1).min() < 1e-9 * size for corner in corners]
+    for wall in domain.walls:  # no nodes are needed on a wall that is not part of the boundary
+        part = np.mean(domain.on_boundary(wall.samples(domain.lower, domain.upper)))
+        needed = 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
+        resolved.append(np.sum(np.abs(wall.distance(start)) < 1e-9 * size) >= needed)
+    resolved += [
         np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
         len(np.unique(rim[:, 0])) == len(rim),
-        (found > 0.0).all(),
-        abs(found.sum() - area) < 0.2 * area,
+        (areas > 0.0).all(),
+        abs(areas.sum() - area) < 0.2 * area,
     ]
-    if not all(followed):
-        raise Unresolved(f"{len(found)} cells are too few to follow the boundary of the domain; use more cells")
-    return polygons
+    if not all(resolved):
+        raise Unresolved(f"{len(areas)} cells are too few to follow the boundary of the domain; use more cells")
 
 
-def _needed(wall, domain):
-    """Least number of nodes on a wall: none where it is not part of the boundary, 4 on a full circle, which tell it, else 2."""
-    part = np.mean(domain.on_boundary(wall.samples(domain.lower, domain.upper)))
-    return 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
-
-
-def snapped(seeds, diagram, domain, spacing, corners):
-    """Polygons of the seeds' cells; nodes between a seed and its image move onto that wall, of two to a corner."""
+def _snapped(seeds, diagram, domain, spacing, corners):
+    """Polygons of the seeds' cells; nodes between a seed and its image move to that wall, nodes of two walls to their corner."""
     own = diagram.ridges < diagram.n
     cell = np.concatenate([np.repeat(diagram.ridges[own[:, side], side], 2) for side in (0, 1)])
     corner = np.concatenate([diagram.ends[own[:, side]].ravel() for side in (0, 1)])
@@ -118,8 +252,8 @@ def snapped(seeds, diagram, domain, spacing, corners):
     around = diagram.vertices[corner] - seeds[cell]
     order = np.lexsort((np.arctan2(around[:, 1], around[:, 0]), cell))
     points, rank = diagram.vertices.copy(), np.zeros(len(diagram.vertices), dtype=np.int8)
-    # a vertex touches a wall where it ends a ridge between a seed and an image. The images of two seeds around a re-entrant corner coincide,
-    # and the wall one was made with may be that of the other: a wall through which the seed itself has this image comes first
+    # a vertex touches a wall if it ends a ridge between a seed and an image. Images of two seeds around a re-entrant corner coincide, and the
+    # stored wall may be that of the other seed: a wall through which the seed itself has this image is preferred
     mirrored = diagram.ridges.max(axis=1) >= diagram.n
     ends, pair = diagram.ends[mirrored], np.sort(diagram.ridges[mirrored], axis=1)
     seed, image = seeds[pair[:, 0]], diagram.points[pair[:, 1]]
@@ -130,8 +264,8 @@ def snapped(seeds, diagram, domain, spacing, corners):
     touched = np.zeros((len(diagram.vertices), len(domain.walls)), dtype=bool)
     touched[ends[:, 0], wall] = touched[ends[:, 1], wall] = True
     rim = touched.any(axis=1)
-    points[rim], rank[rim] = to_boundary(points[rim], domain), 1
-    # nodes that touch two walls move to where these meet; where a wall's extension meets another there is no corner
+    points[rim], rank[rim] = _to_boundary(points[rim], domain), 1
+    # nodes that touch two walls move to their intersection, unless one of the walls is not part of the boundary there
     size = float(np.max(domain.upper - domain.lower))
     for i, first in enumerate(domain.walls):
         for j, second in enumerate(domain.walls[:i]):
@@ -146,8 +280,8 @@ def snapped(seeds, diagram, domain, spacing, corners):
     return cleanup.compact(points, cell[order], corner[order], rank)
 
 
-def to_boundary(points, domain):
-    """Each point projected on the nearest wall, where that is part of the boundary; points without such stay."""
+def _to_boundary(points, domain):
+    """Each point projected on the nearest wall that is part of the boundary there; other points do not move."""
     shifted = np.array([project(points, wall) for wall in domain.walls])
     away = np.linalg.norm(shifted - points, axis=2)
     away[~np.array([domain.on_boundary(image) for image in shifted])] = np.inf
@@ -155,14 +289,12 @@ def to_boundary(points, domain):
     return np.where(np.isinf(away.min(axis=0))[:, None], points, shifted[nearest, np.arange(len(points))])
 
 
-class Unresolved(InputError):
-    """The cells are too few to follow the boundary."""
-
-
 @dataclass(frozen=True)
 class Cells:
-    """Voronoi diagram of n seeds: ridges (r, 2) between points, their ends (r, 2) in vertices; points (p, 2) beyond
-    the first n are images of seeds, wall (p,) says through which wall."""
+    """Voronoi diagram of n seeds: ridges (r, 2) between points, their ends (r, 2) in vertices.
+
+    points (p, 2) after the first n are images of seeds; wall (p,): index of the wall that reflects them.
+    """
 
     vertices: np.ndarray
     ridges: np.ndarray
@@ -172,38 +304,26 @@ class Cells:
     n: int
 
 
-def random_seeds(domain, count, rng, fixed, spacing):
+def _random_seeds(domain, count, rng, fixed, spacing):
     """count uniform points inside the domain, not between the fixed seeds around a corner."""
-    kept, tried, found = [], 0, 0
-    while found < count:
+    seeds = np.zeros((0, 2))
+    for _ in range(1000):
         trial = domain.lower + rng.random((2 * count + 10, 2)) * (domain.upper - domain.lower)
         trial = trial[domain.distance(trial) < 0.0]
         for seed in fixed:
             trial = trial[np.linalg.norm(trial - seed, axis=1) > 0.6 * spacing]
-        kept.append(trial)
-        found, tried = found + len(trial), tried + 1
-        if tried >= 1000:
-            raise InputError("domain is empty, or too thin within its bounding box to place seeds")
-    return np.concatenate(kept)[:count]
+        seeds = np.concatenate([seeds, trial])
+        if len(seeds) >= count:
+            return seeds[:count]
+    raise InputError("domain is empty, or too thin within its bounding box to place seeds")
 
 
-def _distinct(images, index, reach):
-    """Images without repetition: those of seeds on both sides of a re-entrant corner may coincide."""
-    from scipy.spatial import cKDTree
+def _bounded_cells(seeds, domain, spacing, reach):
+    """Cells of the seeds, and the reach within which seeds are reflected: doubled until every cell is bounded and ends near the wall."""
+    from scipy.spatial import QhullError, Voronoi, cKDTree
 
-    pairs = cKDTree(images).query_pairs(1e-9 * reach, output_type="ndarray") if len(images) else []
-    keep = np.ones(len(images), dtype=bool)
-    keep[[max(pair) for pair in pairs]] = False
-    return images[keep], index[keep]
-
-
-def bounded_cells(seeds, domain, spacing, reach):
-    """Cells of the seeds and the reach used: doubled until every cell is bounded and ends near the wall."""
-    from scipy.spatial import QhullError, Voronoi
-
-    span = float(np.linalg.norm(domain.upper - domain.lower))
+    span, n = float(np.linalg.norm(domain.upper - domain.lower)), len(seeds)
     while True:
-        # mirror images of the seeds closer than reach to a wall, where they fall outside the domain, and the walls
         images, index = [], []
         for i, wall in enumerate(domain.walls):
             distance = wall.distance(seeds)
@@ -214,81 +334,60 @@ def bounded_cells(seeds, domain, spacing, reach):
             images.append(image)
             index.append(np.full(len(image), i))
         images, index = np.concatenate(images), np.concatenate(index)
-        images, wall = (images, index) if domain.convex else _distinct(images, index, reach)
-        if len(seeds) + len(images) >= 4:
-            with contextlib.suppress(QhullError):
+        if not domain.convex and len(images):  # images of seeds on both sides of a re-entrant corner may coincide
+            different = np.ones(len(images), dtype=bool)
+            different[cKDTree(images).query_pairs(1e-9 * reach, output_type="ndarray").max(axis=1)] = False
+            images, index = images[different], index[different]
+        if n + len(images) >= 4:
+            with suppress(QhullError):
                 diagram = Voronoi(np.concatenate([seeds, images]))
-                n = len(seeds)
-                ridges, ends = diagram.ridge_points, np.array(diagram.ridge_vertices)
-                own = ridges.min(axis=1) < n
-                cells = Cells(diagram.vertices, ridges[own], ends[own], diagram.points, np.concatenate([np.full(n, -1), wall]), n)
-                if _closed(cells, domain, spacing, reach >= 2.0 * span):
-                    return cells, reach
+                own = diagram.ridge_points.min(axis=1) < n
+                ends = np.array(diagram.ridge_vertices)[own]
+                wall = np.concatenate([np.full(n, -1), index])
+                if ends.min() >= 0 and (reach >= 2.0 * span or domain.distance(diagram.vertices[np.unique(ends)]).max() < 0.5 * spacing):
+                    return Cells(diagram.vertices, diagram.ridge_points[own], ends, diagram.points, wall, n), reach
         if reach >= 2.0 * span:
-            raise Unresolved(f"{len(seeds)} cells are too few to close them all at the boundary; use more cells")
+            raise Unresolved(f"{n} cells are too few to close them all at the boundary; use more cells")
         reach *= 2.0
 
 
-def _closed(cells, domain, spacing, last):
-    """True when no ridge runs to infinity and no cell leaves the domain by more than half a cell."""
-    if cells.ends.min() < 0:
-        return False
-    used = np.unique(cells.ends)
-    return last or bool(domain.distance(cells.vertices[used]).max() < 0.5 * spacing)
+def _lloyd(fixed, free, domain, area, iterations, tolerance):
+    """(seeds, cells): fixed seeds stay, free ones move to their centroids until sqrt(sum A_i^2 |c_i - s_i|^2) n / A^1.5 < tolerance.
 
-
-def areas_and_centroids(points, cells):
-    """Areas (n,) and centroids (n, 2): one triangle seed-v1-v2 for each side of each ridge."""
-    area, moment = np.zeros(cells.n), np.zeros((cells.n, 2))
-    a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
-    for side in (0, 1):
-        own = cells.ridges[:, side] < cells.n
-        cell = cells.ridges[own, side]
-        s = points[cell]
-        u, v = a[own] - s, b[own] - s
-        triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-        area += np.bincount(cell, triangle, cells.n)
-        for k in (0, 1):
-            moment[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
-    return area, points + moment / area[:, None]
-
-
-def lloyd(fixed, free, domain, area, iterations, tolerance):
-    """(seeds, cells): fixed seeds stay, free ones move to their centroids until
-    sqrt(sum A_i^2 |c_i - s_i|^2) n / A^1.5 < tolerance, or for the given number of iterations.
-
-    The move is stretched (factor 1.7, which about halves the iterations) wherever it stays inside the domain.
+    The move is multiplied by 1.7, which about halves the number of iterations, if the seed then stays inside the domain.
     """
     seeds = np.concatenate([fixed, free])
     spacing = np.sqrt(area / len(seeds))
     reach = 2.0 * spacing
+    step = 1e-6 * float(np.max(domain.upper - domain.lower))
     for _ in range(iterations):
-        cells, reach = bounded_cells(seeds, domain, spacing, reach)
-        areas, centroids = areas_and_centroids(seeds, cells)
-        move = centroids - seeds
+        cells, reach = _bounded_cells(seeds, domain, spacing, reach)
+        areas, moments = np.zeros(cells.n), np.zeros((cells.n, 2))  # of one triangle seed-a-b for each side of each ridge
+        a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
+        for side in (0, 1):
+            own = cells.ridges[:, side] < cells.n
+            cell = cells.ridges[own, side]
+            u, v = a[own] - seeds[cell], b[own] - seeds[cell]
+            triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+            areas += np.bincount(cell, triangle, cells.n)
+            for k in (0, 1):
+                moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
+        move = seeds + moments / areas[:, None] - seeds
         move[: len(fixed)] = 0.0
         error = np.sqrt(np.sum(areas**2 * np.sum(move**2, axis=1))) * len(seeds) / areas.sum() ** 1.5
         stretched = seeds + 1.7 * move
         inside = domain.distance(stretched) < -0.1 * spacing
         seeds = np.where(inside[:, None], stretched, seeds + move)
-        seeds = _kept_inside(seeds, domain)
+        # seeds that left the domain (centroids beside a concave wall) are mirrored back through the wall that they crossed
+        out = domain.distance(seeds) >= 0.0
+        if out.any():
+            stray = seeds[out]
+            for _ in range(8):
+                d = domain.distance(stray)
+                slope = np.stack([domain.distance(stray + step * axis) - d for axis in np.eye(2)], axis=1) / step
+                length = np.maximum(np.sum(slope**2, axis=1), 1e-12)
+                stray = stray - np.where(d >= 0.0, 2.0 * d + step, 0.0)[:, None] * slope / length[:, None]
+            seeds[out] = stray
         if error < tolerance:
             break
-    return seeds, bounded_cells(seeds, domain, spacing, reach)[0]
-
-
-def _kept_inside(seeds, domain):
-    """Seeds that left the domain (centroids beside a concave wall) are mirrored back through the wall they crossed."""
-    out = domain.distance(seeds) >= 0.0
-    if not out.any():
-        return seeds
-    seeds = seeds.copy()
-    stray = seeds[out]
-    step = 1e-6 * float(np.max(domain.upper - domain.lower))
-    for _ in range(8):
-        d = domain.distance(stray)
-        slope = np.stack([domain.distance(stray + step * axis) - d for axis in np.eye(2)], axis=1) / step
-        length = np.maximum(np.sum(slope**2, axis=1), 1e-12)
-        stray = stray - np.where(d >= 0.0, 2.0 * d + step, 0.0)[:, None] * slope / length[:, None]
-    seeds[out] = stray
-    return seeds
+    return seeds, _bounded_cells(seeds, domain, spacing, reach)[0]

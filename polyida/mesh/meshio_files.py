@@ -1,7 +1,7 @@
 """Mesh files through meshio: VTU, VTK, OBJ and MEDIT; Gmsh's .msh is read by meshio and written here.
 
-Files are data from anywhere: every failure inside meshio ends as an InputError. Sections in Gmsh are physical groups, of lines where
-edges join their nodes, else of points. Source: the Gmsh reference manual, MSH file format, versions 2.2 and 4.1.
+Files are untrusted: every failure inside meshio becomes an InputError. Sections in Gmsh are physical groups, of lines if edges join their
+nodes, else of points. Source: the Gmsh reference manual, MSH file format, versions 2.2 and 4.1.
 """
 
 from urllib.parse import quote, unquote
@@ -18,7 +18,7 @@ PREFIX = "section:"
 
 
 def reader(kind, advice=""):
-    """read(path) -> RawMesh of one of meshio's formats; advice: what to do where it cannot be read."""
+    """Return a function read(path) -> RawMesh for one of meshio's formats; advice: for the message that a file cannot be read."""
 
     def read(path):
         data = _quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice)
@@ -39,30 +39,30 @@ def reader(kind, advice=""):
 
 
 def writer(kind):
-    """write(mesh, path) of one of meshio's formats, sections as masks on the points."""
+    """Return a function write(mesh, path) for one of meshio's formats, with sections as masks on the points."""
 
     def write(mesh, path):
-        _quietly(path, lambda meshio: _meshio_mesh(meshio, mesh).write(path, kind), f"written as {kind}")
+        names = {3: "triangle", 4: "quad"}
+        blocks = [(names.get(cells.shape[1], "polygon"), cells) for cells in runs(mesh)]
+        masks = {PREFIX + quote(name, safe=""): np.isin(np.arange(mesh.n_nodes), nodes) * 1.0 for name, nodes in mesh.sections.items()}
+        points = np.column_stack([mesh.points, np.zeros(mesh.n_nodes)])
+        _quietly(path, lambda meshio: meshio.Mesh(points, blocks, point_data=masks).write(path, kind), f"written as {kind}")
 
     return write
 
 
 def _quietly(path, action, what, advice=""):
-    """action(meshio) without its printing; meshio may print, warn, exit or raise anything at all on a bad file."""
+    """Call action(meshio) without its output; for a bad file meshio may print, warn, exit or raise any exception."""
     import meshio
 
-    said = None
+    printed = None
     try:
-        with guarded(path.stat().st_size if path.exists() else 2**28) as said:
+        with guarded(path.stat().st_size if path.exists() else 2**28) as printed:
             return action(meshio)
-    except (Exception, SystemExit) as error:  # noqa: BLE001, whatever it is, the file is to blame
-        detail = " ".join(said.getvalue().split())[:200] if isinstance(error, SystemExit) else _short(error)
-        raise InputError(f"it cannot be {what}: {detail or 'no reason given'}{advice}") from None
-
-
-def _short(error):
-    text = " ".join(str(error).split())[:200]
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    except (Exception, SystemExit) as error:  # noqa: BLE001, the file is the cause, whatever the exception
+        text = " ".join((printed.getvalue() if isinstance(error, SystemExit) else str(error)).split())[:200]
+        detail = text or "no reason given" if isinstance(error, SystemExit) else f"{type(error).__name__}{': ' * bool(text)}{text}"
+        raise InputError(f"it cannot be {what}: {detail}{advice}") from None
 
 
 def _family(kind):
@@ -71,7 +71,7 @@ def _family(kind):
 
 
 def _named_points(data):
-    """name -> points from point sets, cell sets and physical groups of lines and vertices, and stored masks."""
+    """{name: points} of point sets, of cell sets and physical groups of lines and vertices, and of stored masks."""
     named = {}
     for name, index in _of_user(data.point_sets):
         named.setdefault(name, []).append(np.asarray(index).ravel())
@@ -84,14 +84,14 @@ def _named_points(data):
 
 
 def _of_user(sets):
-    """(name, members) of the sets that a user named: what meshio calls gmsh:... holds numbers of other things than cells."""
+    """[(name, members)] of the sets that a user named; sets gmsh:... of meshio do not hold cells."""
     return [(name, members) for name, members in (sets or {}).items() if not name.startswith("gmsh:")]
 
 
 def _named_blocks(data):
-    """(name, block of lines or vertices, chosen rows) of every cell set and every group that has a number.
+    """Yield (name, block of lines or vertices, rows) of every cell set and numbered group.
 
-    A group of lines without a name is called by its number, one of points 'point' and its number.
+    The name of an unnamed group of lines is its number, of points 'point' and its number.
     """
     for name, rows in _of_user(data.cell_sets):
         for block, chosen in zip(data.cells, rows, strict=False):
@@ -106,33 +106,21 @@ def _named_blocks(data):
                 yield names.get((dimension, number), plain), block, np.asarray(tag) == number
 
 
-def _meshio_mesh(meshio, mesh):
-    """meshio.Mesh: runs of cells with the same number of corners form the blocks, sections are masks on the points."""
-    kind = {3: "triangle", 4: "quad"}
-    blocks = [(kind.get(cells.shape[1], "polygon"), cells) for cells in runs(mesh)]
-    data = {}
-    for name, index in mesh.sections.items():
-        mask = np.zeros(mesh.n_nodes)
-        mask[index] = 1.0
-        data[PREFIX + quote(name, safe="")] = mask
-    return meshio.Mesh(np.column_stack([mesh.points, np.zeros(mesh.n_nodes)]), blocks, point_data=data)
-
-
 def runs(mesh):
-    """Arrays (m, k) of the cells, in their order, each of consecutive ones with the same number of corners."""
+    """Return arrays (m, k) of consecutive cells with the same number of corners."""
     sizes = np.diff(mesh.offsets)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(sizes)) + 1, [len(sizes)]])
     return [mesh.nodes[mesh.offsets[a] : mesh.offsets[b]].reshape(b - a, -1) for a, b in zip(starts[:-1], starts[1:], strict=True)]
 
 
-TYPES = {(0, 1): 15, (1, 2): 1, (2, 3): 2, (2, 4): 3}  # of (dimension, corners)
-BODY = "plate"  # the physical group of all cells
+TYPES = {(0, 1): 15, (1, 2): 1, (2, 3): 2, (2, 4): 3}  # Gmsh's element types by (dimension, corners)
+BODY = "plate"  # name of the physical group of all cells
 
-read_gmsh = reader("gmsh", "; where Gmsh made it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
+read_gmsh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
 
 
 def write_gmsh_2(mesh, path):
-    """Version 2.2."""
+    """Write version 2.2."""
     groups = _groups(mesh)
     nodes = [f"{i} {_node_text(point)}" for i, point in enumerate(mesh.points, 1)]
     rows = [(dim, number, row) for dim, number, _, blocks in groups for block in blocks for row in (block + 1).tolist()]
@@ -141,17 +129,23 @@ def write_gmsh_2(mesh, path):
 
 
 def write_gmsh_4(mesh, path):
-    """Version 4.1: an entity a group; all nodes lie on the surface."""
+    """Write version 4.1 with one entity for each group and all nodes on the surface."""
     groups, n = _groups(mesh), mesh.n_nodes
     nodes = [f"1 {n} 1 {n}", f"2 1 0 {n}", *map(str, range(1, n + 1)), *map(_node_text, mesh.points)]
     blocks = [(dim, number, block) for dim, number, _, parts in groups for block in parts]
     total = sum(len(block) for *_, block in blocks)
-    elements, given = [f"{len(blocks)} {total} 1 {total}"], 0
+    elements, count = [f"{len(blocks)} {total} 1 {total}"], 0
     for dim, number, block in blocks:
         elements.append(f"{dim} {number} {TYPES[dim, block.shape[1]]} {len(block)}")
-        elements += [f"{given + i} {' '.join(map(str, row))}" for i, row in enumerate((block + 1).tolist(), 1)]
-        given += len(block)
-    _write_msh(path, "4.1", groups, {"Entities": _entities(mesh, groups), "Nodes": nodes, "Elements": elements})
+        elements += [f"{count + i} {' '.join(map(str, row))}" for i, row in enumerate((block + 1).tolist(), 1)]
+        count += len(block)
+    # points, curves and surfaces, each with its bounding box and group, without bounding entities
+    entities = [" ".join(str(sum(dim == wanted for dim, *_ in groups)) for wanted in range(4))]
+    for dim, number, _, parts in sorted(groups, key=lambda group: group[0]):
+        corner = mesh.points[np.concatenate([block.ravel() for block in parts])]
+        box = [corner[0]] if dim == 0 else [corner.min(axis=0), corner.max(axis=0)]
+        entities.append(f"{number} {' '.join(map(_node_text, box))} 1 {number}" + (" 0" if dim else ""))
+    _write_msh(path, "4.1", groups, {"Entities": entities, "Nodes": nodes, "Elements": elements})
 
 
 def _groups(mesh):
@@ -164,16 +158,6 @@ def _groups(mesh):
         whole = np.isin(nodes, edges).all()
         groups.append((1, number, name, [edges]) if whole else (0, number, name, [nodes[:, None]]))
     return [*groups, (2, 1, BODY, runs(mesh))]
-
-
-def _entities(mesh, groups):
-    """Points, curves and surfaces, each with its box, its group and no bounds."""
-    rows = [" ".join(str(sum(dim == wanted for dim, *_ in groups)) for wanted in range(4))]
-    for dim, number, _, blocks in sorted(groups, key=lambda group: group[0]):
-        corner = mesh.points[np.concatenate([block.ravel() for block in blocks])]
-        box = [corner[0]] if dim == 0 else [corner.min(axis=0), corner.max(axis=0)]
-        rows.append(f"{number} {' '.join(map(_node_text, box))} 1 {number}" + (" 0" if dim else ""))
-    return rows
 
 
 def _node_text(point):

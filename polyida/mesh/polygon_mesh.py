@@ -1,23 +1,43 @@
-"""PolygonMesh: points, polygons in offset form and named boundary sections, and the figures of merit of a mesh."""
+"""PolygonMesh: points, polygons in offset form and named boundary sections; quality measures; the density filter."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
 from polyida.mesh.sections import Section, select
-from polyida.validation import named_keywords
+from polyida.validation import is_number, named_keywords
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
 class MeshQuality:
-    """shortest_edge: shortest over mean edge; angles in degrees; half_bandwidth in nodes; holes = 1 - (V - E + F)
-    for a mesh in one piece."""
+    """Quality measures of a mesh.
+
+    Parameters
+    ----------
+    cells, nodes : int
+    shortest_edge : float
+        Over the mean edge.
+    min_angle, max_angle : float, degrees
+    min_vertices, max_vertices : int
+        Of a cell.
+    area_ratio : float
+        Smallest over largest cell area.
+    convex : bool
+    half_bandwidth : int
+        Largest difference of node numbers within a cell.
+    pieces, holes : int
+        Connected components, and holes = pieces - (V - E + F).
+    """
 
     cells: int
     nodes: int
@@ -36,16 +56,26 @@ class MeshQuality:
 @named_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class PolygonMesh:
-    """A plane mesh of polygons. Immutable: the arrays are read-only copies of what was given.
+    """An immutable plane mesh of simple polygons; its arrays are read-only copies.
 
-    points (n_nodes, 2) in m; nodes: the corner nodes of all cells, one cell after the other, each counter-clockwise;
-    offsets (n_cells + 1): cell i has the corners nodes[offsets[i]:offsets[i + 1]]; sections: name -> node indices;
-    supports: node -> (whether x is fixed, whether y is); loads: node -> (Fx, Fy), N: as files bring them, for joints and
-    `PointLoad` to be made of; no scene takes them by itself.
+    Parameters
+    ----------
+    points : (n_nodes, 2) float, m
+    nodes : (n_corners,) int
+        Corner nodes of all cells in succession, each cell counter-clockwise.
+    offsets : (n_cells + 1,) int
+        Cell i has the corners nodes[offsets[i]:offsets[i + 1]].
+    sections : dict of name to node indices
+    supports : dict of node to (x fixed, y fixed)
+        From files, for joints; a scene does not use them by itself.
+    loads : dict of node to (Fx, Fy), N
+        From files, for `PointLoad`; a scene does not use them by itself.
 
-    Raises InputError for points that are not finite, nodes out of range, repeated in a cell or used by no cell, cells
-    with fewer than three corners, clockwise or crossing themselves, and cells that overlap.
-    Convexity is a need of some elements only: see require_convex.
+    Raises
+    ------
+    InputError
+        For points that are not finite; nodes out of range, repeated in a cell or used by no cell; cells with fewer than three corners,
+        clockwise or crossing themselves; cells that overlap. Cells need not be convex, see `require_convex`.
     """
 
     points: np.ndarray
@@ -76,26 +106,28 @@ class PolygonMesh:
 
     @property
     def n_nodes(self) -> int:
+        """Number of nodes."""
         return len(self.points)
 
     @property
     def n_cells(self) -> int:
+        """Number of cells."""
         return len(self.offsets) - 1
 
-    def cell(self, i: int) -> NDArray:
-        """Corner nodes of cell i, counter-clockwise."""
+    def cell(self, i: int) -> np.ndarray:
+        """Return the corner nodes of cell i, counter-clockwise."""
         if not -self.n_cells <= i < self.n_cells:
             raise InputError(f"mesh has cells 0..{self.n_cells - 1}, not {i}")
         i = i % self.n_cells
         return self.nodes[self.offsets[i] : self.offsets[i + 1]]
 
     @cached_property
-    def cell_areas(self) -> NDArray:
+    def cell_areas(self) -> np.ndarray:
         """(n_cells,), m^2."""
         return topology.areas(self.points, self.nodes, self.offsets)
 
     @cached_property
-    def cell_centroids(self) -> NDArray:
+    def cell_centroids(self) -> np.ndarray:
         """(n_cells, 2), m."""
         return topology.centroids(self.points, self.nodes, self.offsets)
 
@@ -105,22 +137,22 @@ class PolygonMesh:
         return float(self.cell_areas.sum())
 
     @cached_property
-    def edges(self) -> NDArray:
+    def edges(self) -> np.ndarray:
         """(n_edges, 2) node pairs, each edge once, lower node first."""
         return topology.edges(self.nodes, self.offsets, self.n_nodes)
 
     @cached_property
-    def boundary_edges(self) -> NDArray:
-        """(n_boundary_edges, 2) node pairs, directed so that the domain lies on the left."""
+    def boundary_edges(self) -> np.ndarray:
+        """(n_boundary_edges, 2) node pairs, directed with the domain on the left."""
         return topology.boundary_edges(self.nodes, self.offsets, self.n_nodes)
 
     @cached_property
-    def boundary_nodes(self) -> NDArray:
-        """Sorted nodes on the boundary."""
+    def boundary_nodes(self) -> np.ndarray:
+        """Sorted nodes of the boundary."""
         return np.unique(self.boundary_edges)
 
     def quality(self) -> MeshQuality:
-        """MeshQuality: edge ratio, angles, vertex counts, convexity, bandwidth, holes."""
+        """Return the quality measures."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
@@ -146,13 +178,62 @@ class PolygonMesh:
         )
 
     def require_convex(self, tolerance: float = 1e-6) -> None:
-        """Raise InputError naming the first corner whose turn (sine of the exterior angle) is not above tolerance."""
-        checks.require_convex(self, tolerance)
+        """Raise InputError naming the first corner whose exterior angle has a sine of at most the tolerance."""
+        turn = topology.turns(self.points, self.nodes, self.offsets)
+        bad = np.flatnonzero(~((np.sin(turn) > tolerance) & (turn > 0)))
+        if bad.size:
+            raise InputError(
+                f"{checks.described(self, topology.corner_cells(self.offsets)[bad[0]])} is not strictly convex: its angle at node "
+                f"{self.nodes[bad[0]]} is {180.0 - np.degrees(turn[bad[0]]):.4f} degrees and must be below 180"
+            )
 
-    def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> Section:
-        """Section of nodes ordered along the boundary with their tributary lengths.
+    def section(self, selector: "str | Callable[[np.ndarray], np.ndarray] | ArrayLike") -> Section:
+        """Return nodes ordered along the boundary with their tributary lengths.
 
-        selector: a section's name, a function points (n, 2) -> mask (n,), of which the boundary nodes are kept, or
-        node indices. Raises InputError when nothing is selected or the name is unknown.
+        selector: a section's name; a function points (n, 2) -> mask (n,), applied to the boundary nodes; or node indices. Raises InputError
+        if no node is selected or the name is unknown.
         """
         return select(self, selector)
+
+
+@named_keywords
+def density_filter(mesh: PolygonMesh, radius: float) -> "csr_array":
+    """Return the matrix F of the density filter: `rho = F @ x`; derivatives with respect to x are `F.T @ (dJ/drho)`.
+
+    `F_ij = A_j max(0, radius - |c_i - c_j|) / sum_k A_k max(0, radius - |c_i - c_k|)`, c the centroids and A the areas of the cells: rows sum
+    to one.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+    radius : float, m, > 0
+        A radius below the distance of neighbouring centroids gives the identity.
+
+    Returns
+    -------
+    scipy.sparse.csr_array
+        (n_cells, n_cells), no unit.
+
+    Raises
+    ------
+    InputError
+        If `mesh` is no mesh or the radius is not positive.
+
+    Notes
+    -----
+    Bruns, Tortorelli, Comput. Methods Appl. Mech. Engrg. 190 (2001); Bourdin, Int. J. Numer. Meth. Engng. 50 (2001).
+    """
+    from scipy.sparse import coo_array, diags_array
+    from scipy.spatial import cKDTree
+
+    if not isinstance(mesh, PolygonMesh):
+        raise InputError(f"density_filter: mesh is {type(mesh).__name__}, a polyida mesh is needed")
+    if not (is_number(radius) and radius > 0):
+        raise InputError(f"density_filter: radius = {radius!r} must be a positive number of metres")
+    i, j = cKDTree(mesh.cell_centroids).query_pairs(radius, output_type="ndarray").T
+    hat = radius - np.linalg.norm(mesh.cell_centroids[i] - mesh.cell_centroids[j], axis=1)
+    own = np.arange(mesh.n_cells)
+    rows, columns = np.concatenate([own, i, j]), np.concatenate([own, j, i])
+    weights = np.concatenate([np.full(mesh.n_cells, radius), hat, hat]) * mesh.cell_areas[columns]
+    matrix = coo_array((weights, (rows, columns)), shape=(mesh.n_cells, mesh.n_cells)).tocsr()
+    return (diags_array(1.0 / matrix.sum(axis=1)) @ matrix).tocsr()

@@ -1,8 +1,8 @@
 """PolyMesher's and PolyTop's variables in a MATLAB file: Node, Element, Supp and Load; nodes are counted from 1.
 
-Node (n, 2); Element: a cell array of rows of nodes, counter-clockwise; Supp, a row a node: (node, 1 where x is fixed, the same of y);
-Load: (node, Fx, Fy). Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012) and PolyTop, ibid.
-Section is our own: a cell array of (name, row of nodes), which PolyMesher does not read.
+Node (n, 2); Element: a cell array of rows of nodes, counter-clockwise; Supp: rows (node, 1 if x is fixed, 1 if y is fixed); Load: rows (node,
+Fx, Fy). Section, a cell array of rows (name, row of nodes), is an extension of polyida that PolyMesher ignores.
+Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012) and PolyTop, ibid.
 """
 
 import numpy as np
@@ -14,28 +14,28 @@ NAMES = {"Node": ("node",), "Element": ("element", "elem"), "Supp": ("supp",), "
 
 
 def read(path):
-    """RawMesh of a .mat file that holds Node and Element, as variables or as fields of one structure (as PolyTop's fem)."""
-    found = _variables(path)
-    points = _numbers(found["Node"], "Node")
+    """Return the RawMesh of a .mat file with Node and Element, as variables or as fields of one structure (as PolyTop's fem)."""
+    variables = _variables(path)
+    points = _numbers(variables["Node"], "Node")
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"Node has shape {points.shape}; it must have a row (x, y) for each node")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise InputError(f"Node({bad[0] + 1},:) is {points[bad[0]].tolist()}; all coordinates must be finite")
-    cells = [_cell(row, i, len(points)) for i, row in enumerate(_rows(found["Element"]), 1)]
-    supports, loads = (_table(found.get(name), name, len(points)) for name in ("Supp", "Load"))
+    cells = [_cell(row, i, len(points)) for i, row in enumerate(_rows(variables["Element"]), 1)]
+    supports, loads = (_table(variables.get(name), name, len(points)) for name in ("Supp", "Load"))
     for node, pair in supports.items():
         if not set(pair) <= {0.0, 1.0}:
             raise InputError(f"Supp of node {node + 1} is {list(pair)}; each must be 1 (fixed) or 0 (free)")
     fixed = {node: (x == 1.0, y == 1.0) for node, (x, y) in supports.items()}
-    rows = found.get("Section")
+    rows = variables.get("Section")
     rows = rows if isinstance(rows, np.ndarray) and rows.ndim == 2 and rows.shape[1] == 2 else []
     named = {str(np.ravel(name)[0]): np.ravel(nodes).astype(np.int64) - 1 for name, nodes in rows}
     return RawMesh(points, cells, named, fixed, loads)
 
 
 def write(mesh, path):
-    """PolyMesher's variables as savemat writes them, for `load` in MATLAB; Supp and Load empty where there are none."""
+    """Write PolyMesher's variables for `load` in MATLAB; Supp and Load may be empty."""
     from scipy.io import savemat
 
     names = np.empty((len(mesh.sections), 2), dtype=object)
@@ -49,7 +49,7 @@ def write(mesh, path):
 
 
 def _variables(path):
-    """{our name: value} of the variables that a file holds, or of the fields of the first structure with Node and Element."""
+    """{name in NAMES: value} of the variables of a file, or of the fields of the first structure with Node and Element."""
     from scipy.io import loadmat
 
     try:
@@ -57,14 +57,14 @@ def _variables(path):
             data = loadmat(path, appendmat=False)
     except NotImplementedError:
         raise InputError("it is a MATLAB file of version 7.3; save it by save(name, 'Node', 'Element', 'Supp', 'Load', '-v7')") from None
-    except Exception as error:  # noqa: BLE001, whatever it is, the file is to blame
+    except Exception as error:  # noqa: BLE001, the file is the cause, whatever the exception
         raise InputError(f"it cannot be read as a MATLAB file: {type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
     data = {name: value for name, value in data.items() if not name.startswith("__")}
     structures = [value for value in data.values() if getattr(value, "dtype", None) is not None and value.dtype.names and value.size == 1]
     for fields in (data, *({name: one.item()[i] for i, name in enumerate(one.dtype.names)} for one in structures)):
-        found = {ours: value for ours, theirs in NAMES.items() for name, value in fields.items() if name.lower() in theirs}
-        if found.keys() >= {"Node", "Element"}:
-            return found
+        known = {ours: value for ours, theirs in NAMES.items() for name, value in fields.items() if name.lower() in theirs}
+        if known.keys() >= {"Node", "Element"}:
+            return known
     raise InputError(f"it has the variables {', '.join(map(repr, data)) or 'none'}; PolyMesher's meshes have Node and Element")
 
 
@@ -75,16 +75,16 @@ def _numbers(value, name):
 
 
 def _rows(element):
-    """Rows of a cell array, or of a matrix, whose rows may end with NaN or 0."""
+    """Rows of a cell array, or of a matrix whose rows may be padded with NaN or 0."""
     if isinstance(element, np.ndarray) and element.dtype.kind == "O":
         return element.ravel()
     matrix = _numbers(element, "Element")
     filled = ~np.isnan(matrix) & (matrix != 0)
-    return [row[: there.sum()] if there[: there.sum()].all() else row for row, there in zip(np.atleast_2d(matrix), np.atleast_2d(filled))]
+    return [row[: used.sum()] if used[: used.sum()].all() else row for row, used in zip(np.atleast_2d(matrix), np.atleast_2d(filled))]
 
 
 def _cell(row, number, n_nodes):
-    """One cell counted from 0; InputError as MATLAB would name it."""
+    """Nodes of one cell, counted from 0; messages name it as MATLAB does."""
     nodes = _numbers(row, f"Element{{{number}}}").ravel()
     if len(nodes) < 3:
         raise InputError(f"Element{{{number}}} has {len(nodes)} nodes; it needs at least 3")
@@ -97,7 +97,7 @@ def _cell(row, number, n_nodes):
 
 
 def _table(value, name, n_nodes):
-    """{node from 0: (a, b)} of rows (node, a, b); a node fixed by several rows is fixed by any."""
+    """{node from 0: (a, b)} of rows (node, a, b); supports of one node in several rows are combined."""
     rows = _numbers(np.zeros((0, 3)) if value is None or np.size(value) == 0 else value, name)
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise InputError(f"{name} has shape {rows.shape}; it must have rows (node, x, y)")

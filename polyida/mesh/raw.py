@@ -1,4 +1,4 @@
-"""What readers of mesh files share: RawMesh before anything of it is checked, its unit, and a guard for untrusted files."""
+"""From file data to a PolygonMesh: RawMesh before any check, its unit, its repair, and a guard for untrusted files."""
 
 import contextlib
 import io
@@ -10,20 +10,38 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.mesh import checks, sections, topology
+from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.validation import is_number, is_one_of, named_keywords
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
-WIDE = 20.0  # metres: a plate of a mechanism is hardly wider, one drawn in millimetres mostly is
+WIDE = 20.0  # m: a wider part of a mechanism was probably drawn in millimetres
+FLAT = 1e-9  # variation of z relative to the size of the mesh
+
+
+class MeshWarning(UserWarning):
+    """A mesh from a file or drawing was changed, or looks wrong."""
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """Points, cells and names as a file has them; `pi.mesh.read` repairs and checks them.
+    """Points, cells and names as in a file, before `pi.mesh.read` repairs and checks them; what the reader of a `Format` returns.
 
-    points (n, 2) or (n, 3) in the file's unit; cells: lists of points by number, or arrays (m, k) of m cells of k corners;
-    sections: name -> points; supports: point -> (x fixed, y fixed); loads: point -> (Fx, Fy), N; notes: what to tell the user;
-    metres: of one unit, where the file says it; first: the number of the first point.
+    Parameters
+    ----------
+    points : (n, 2) or (n, 3) float
+        In the file's unit.
+    cells : iterable of lists of point numbers, or arrays (m, k) of m cells with k corners
+    sections : dict of name to point numbers
+    supports : dict of point number to (x fixed, y fixed)
+    loads : dict of point number to (Fx, Fy), N
+    notes : tuple of str
+        Messages for the user.
+    metres : float, optional
+        Size of the file's unit, if known.
+    first : int
+        Number of the first point.
     """
 
     points: np.ndarray
@@ -36,51 +54,10 @@ class RawMesh:
     first: int = 0
 
 
-def joined(cells):
-    """(corners of all cells, offsets (m + 1)) of lists of points and of arrays of cells with the same number of corners."""
-    blocks, number = [], 0
-    for given in cells:
-        table = _block(given, number)
-        number += len(table)
-        if table.size:
-            blocks.append(table)
-    if not blocks:
-        raise InputError("holds no triangles, quads or polygons")
-    sizes = np.concatenate([np.full(len(block), block.shape[1]) for block in blocks])
-    nodes = np.concatenate([block.ravel() for block in blocks])
-    return nodes, np.concatenate([[0], np.cumsum(sizes)])
-
-
-def _block(given, number):
-    try:
-        array = np.atleast_2d(np.asarray(given))
-    except ValueError:
-        array = np.empty((0, 0, 0))
-    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and np.array_equal(array, np.round(array)))
-    if array.ndim != 2 or not whole or (len(array) and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
-        raise InputError(f"cell {number} is {repr(given)[:80]}; it must be a list of at least 3 nodes by number")
-    return array.astype(np.int64)
-
-
-def require_range(nodes, offsets, n_points, first):
-    """InputError for the first cell with a point that there is not; nodes from 0, first: the number of the first point."""
-    outside = np.flatnonzero((nodes < 0) | (nodes >= n_points))
-    if not outside.size:
-        return
-    cell = int(np.searchsorted(offsets, outside[0], side="right")) - 1
-    from_one = first == 0 and nodes.min() == 1 and nodes.max() == n_points
-    raise InputError(
-        f"cell {cell} names point {nodes[outside[0]] + first}; there are points {first}..{n_points - 1 + first}"
-        + ("; these cells count from 1, as first=1 of pi.mesh.from_lists takes them" if from_one else "")
-    )
-
-
-class MeshWarning(UserWarning):
-    """What was changed in a mesh from elsewhere, or looks wrong in it."""
-
-
-def metres(unit):
-    """Metres of one unit, given by its name or as that number; InputError for anything else."""
+def unit_size(unit, of_file=None):
+    """Return the size, m, of the user's unit (a name or a number), else of the file's unit, else 1. Raise InputError for other units."""
+    if unit is None:
+        return of_file or 1.0
     if is_one_of(unit, METRES):
         return METRES[unit]
     if is_number(unit) and unit > 0:
@@ -88,53 +65,195 @@ def metres(unit):
     raise InputError(f"unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
 
 
-def scale_of(unit, said):
-    """Metres of one unit: as the user says, else as the file does (`said`), else one."""
-    return metres(unit) if unit is not None else said or 1.0
-
-
-def hint(points, unit, said):
-    """[what to ask the user] where nobody said the unit and the points span so much that they may be millimetres."""
+def unit_note(points, unit, of_file):
+    """Return [question for the user] if the unit is unknown and the points may be in millimetres, else []."""
     width = float(np.ptp(points, axis=0).max())
-    if unit is not None or said is not None or width <= WIDE:
+    if unit is not None or of_file is not None or width <= WIDE:
         return []
     return [f"it is {width:.6g} m wide; if its numbers are millimetres pass unit='mm', if they are metres unit='m'"]
 
 
-_ONE_AT_A_TIME = threading.Lock()  # what is redirected and limited below belongs to the whole process
+def counted(count, what):
+    """Return '1 cell', '2 cells'."""
+    return f"{count} {what}" + ("" if count == 1 else "s")
 
 
-@contextlib.contextmanager
-def quiet():
-    """Everything printed inside goes to the yielded StringIO, warnings are dropped."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield said
-
-
-@contextlib.contextmanager
-def bounded_memory(extra):
-    """MemoryError for allocations beyond `extra` bytes above what the process uses now; nothing where unsupported."""
-    try:
-        import resource
-
-        with open("/proc/self/statm", encoding="ascii") as statm:
-            used = int(statm.read().split()[0]) * resource.getpagesize()
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        bounds = [bound for bound in (used + extra, soft, hard) if bound != resource.RLIM_INFINITY]
-        resource.setrlimit(resource.RLIMIT_AS, (min(bounds), hard))
-    except (ImportError, OSError, ValueError):
-        yield
-        return
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+_ONE_AT_A_TIME = threading.Lock()  # output, warnings and memory limit belong to the whole process
 
 
 @contextlib.contextmanager
 def guarded(file_size):
-    """quiet() and bounded_memory() of 2 GiB and 200 times the file, under a lock."""
-    with _ONE_AT_A_TIME, bounded_memory(2**31 + 200 * file_size), quiet() as said:
-        yield said
+    """Limit memory to 2 GiB and 200 times the file beyond the present use, drop warnings, and yield a StringIO with all printed text."""
+    printed, limits = io.StringIO(), None
+    with _ONE_AT_A_TIME, contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with contextlib.suppress(ImportError, OSError, ValueError):  # not on every system
+            import resource
+
+            with open("/proc/self/statm", encoding="ascii") as statm:
+                used = int(statm.read().split()[0]) * resource.getpagesize()
+            soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+            bounds = [bound for bound in (used + 2**31 + 200 * file_size, soft, hard) if bound != resource.RLIM_INFINITY]
+            resource.setrlimit(resource.RLIMIT_AS, (min(bounds), hard))
+            limits = soft, hard
+        try:
+            yield printed
+        finally:
+            if limits:
+                resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+def repaired(raw, tolerance, scale=1.0, numbered=True):
+    """Return (PolygonMesh, notes) of a RawMesh: lengths times scale, points within tolerance times the size merged.
+
+    numbered: renumber if that reduces the bandwidth by a fifth, and sort the cells by their nodes.
+    """
+    notes = list(raw.notes)
+    nodes, offsets = _joined(raw.cells)
+    points = np.asarray(raw.points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise InputError(f"points have shape {points.shape}, they must have 2 or 3 coordinates")
+    nodes, points = nodes - raw.first, np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
+    _require_range(nodes, offsets, len(points), raw.first)
+    points = _flat(points, np.unique(nodes), notes)
+    target = _merged(points, np.unique(nodes), tolerance, notes)
+    used, nodes = np.unique(target[nodes], return_inverse=True)
+    # drop corners equal to the one before, and cells with fewer than three corners
+    cell = topology.corner_cells(offsets)
+    keep = nodes != nodes[topology.preceding(offsets)]
+    size = np.bincount(cell[keep], minlength=len(offsets) - 1)
+    gone = np.flatnonzero(size < 3)
+    if gone.size == len(size):
+        raise InputError("no cell has three different corners; each must have an area")
+    if gone.size:
+        notes.append(f"left out {counted(gone.size, 'cell')} with fewer than three different corners")
+    keep &= size[cell] >= 3
+    nodes, offsets = nodes[keep], np.concatenate([[0], np.cumsum(size[size >= 3])])
+    own = topology.corner_cells(offsets)
+    mirror = offsets[own] + offsets[own + 1] - 1 - np.arange(len(nodes))
+    turned = topology.areas(points[used], nodes, offsets) < 0.0
+    if turned.any():
+        notes.append(f"turned {counted(turned.sum(), 'clockwise cell')} of {len(turned)}")
+    nodes = np.where(turned[own], nodes[mirror], nodes)
+    place = np.full(len(points), -1)
+    place[used] = np.arange(len(used))
+    place = place[target]
+    unused = np.flatnonzero(place < 0)
+    if unused.size:
+        notes.append(f"left out {counted(unused.size, 'point')} of no cell, the first at {points[unused[0]].tolist()}")
+    points = points[used] if scale == 1.0 else points[used] * scale
+    if numbered:
+        renumbered, new_nodes, new_offsets, number = topology.renumber(points, nodes, offsets)
+        if topology.half_bandwidth(new_nodes, new_offsets) < 0.8 * topology.half_bandwidth(nodes, offsets):
+            points, nodes, offsets, place = renumbered, new_nodes, new_offsets, np.where(place >= 0, number[place], -1)
+        else:
+            nodes, offsets = topology.sorted_cells(nodes, offsets)
+    # sections of the boundary, of supports and loads, and with priority those of the file
+    supports = {n: tuple(np.any(rows, axis=0).tolist()) for n, rows in _at_nodes("supports", raw, place, bool).items()}
+    loads = {n: tuple(np.sum(rows, axis=0).tolist()) for n, rows in _at_nodes("loads", raw, place, float).items()}
+    named = {
+        "support": list(supports),
+        "support x": [node for node, (x, _) in supports.items() if x],
+        "support y": [node for node, (_, y) in supports.items() if y],
+        "load": list(loads),
+    }
+    named = {name: np.unique(rows) for name, rows in named.items() if rows}
+    for name, values in raw.sections.items():
+        index = checks.index_array(values, f"section {name!r}") - raw.first
+        if index.size and (index.min() < 0 or index.max() >= len(place)):
+            names = f"{index.min() + raw.first}..{index.max() + raw.first}"
+            known = f"{raw.first}..{len(place) - 1 + raw.first}"
+            raise InputError(f"section {name!r} names points {names}; there are points {known}")
+        rows = np.unique(place[index])
+        if (rows >= 0).any():
+            named[name] = rows[rows >= 0]
+    found = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
+    return PolygonMesh(points, nodes, offsets, found | named, supports, loads), notes
+
+
+def _joined(cells):
+    """(corners of all cells, offsets) of lists of point numbers and of arrays of cells with the same number of corners."""
+    blocks, number = [], 0
+    for cell in cells:
+        try:
+            array = np.atleast_2d(np.asarray(cell))
+        except ValueError:
+            array = np.empty((0, 0, 0))
+        whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and np.array_equal(array, np.round(array)))
+        if array.ndim != 2 or not whole or (len(array) and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
+            raise InputError(f"cell {number} is {repr(cell)[:80]}; it must be a list of at least 3 nodes by number")
+        number += len(array)
+        if array.size:
+            blocks.append(array.astype(np.int64))
+    if not blocks:
+        raise InputError("holds no triangles, quads or polygons")
+    sizes = np.concatenate([np.full(len(block), block.shape[1]) for block in blocks])
+    return np.concatenate([block.ravel() for block in blocks]), np.concatenate([[0], np.cumsum(sizes)])
+
+
+def _require_range(nodes, offsets, n_points, first):
+    """Raise InputError for the first cell with an unknown point; nodes from 0, first: number of the first point in the file."""
+    outside = np.flatnonzero((nodes < 0) | (nodes >= n_points))
+    if outside.size:
+        cell = int(np.searchsorted(offsets, outside[0], side="right")) - 1
+        from_one = first == 0 and nodes.min() == 1 and nodes.max() == n_points
+        raise InputError(
+            f"cell {cell} names point {nodes[outside[0]] + first}; there are points {first}..{n_points - 1 + first}"
+            + ("; these cells count from 1, as first=1 of pi.mesh.from_lists takes them" if from_one else "")
+        )
+
+
+def _flat(points, used, notes):
+    """(n, 2) points. Raise InputError if points of cells are not finite or not in one plane z = constant."""
+    corner = points[used]
+    bad = np.flatnonzero(~np.isfinite(corner).all(axis=1))
+    if bad.size:
+        raise InputError(f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; all coordinates must be finite")
+    z = corner[:, 2]
+    size = float(np.ptp(corner, axis=0).max())
+    if np.ptp(z) > FLAT * size:
+        off = int(np.argmax(np.abs(z - np.median(z))))
+        raise InputError(
+            f"is not plane: point {used[off]} is {corner[off].tolist()}, z runs from {z.min():.6g} to {z.max():.6g}; it must be 0"
+        )
+    if np.abs(z).max() > FLAT * size:
+        notes.append(f"left out z, which is {z[0]:.6g} everywhere")
+    return points[:, :2]
+
+
+def _merged(points, used, tolerance, notes):
+    """The point that replaces each point: the lowest numbered of those within tolerance times the size of the mesh."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    target = np.arange(len(points))
+    if tolerance == 0.0:
+        return target
+    corner = points[used]
+    distance = tolerance * float(np.ptp(corner, axis=0).max())
+    different, group = np.unique(corner, axis=0, return_inverse=True)
+    tree = cKDTree(different)
+    if tree.count_neighbors(tree, distance) > 50 * len(different):
+        raise InputError(f"has heaps of different points within {distance:.3g} of each other")
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(different),) * 2)
+    group = connected_components(graph, directed=False)[1][group.ravel()]
+    leader = np.full(len(used), len(points))
+    np.minimum.at(leader, group, used)
+    target[used] = leader[group]
+    moved = np.flatnonzero(target != np.arange(len(points)))
+    if moved.size:
+        where = f"within {tolerance:g} of the mesh's size, the first at {points[moved[0]].tolist()}"
+        notes.append(f"merged {counted(moved.size, 'point')} with others {where}")
+    return target
+
+
+def _at_nodes(what, raw, place, kind):
+    """{node: [pairs of its points]} of raw.supports or raw.loads."""
+    nodes = {}
+    for point, pair in checks.node_pairs(what, getattr(raw, what), len(place) + raw.first, kind).items():
+        if point < raw.first or place[point - raw.first] < 0:
+            raise InputError(f"{what} name point {point}, which is no corner of a cell")
+        nodes.setdefault(int(place[point - raw.first]), []).append(pair)
+    return nodes

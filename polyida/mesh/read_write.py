@@ -1,4 +1,4 @@
-"""Meshes from files and from lists in memory; the format is that of the file's suffix, of a dictionary that a user can add to."""
+"""Meshes from files and from lists; the suffix selects the format from a dictionary that users can extend."""
 
 import os
 import warnings
@@ -12,22 +12,29 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import abaqus, meshio_files, polymesher, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.raw import MeshWarning, RawMesh, hint, metres, scale_of
-from polyida.mesh.repair import repaired
+from polyida.mesh.raw import MeshWarning, RawMesh, repaired, unit_note, unit_size
 from polyida.validation import is_flag, is_number, is_whole, named_keywords, reals
 
 
 @named_keywords
 @dataclass(frozen=True)
 class Format:
-    """One format: read(path) -> RawMesh, write(mesh, path), None where it cannot.
+    """A file format for `pi.mesh.FORMATS`.
 
-    largest: corners of the largest cells it holds, None for any; names: whether it keeps the names of sections;
-    forces: whether it keeps supports and loads.
+    Parameters
+    ----------
+    read : function of a Path, returns RawMesh, optional
+    write : function of a PolygonMesh and a Path, optional
+    largest : int, optional
+        Largest number of corners of a cell that the format can store. Default: any.
+    names : bool
+        True if the format stores the names of sections.
+    forces : bool
+        True if the format stores supports and loads.
     """
 
-    read: Callable[[Path], RawMesh] | None = None
-    write: Callable[[PolygonMesh, Path], None] | None = None
+    read: "Callable[[Path], RawMesh] | None" = None
+    write: "Callable[[PolygonMesh, Path], None] | None" = None
     largest: int | None = None
     names: bool = True
     forces: bool = False
@@ -46,54 +53,95 @@ FORMATS: dict[str, Format] = {
 }
 
 
-def format_of(path, given=None):
-    """Format of a path by its suffix, or by the name given, with or without its point; InputError for unknown ones."""
-    suffix = path.suffix if given is None else given
-    if isinstance(suffix, str):
-        found = FORMATS.get("." + suffix.lower().removeprefix("."))
-        if found:
-            return found
-    what = f"has the suffix {suffix!r}" if given is None else f"shall have the format {given!r}"
-    raise InputError(f"mesh file {path} {what}; known are {', '.join(FORMATS)}")
+def _format_of(path, name):
+    """Format of a path by its suffix, or by a name with or without its point."""
+    suffix = path.suffix if name is None else name
+    known = FORMATS.get("." + suffix.lower().removeprefix(".")) if isinstance(suffix, str) else None
+    if known is None:
+        what = f"has the suffix {suffix!r}" if name is None else f"shall have the format {name!r}"
+        raise InputError(f"mesh file {path} {what}; known are {', '.join(FORMATS)}")
+    return known
 
 
 @named_keywords
 def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
-    """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
+    """Return the mesh in a file of triangles, quadrilaterals and polygons.
 
-    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
-    .mesh (MEDIT), and what you add to `pi.mesh.FORMATS`. unit: of the file's lengths, 'mm', 'in', ... or the metres in one;
-    without it they are metres. Points closer than tolerance times the mesh's size merge (0: none), unused ones go, clockwise cells
-    turn, elements of higher order become their corners. Whatever is changed so is said by one MeshWarning. Nodes are renumbered
-    where that narrows the bandwidth by a fifth, cells always sorted along them.
+    Close points are merged, unused points dropped, clockwise cells reversed, elements of higher order reduced to their corners; one
+    MeshWarning lists all changes. Nodes are renumbered if that reduces the bandwidth by a fifth; cells are sorted by their nodes.
 
-    Sections: the file's named physical groups and node sets, groups without a name by their number, what write stored, and left,
-    right, top, bottom and 'hole 0', ... found from the boundary. Of supports: 'support', 'support x', 'support y', of loads 'load'.
-    Raises InputError, naming the file, for anything it cannot use.
+    Parameters
+    ----------
+    path : str or Path
+        .mat (PolyMesher), .msh (Gmsh 2.2, 4.1), .inp (Abaqus), .vtu, .vtk, .obj, .mesh (MEDIT), and formats added to `pi.mesh.FORMATS`.
+    tolerance : float, 0 to 1
+        Distance of points that merge, relative to the size of the mesh; 0: none.
+    unit : str or float, m, optional
+        Of the file's lengths: 'm', 'dm', 'cm', 'mm', 'um', 'in', 'ft', or the metres in one unit. Default: the file's, else metres.
+    format : str, optional
+        Instead of the suffix.
+
+    Returns
+    -------
+    PolygonMesh
+        Sections: physical groups (without a name: by number), node sets, stored sections; left, right, top, bottom and 'hole 0', ... of the
+        boundary; 'support', 'support x', 'support y', 'load'.
+
+    Raises
+    ------
+    InputError
+        Naming the file, if it cannot be used.
     """
     path = existing(path)
-    kind, tolerance = format_of(path, format), merge_tolerance(tolerance)
+    kind, tolerance = _format_of(path, format), _merge_tolerance(tolerance)
     if kind.read is None:
         raise InputError(f"mesh file {path} is of a format that can only be written")
-    mesh, notes = _mesh(path, kind, tolerance, unit)
-    if notes:
+    try:
+        with np.errstate(all="ignore"):
+            raw = kind.read(path)
+            mesh, notes = repaired(raw, tolerance, unit_size(unit, raw.metres))
+    except InputError as error:
+        raise InputError(f"mesh file {path}: {error}") from None
+    except Exception as error:
+        raise InputError(f"mesh file {path} holds inconsistent data: {type(error).__name__}: {str(error)[:200]}") from error
+    if notes := notes + unit_note(mesh.points, unit, raw.metres):
         warnings.warn(f"mesh file {path}: {'; '.join(notes)}", MeshWarning, stacklevel=3)
     return mesh
 
 
 @named_keywords
 def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: str | float = "m", format: str | None = None) -> Path:
-    """Write a mesh and return the path; the suffix tells the format as in `read`, or format does: 'msh4' for Gmsh 4.1, 2.2 without.
+    """Write a mesh to a file. A temporary file is renamed at the end, so that no incomplete file remains.
 
-    .mat, .vtu, .vtk and .obj hold polygons, the others triangles and quads. All but .obj and .mesh keep the names of sections, .mat
-    and .inp the supports and loads too; a MeshWarning says what is left out. unit: of the lengths in the file.
-    Whole or not at all: a temporary file beside it is renamed. Raises InputError for an existing file without overwrite=True
-    and for formats that cannot hold the mesh.
+    .mat, .vtu, .vtk and .obj store polygons, the others triangles and quadrilaterals. All but .obj and .mesh store the names of sections;
+    .mat and .inp also supports and loads. A MeshWarning says what is left out.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+    path : str or Path
+    overwrite : bool
+        True to replace an existing file.
+    unit : str or float, m
+        Of the lengths in the file, as of `read`.
+    format : str, optional
+        Instead of the suffix; 'msh4' for Gmsh 4.1 ('msh' is 2.2).
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    InputError
+        For an existing file without overwrite=True, and for formats that cannot store the mesh.
     """
     if not isinstance(mesh, PolygonMesh):
         raise InputError(f"mesh to write is {repr(mesh)[:80]}; it must be a PolygonMesh")
     path = _path(path)
-    kind, size = format_of(path, format), metres(unit)
+    kind = _format_of(path, format)
+    size = unit_size(unit)
     if not is_flag(overwrite):
         raise InputError(f"mesh file {path}: overwrite = {overwrite!r} must be True or False")
     if kind.write is None:
@@ -118,37 +166,18 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
         raise InputError(f"mesh file {path} cannot be written: {error}") from None
     finally:
         partial.unlink(missing_ok=True)
-    lost = _left_out(mesh, kind)
+    # sections of the boundary are found again by read
+    automatic = sections.automatic(mesh.points, mesh.boundary_edges)
+    names = [name for name, nodes in mesh.sections.items() if not np.array_equal(np.sort(nodes), np.sort(automatic.get(name, [])))]
+    lost = ["the sections " + ", ".join(map(repr, names))] if names and not kind.names else []
+    if not kind.forces and (mesh.supports or mesh.loads):
+        lost.append("supports and loads")
     if lost:
         warnings.warn(f"mesh file {path}: its format does not hold {' and '.join(lost)}, which were left out", MeshWarning, stacklevel=3)
     return path
 
 
-def _mesh(path, kind, tolerance, unit):
-    """(PolygonMesh, notes) of a file; every failure inside names it."""
-    try:
-        with np.errstate(all="ignore"):
-            raw = kind.read(path)
-            mesh, notes = repaired(raw, tolerance, scale_of(unit, raw.metres))
-        return mesh, notes + hint(mesh.points, unit, raw.metres)
-    except InputError as error:
-        raise InputError(f"mesh file {path}: {error}") from None
-    except Exception as error:
-        raise InputError(f"mesh file {path} holds inconsistent data: {type(error).__name__}: {str(error)[:200]}") from error
-
-
-def _left_out(mesh, kind):
-    """[what of the mesh the format does not hold]; sections of the boundary are found again."""
-    found = sections.automatic(mesh.points, mesh.boundary_edges)
-    named = [name for name, nodes in mesh.sections.items() if not np.array_equal(np.sort(nodes), np.sort(found.get(name, [])))]
-    lost = ["the sections " + ", ".join(map(repr, named))] if named and not kind.names else []
-    if not kind.forces and (mesh.supports or mesh.loads):
-        lost.append("supports and loads")
-    return lost
-
-
-def merge_tolerance(tolerance):
-    """A float from 0 to below 1, else InputError."""
+def _merge_tolerance(tolerance):
     if not is_number(tolerance) or not 0 <= tolerance < 1:
         raise InputError(f"merge tolerance is {tolerance!r}; it must be a share of the mesh's size from 0 to below 1")
     return float(tolerance)
@@ -162,7 +191,7 @@ def _path(path):
 
 
 def existing(path):
-    """The path of a file that there is, as Path; outlines are read so too."""
+    """Return the Path of an existing file. Raise InputError if there is none."""
     path = _path(path)
     try:
         exists = path.is_file()
@@ -175,7 +204,7 @@ def existing(path):
 
 @named_keywords
 def from_lists(
-    points: ArrayLike,
+    points: "ArrayLike",
     cells: Iterable,
     first: int = 0,
     sections: Mapping | None = None,
@@ -184,12 +213,33 @@ def from_lists(
     unit: str | float | None = None,
     tolerance: float = 1e-9,
 ) -> PolygonMesh:
-    """PolygonMesh of points (n, 2) and cells, a list of nodes each, as PolyTop has them.
+    """Return the mesh of points and lists of nodes, as PolyTop has them.
 
-    first: the number of the first node, 0 or 1 (MATLAB), in cells, in sections (name -> nodes), supports (node -> (x fixed, y fixed))
-    and loads (node -> (Fx, Fy), N). Repaired as `pi.mesh.read` does and said so, but where nothing is to repair nodes and cells keep
-    their numbers. unit, tolerance: as there.
-    Raises InputError naming the cell or node that is wrong.
+    Repaired as by `pi.mesh.read`, with a MeshWarning; without repair nodes and cells keep their numbers.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+    cells : list of lists of nodes
+    first : 0 or 1
+        Number of the first node in cells, sections, supports and loads; 1 as in MATLAB.
+    sections : dict of name to nodes, optional
+    supports : dict of node to (x fixed, y fixed), optional
+    loads : dict of node to (Fx, Fy), N, optional
+    unit : str or float, m, optional
+        Of the points, as of `pi.mesh.read`.
+    tolerance : float, 0 to 1
+        As of `pi.mesh.read`.
+
+    Returns
+    -------
+    PolygonMesh
+        With automatic sections, as of `pi.mesh.read`.
+
+    Raises
+    ------
+    InputError
+        Naming the wrong cell, node or value.
     """
     if not is_whole(first, 0, 1):
         raise InputError(f"mesh of lists: first is {first!r}; it must be 0 or 1, the number of the first node")
@@ -198,14 +248,14 @@ def from_lists(
     sections = {} if sections is None else sections
     if not isinstance(sections, Mapping):
         raise InputError(f"mesh of lists: sections are {repr(sections)[:80]}; they must be a dictionary, name -> nodes")
-    given = reals(points)
-    if given is None:
+    array = reals(points)
+    if array is None:
         raise InputError(f"mesh of lists: points are {repr(points)[:80]}; they must be an (n, 2) array of numbers")
     try:
-        raw = RawMesh(given, cells, sections, {} if supports is None else supports, {} if loads is None else loads, first=first)
-        mesh, notes = repaired(raw, merge_tolerance(tolerance), scale_of(unit, None), numbered=False)
+        raw = RawMesh(array, cells, sections, {} if supports is None else supports, {} if loads is None else loads, first=first)
+        mesh, notes = repaired(raw, _merge_tolerance(tolerance), unit_size(unit), numbered=False)
     except InputError as error:
         raise InputError(f"mesh of lists: {error}") from None
-    if notes := notes + hint(mesh.points, unit, None):
+    if notes := notes + unit_note(mesh.points, unit, None):
         warnings.warn(f"mesh of lists: {'; '.join(notes)}", MeshWarning, stacklevel=3)
     return mesh

@@ -1,4 +1,4 @@
-"""Sections: nodes of a mesh ordered along its boundary, with the boundary length that belongs to each."""
+"""Sections: nodes of a mesh ordered along its boundary, with their tributary lengths."""
 
 from dataclasses import dataclass
 
@@ -7,18 +7,26 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
 
-ON_CIRCLE = 4  # corners that make a circle where they are on one: three always are
-ROUND = 1e-6  # of the radius, by which corners may miss their circle, as those of meshes in single precision do
+ON_CIRCLE = 4  # corners that determine that a rim is a circle: three always lie on one
+ROUND = 1e-6  # distance of corners from their circle, relative to the radius: files may be in single precision
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Nodes ordered along the section; lengths: half of each adjacent boundary edge whose two ends are in it, m.
+    """Nodes ordered along the boundary, with tributary lengths and weights.
 
-    Open chains run towards growing x or y, whichever they span more; closed ones (rims) counter-clockwise around
-    their own middle. Nodes without such an edge have length 0. weights: of the section's mean, they sum to 1: its lengths over
-    their sum, equal where it has no length. Of the rim of a hole they are changed by as little, in parts of themselves, as makes its
-    mean the hole's centre, which the corners of a polygon do not have as theirs; see `centre`.
+    Open chains run towards growing x or y, whichever they span more; closed ones (rims) counter-clockwise around their own middle.
+
+    Parameters
+    ----------
+    nodes : (k,) int
+    lengths : (k,) float, m
+        Half of each adjacent boundary edge with both ends in the section; 0 without such an edge.
+    name : str
+    weights : (k,) float, sum 1
+        Of the section's mean: proportional to the lengths, equal if all lengths are 0. For the rim of a hole they are changed as little as
+        possible, relative to themselves, so that the mean is the hole's centre (the circle's if four or more corners lie on one, else the
+        centroid of its area).
     """
 
     nodes: np.ndarray
@@ -33,67 +41,66 @@ class Section:
 
 
 def select(mesh, selector):
-    """Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
+    """Return the Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
+    known = "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
     if isinstance(selector, Section):
         selector = selector.nodes
     if isinstance(selector, str):
         if selector not in mesh.sections:
-            raise InputError(f"mesh has no section {selector!r}; {_known(mesh)}")
+            raise InputError(f"mesh has no section {selector!r}; {known}")
         nodes, name = mesh.sections[selector], selector
     elif callable(selector):
-        mask = np.asarray(selector(mesh.points))
+        mask, name = np.asarray(selector(mesh.points)), getattr(selector, "__name__", "function")
         if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
             raise InputError(
                 f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}"
             )
-        kept = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
-        if kept.size == 0:
-            called = getattr(selector, "__name__", selector)
-            raise InputError(f"section function {called!r} selects no boundary node; {_known(mesh)}")
-        nodes, name = kept, getattr(selector, "__name__", "function")
+        nodes = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
+        if nodes.size == 0:
+            raise InputError(f"section function {getattr(selector, '__name__', selector)!r} selects no boundary node; {known}")
     else:
         try:
             chosen = np.atleast_1d(np.asarray(selector))
         except ValueError as error:
             raise InputError(f"section {selector!r} must be a name, a function or node indices: {error}") from None
         if chosen.size == 0:
-            raise InputError(f"section by index selects no node; {_known(mesh)}")
+            raise InputError(f"section by index selects no node; {known}")
         nodes, name = checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
-    edges = edges_within(mesh, nodes)
-    found = chains(nodes, edges)
-    order = ordered(mesh.points, nodes, found)
+    edges, axis = edges_within(mesh, nodes), int(np.argmax(np.ptp(mesh.points[nodes], axis=0)))
+    chains, ordered = _chains(nodes, edges), []
+    for chain, closed in chains:
+        span = mesh.points[chain[-1]] - mesh.points[chain[0]]
+        reverse = signed_area(mesh.points[chain]) < 0 if closed else span[np.argmax(np.abs(span))] < 0
+        ordered.append(chain[::-1] if reverse else chain)
+    ordered.sort(key=lambda chain: mesh.points[chain, axis].min())
+    order = np.array([node for chain in ordered for node in chain], dtype=np.int32)
     half = 0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1)
     lengths = np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=mesh.n_nodes)[order]
-    return Section(order, lengths, name, _weights(mesh.points[order], lengths, len(found) == 1 and _is_rim(mesh.points, *found[0])))
-
-
-def _known(mesh):
-    return "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
+    if not lengths.sum() > 0.0:
+        return Section(order, lengths, name, np.full(len(order), 1.0 / len(order)))
+    weights = lengths / lengths.sum()
+    if len(chains) == 1 and _is_rim(mesh.points, *chains[0]):
+        arms = mesh.points[order] - mesh.points[order[0]]
+        arms = arms - weights @ arms
+        weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms)))
+    return Section(order, lengths, name, weights)
 
 
 def edges_within(mesh, nodes):
-    """Boundary edges (n, 2) with both ends among the nodes."""
+    """Return the boundary edges (n, 2) with both ends among the nodes."""
     inside = np.zeros(mesh.n_nodes, dtype=bool)
     inside[nodes] = True
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
 
 
-def ordered(points, nodes, found):
-    """The nodes along the chains of directed edges that were found, chain by chain; they follow each other along the longer axis."""
-    axis = int(np.argmax(np.ptp(points[nodes], axis=0)))
-    found = [_oriented(points, chain, closed) for chain, closed in found]
-    found.sort(key=lambda chain: points[chain, axis].min())
-    return np.array([node for chain in found for node in chain], dtype=np.int32)
-
-
-def chains(nodes, edges):
-    """(list of nodes connected by the directed edges, whether it closes) for open and closed chains and lone nodes."""
+def _chains(nodes, edges):
+    """[(nodes connected by the directed edges, True if closed)] of open and closed chains and single nodes."""
     ahead = {}
     for a, b in edges.tolist():
         ahead.setdefault(a, []).append(b)
     targets = set(edges[:, 1].tolist())
     starts = [node for node in nodes.tolist() if node not in targets] + nodes.tolist()
-    seen, found = set(), []
+    seen, chains = set(), []
     for node in starts:
         chain = []
         while node is not None and node not in seen:
@@ -101,39 +108,18 @@ def chains(nodes, edges):
             chain.append(node)
             node = next((to for to in ahead.get(node, ()) if to not in seen), None)
         if chain:
-            found.append((chain, len(chain) > 2 and chain[0] in ahead.get(chain[-1], ())))
-    return found
+            chains.append((chain, len(chain) > 2 and chain[0] in ahead.get(chain[-1], ())))
+    return chains
 
 
 def signed_area(corner):
-    """Area within a closed polygon (n, 2), positive counter-clockwise."""
+    """Return the area of a closed polygon (n, 2), positive counter-clockwise."""
     x, y = (corner - corner.mean(axis=0)).T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def _oriented(points, chain, closed):
-    """An open chain towards its dominant axis, a closed one counter-clockwise."""
-    if closed:
-        return chain[::-1] if signed_area(points[chain]) < 0 else chain
-    span = points[chain[-1]] - points[chain[0]]
-    return chain[::-1] if span[np.argmax(np.abs(span))] < 0 else chain
-
-
-def _weights(points, lengths, rim):
-    """Weights of the section's mean; points in its order."""
-    if not lengths.sum() > 0.0:
-        return np.full(len(points), 1.0 / len(points))
-    weights = lengths / lengths.sum()
-    if not rim:
-        return weights
-    arms = points - points[0]
-    arms = arms - weights @ arms
-    share = np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms))
-    return weights * (1.0 + arms @ share)
-
-
 def centre(rim):
-    """Centre of a hole, (2,), from the corners of its rim in order: of their circle where four or more are on one, else of its area."""
+    """Return the centre of a hole, (2,): of the circle through the corners of its rim if four or more lie on one, else of its area."""
     middle = rim.mean(axis=0)
     arms = rim - middle
     solution = np.linalg.lstsq(np.column_stack([2.0 * arms, np.ones(len(arms))]), (arms**2).sum(axis=1), rcond=None)[0]
@@ -144,25 +130,23 @@ def centre(rim):
 
 
 def automatic(points, boundary):
-    """Sections any mesh has: left, right, top, bottom where boundary edges lie on the bounding box; the rims
-    'hole 0', 'hole 1', ... ordered by x, then y."""
+    """Return the sections of any mesh: left, right, top, bottom if boundary edges lie on the bounding box, and the rims 'hole 0', ... .
+
+    Rims are ordered by x, then y.
+    """
     lower, upper = points.min(axis=0), points.max(axis=0)
     near = 1e-9 * float((upper - lower).max()) + 4 * np.finfo(float).eps * float(np.abs(points).max())
-    found = {}
+    named = {}
     for name, axis, value in (("left", 0, lower), ("right", 0, upper), ("top", 1, upper), ("bottom", 1, lower)):
         on_side = np.abs(points[:, axis] - value[axis]) <= near
         edges = boundary[on_side[boundary].all(axis=1)]
         if len(edges):
-            found[name] = np.unique(edges)
-    return found | {f"hole {i}": rim for i, rim in enumerate(_rims(points, boundary))}
+            named[name] = np.unique(edges)
+    rims = [np.array(chain) for chain, closed in _chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
+    rims.sort(key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))
+    return named | {f"hole {i}": rim for i, rim in enumerate(rims)}
 
 
 def _is_rim(points, chain, closed):
-    """Whether it is the rim of a hole: around one the boundary runs clockwise."""
+    """True for the rim of a hole: the boundary runs clockwise around it."""
     return closed and signed_area(points[chain]) < 0
-
-
-def _rims(points, boundary):
-    """Nodes of the closed boundary chains that run clockwise."""
-    rims = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
-    return sorted(rims, key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))

@@ -1,34 +1,34 @@
-"""Polygons in offset form: areas, moments, edges, corners and numbering; pure functions of arrays, no loop over cells."""
+"""Polygons in offset form: areas, moments, edges, corners and numbering, without loops over cells."""
 
 import numpy as np
 
 
 def following(offsets):
-    """Position, in the concatenated corner array, of the corner after each corner."""
+    """Return the index of the next corner of the cell, for each corner."""
     step = np.arange(1, offsets[-1] + 1)
     step[offsets[1:] - 1] = offsets[:-1]
     return step
 
 
 def preceding(offsets):
-    """Position of the corner before each corner."""
+    """Return the index of the previous corner of the cell, for each corner."""
     step = np.arange(-1, offsets[-1] - 1)
     step[offsets[:-1]] = offsets[1:] - 1
     return step
 
 
 def corner_cells(offsets):
-    """Cell of each corner."""
+    """Return the cell of each corner."""
     return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
 
 
 def cross(a, b):
-    """z component of the cross product of plane vectors."""
+    """Return the z component of the cross product of plane vectors."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _fan(points, nodes, offsets):
-    """Corners and following corners relative to each cell's first corner (keeps digits far from the origin)."""
+    """(first corner of each cell; corners and next corners relative to it, which keeps digits far from the origin)."""
     start = points[nodes[offsets[:-1]]]
     base = np.repeat(start, np.diff(offsets), axis=0)
     here = points[nodes] - base
@@ -36,13 +36,13 @@ def _fan(points, nodes, offsets):
 
 
 def areas(points, nodes, offsets):
-    """Signed areas (n_cells,), positive counter-clockwise (shoelace)."""
+    """Return the signed areas (n_cells,), positive counter-clockwise."""
     _, here, there = _fan(points, nodes, offsets)
     return 0.5 * np.add.reduceat(cross(here, there), offsets[:-1])
 
 
 def centroids(points, nodes, offsets):
-    """Centroids (n_cells, 2)."""
+    """Return the centroids (n_cells, 2)."""
     start, here, there = _fan(points, nodes, offsets)
     twice = cross(here, there)
     moment = np.add.reduceat((here + there) * twice[:, None], offsets[:-1])
@@ -50,19 +50,19 @@ def centroids(points, nodes, offsets):
 
 
 def directed_edges(nodes, offsets):
-    """(corners, 2) node pairs in the cells' direction."""
+    """Return the (corners, 2) node pairs in the cells' direction."""
     return np.stack([nodes, nodes[following(offsets)]], axis=1)
 
 
 def edges(nodes, offsets, n_nodes):
-    """(n_edges, 2), each edge once, lower node first."""
+    """Return the edges (n_edges, 2), each once, lower node first."""
     pairs = np.sort(directed_edges(nodes, offsets), axis=1).astype(np.int64)
     keys = np.unique(pairs[:, 0] * n_nodes + pairs[:, 1])
     return np.stack([keys // n_nodes, keys % n_nodes], axis=1).astype(np.int32)
 
 
 def boundary_edges(nodes, offsets, n_nodes):
-    """(n_boundary_edges, 2): directed edges whose opposite belongs to no cell."""
+    """Return the directed edges (n_boundary_edges, 2) whose reverse belongs to no cell."""
     pairs = directed_edges(nodes, offsets)
     wide = pairs.astype(np.int64)
     inner = np.isin(wide[:, 0] * n_nodes + wide[:, 1], wide[:, 1] * n_nodes + wide[:, 0])
@@ -70,7 +70,7 @@ def boundary_edges(nodes, offsets, n_nodes):
 
 
 def turns(points, nodes, offsets):
-    """Exterior angle at each corner, rad: positive convex, 0 straight, negative reflex."""
+    """Return the exterior angle at each corner, rad: positive convex, 0 straight, negative reflex."""
     corner = points[nodes]
     ahead = corner[following(offsets)] - corner
     behind = ahead[preceding(offsets)]
@@ -78,22 +78,20 @@ def turns(points, nodes, offsets):
 
 
 def ring_turns(ring):
-    """The same of one closed polygon (n, 2)."""
+    """Return the exterior angles of one closed polygon (n, 2)."""
     return turns(ring, np.arange(len(ring)), np.array([0, len(ring)]))
 
 
 def half_bandwidth(nodes, offsets):
-    """Largest difference of node numbers within a cell."""
-    if len(offsets) < 2:
-        return 0
+    """Return the largest difference of node numbers within a cell."""
     return int((np.maximum.reduceat(nodes, offsets[:-1]) - np.minimum.reduceat(nodes, offsets[:-1])).max())
 
 
 def area_moments(mesh):
-    """(area, m^2, centroid (2,), m, polar second moment about the centroid, m^4) of all cells.
+    """Return (area, m^2; centroid (2,), m; polar second moment about the centroid, m^4) of all cells together.
 
     For a polygon of corners x_i, c_i = x_i cross x_(i + 1): `A = sum c_i / 2`, `A x_S = sum c_i (x_i + x_(i + 1)) / 6`,
-    `J = sum c_i (x_i . x_i + x_i . x_(i + 1) + x_(i + 1) . x_(i + 1)) / 12`, each about the mesh's mean point, so that nothing cancels.
+    `J = sum c_i (x_i . x_i + x_i . x_(i + 1) + x_(i + 1) . x_(i + 1)) / 12`, each about the mesh's mean point to avoid cancellation.
     """
     centre = mesh.points.mean(axis=0)
     x = mesh.points[mesh.nodes] - centre
@@ -106,20 +104,21 @@ def area_moments(mesh):
 
 
 def renumber(points, nodes, offsets):
-    """(points, nodes, offsets, new number of each old node): by coordinate along the longer side of the bounding box
-    or by reverse Cuthill-McKee, whichever gives the smaller half bandwidth; cells by their lowest node."""
+    """Return (points, nodes, offsets, new number of each old node) with a small half bandwidth.
+
+    Nodes are ordered along the longer side of the bounding box or by reverse Cuthill-McKee, whichever is better, cells by their nodes.
+    """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import reverse_cuthill_mckee
 
     axis = int(np.ptp(points[:, 1]) > np.ptp(points[:, 0]))
-    # neighbours are all nodes of a common cell; the order begins at the low end of the axis
+    # nodes of a common cell are neighbours; the order starts at the low end of the axis
     cells = csr_array((np.ones(len(nodes), dtype=np.int32), nodes, offsets), shape=(len(offsets) - 1, len(points)))
     graph = (cells.T @ cells).tocsr()
     reverse = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True))
     reverse = reverse if points[reverse[0], axis] <= points[reverse[-1], axis] else reverse[::-1]
     orders = [np.lexsort((points[:, 1 - axis], points[:, axis])), reverse]
-    ranks = [_inverse(order) for order in orders]
-    number = min(ranks, key=lambda rank: half_bandwidth(rank[nodes], offsets))
+    number = min(map(np.argsort, orders), key=lambda rank: half_bandwidth(rank[nodes], offsets))
     placed = np.empty_like(points)
     placed[number] = points
     nodes, offsets = sorted_cells(number[nodes], offsets)
@@ -127,17 +126,11 @@ def renumber(points, nodes, offsets):
 
 
 def sorted_cells(nodes, offsets):
-    """Cells ordered by the sum of their lowest and highest node, each starting at its lowest node."""
+    """Return (nodes, offsets) of the cells ordered by the sum of their lowest and highest node, each starting at its lowest node."""
     low, high = np.minimum.reduceat(nodes, offsets[:-1]), np.maximum.reduceat(nodes, offsets[:-1])
     order = np.lexsort((low, low + high))
     cell, size = corner_cells(offsets), np.diff(offsets)
     first = np.flatnonzero(nodes == low[cell])
     place = (np.arange(len(nodes)) - first[cell]) % size[cell]
-    nodes = nodes[np.lexsort((place, _inverse(order)[cell]))]
+    nodes = nodes[np.lexsort((place, np.argsort(order)[cell]))]
     return nodes, np.concatenate([[0], np.cumsum(size[order])])
-
-
-def _inverse(order):
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return rank
