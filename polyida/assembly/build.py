@@ -57,7 +57,7 @@ class RowTable:
         linear = [product for product in row.products if product.linear]
         slopes = {}
         for product in linear:
-            for one, other in ((product.turning, product.still), (product.still, product.turning)):
+            for one, other in ((product.rotated, product.unrotated), (product.unrotated, product.rotated)):
                 for point, w in self._weights(one).items():
                     slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
@@ -66,9 +66,9 @@ class RowTable:
         self._shifts += [(number, self._drives.add(profile, name), factor) for factor, profile in row.drives]
         for product in row.products:
             if not product.linear:
-                profile, vectors = product.turning.profile, []
+                profile, vectors = product.rotated.profile, []
                 drive = -1 if profile is None else self._drives.add(profile, name)
-                for piece in (product.turning, product.still):
+                for piece in (product.rotated, product.unrotated):
                     vectors.append(len(self._vectors))
                     self._vectors.append((piece.rest, self._weights(piece)))
                 self._products.append((number, *vectors, drive, product.one_way))
@@ -191,7 +191,7 @@ def _at_rest(row):
 
 
 def _value_at_rest(product):
-    return (product.turning.rest.conjugate() * product.still.rest).real
+    return (product.rotated.rest.conjugate() * product.unrotated.rest).real
 
 
 def of_kind(parts, *kinds):

@@ -127,7 +127,7 @@ class Loops:
         """Value and slope, m, of `constant + sum f p(0) + sum E . F`."""
         value, slope = row.constant + sum(factor * profile(0.0) for factor, profile in row.drives), np.zeros(x.size)
         for product in row.products:
-            (e, e_x), (f, f_x) = self._piece(product.turning, x), self._piece(product.still, x)
+            (e, e_x), (f, f_x) = self._piece(product.rotated, x), self._piece(product.unrotated, x)
             value += (e.conjugate() * f).real
             slope += (e_x.conjugate() * f + e.conjugate() * f_x).real
         return value, slope
@@ -184,7 +184,7 @@ class Loops:
             )
         one_way = [(name, product) for name, row in zip(self.names, self.rows) for product in row.products if product.one_way]
         for name, product in one_way:
-            e, f = (self._piece(piece, x)[0] for piece in (product.turning, product.still))
+            e, f = (self._piece(piece, x)[0] for piece in (product.rotated, product.unrotated))
             if (e.conjugate() * f).imag > 0:
                 raise InputError(f"Scene.assemble: {name!r} would close on the wrong half-turn; draw its sides within a quarter turn of it")
 

@@ -248,10 +248,12 @@ def _finite(value):
 
 def coordinates_of(body):
     """Return the coordinates of a body at rest, (pairs,) complex. Raise InputError naming it."""
-    given = body.coordinates()
-    z = _finite(given)
+    coordinates = body.coordinates()
+    z = _finite(coordinates)
     if z is None or z.ndim != 1 or not z.size:
-        raise InputError(f"{body.label}: coordinates() gave {str(given)[:80]}; it must give a list of finite complex numbers, at least one")
+        raise InputError(
+            f"{body.label}: coordinates() gave {str(coordinates)[:80]}; it must give a list of finite complex numbers, at least one"
+        )
     return z
 
 
@@ -281,10 +283,10 @@ def mass_of(body):
 
 def form_of(body):
     """Return (form, shift) of a body as arrays, or None. Raise InputError for wrong shapes or numbers."""
-    given = body.form()
-    if given is None:
+    parts = body.form()
+    if parts is None:
         return None
-    form, shift = (floats(part) for part in given)
+    form, shift = (floats(part) for part in parts)
     size = (len(coordinates_of(body)) - 1) ** 2
     if form is None or shift is None or form.shape != (size, size) or shift.shape != (size,):
         raise InputError(f"{body.label}: form() must give finite numbers ({size}, {size}) and ({size},)")
@@ -294,14 +296,14 @@ def form_of(body):
 def translation_of(body):
     """Return T, (pairs,), complex. Raise InputError unless T moves each point of the body by 1 and turns no direction."""
     z = coordinates_of(body)
-    given = _finite(body.translation())
-    if given is None or given.shape != z.shape:
+    T = _finite(body.translation())
+    if T is None or T.shape != z.shape:
         raise InputError(f"{body.label}: translation() must give finite numbers ({len(z)},), how much each pair moves with the whole body")
     for point in points_of(body):
-        if abs(point.weights @ given - 1.0) > SAME or (point.has_direction and abs(point.turn_weights @ given) > SAME):
+        if abs(point.weights @ T - 1.0) > SAME or (point.has_direction and abs(point.turn_weights @ T) > SAME):
             raise InputError(
-                f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by "
-                f"{complex(np.round(point.weights @ given, 9)):g} and must move by 1, and its direction by nothing; give the translation() of "
+                f"{body.label}: by translation() {T.tolist()} attachment {point.name!r} moves by "
+                f"{complex(np.round(point.weights @ T, 9)):g} and must move by 1, and its direction by nothing; give the translation() of "
                 "these coordinates"
             )
-    return given
+    return T

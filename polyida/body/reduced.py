@@ -82,7 +82,7 @@ class Reduced(FieldBody):
 
     def prepared(self, attachments: list[Attachment]) -> FieldBody:
         """Return the plate with its modes for these attachments."""
-        own, stored = (None if given is None else complex_of_pairs(given).T for given in (self.fields, self.stored_fields))
+        own, stored = (None if f is None else complex_of_pairs(f).T for f in (self.fields, self.stored_fields))
         return _InModes(self, attachments, own, stored)
 
     def fields_to_store(self, prepared: Body, like: Body | None = None) -> dict[str, np.ndarray]:

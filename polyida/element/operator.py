@@ -183,9 +183,9 @@ def _blocks(group, place):
     """{name: (blocks, ..., LANES)} of the arrays of a group; values that kernels sum are zero in repeated cells."""
     count = len(group.cells)
     order = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)  # the last cell repeated until LANES divides the length
-    given = {"lane_cells": group.cells, "corners": group.nodes, "gradients": group.gradients[:, :-1], "pairs": place}
+    copied = {"lane_cells": group.cells, "corners": group.nodes, "gradients": group.gradients[:, :-1], "pairs": place}
     summed = {"weights": group.weights, "cell_mass": group.mass, "cell_stabilisation": group.stabilisation}
-    lanes = {name: array[..., order] for name, array in (given | summed).items() if array is not None}
+    lanes = {name: array[..., order] for name, array in (copied | summed).items() if array is not None}
     for name in summed.keys() & lanes.keys():
         lanes[name][..., count:] = 0.0
     return {name: np.moveaxis(array.reshape(*array.shape[:-1], -1, LANES), -2, 0) for name, array in lanes.items()}

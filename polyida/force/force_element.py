@@ -102,9 +102,9 @@ def profiles_of(part):
 
 def sides_of(name, element):
     """Return the Sides of a force element. Raise InputError naming it if `sides()` returns anything else."""
-    given = element.sides()
+    listed = element.sides()
     sides = []
-    for side in given if isinstance(given, (tuple, list)) else ():
+    for side in listed if isinstance(listed, (tuple, list)) else ():
         place = side.x if isinstance(side, Attachment) or (isinstance(side, Ground) and side.point is not None) else side
         (summand,) = place.summands if isinstance(place, Vector) and len(place.summands) == 1 else (None,)
         terms = [] if summand is None else summand.terms
@@ -116,7 +116,7 @@ def sides_of(name, element):
         sides.append(Side(at, part, np.array([summand.rest.real, summand.rest.imag])))
     if not any(side.at for side in sides):
         wanted = "a tuple of attachments, like (self.at,), one at least of a body"
-        raise InputError(f"{name}: sides() gave {str(given)[:80]}; it must give {wanted}")
+        raise InputError(f"{name}: sides() gave {str(listed)[:80]}; it must give {wanted}")
     return tuple(sides)
 
 

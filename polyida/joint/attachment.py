@@ -31,10 +31,10 @@ class Ground:
 
     def at(self, point: "ArrayLike", direction: "ArrayLike" = (1.0, 0.0)) -> "Ground":
         """Return a place of the ground (m) with a direction of any length. Raise InputError for a zero direction."""
-        place, way = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
-        if not np.hypot(*way) > 0:
+        place, along = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
+        if not np.hypot(*along) > 0:
             raise InputError(f"ground.at: direction = {direction!r} must not be zero")
-        return Ground(place, way / np.hypot(*way))
+        return Ground(place, along / np.hypot(*along))
 
     def facing(self, other):
         """Return this place, or the reference place of `other` if this is `ground` itself."""

@@ -117,14 +117,14 @@ class Vector:
 class Product:
     """`E . F` of two summands; only E may have a profile. one_way: see `Row.one_way`."""
 
-    turning: Summand
-    still: Summand
+    rotated: Summand
+    unrotated: Summand
     one_way: bool = False
 
     @property
     def linear(self):
         """True if it is linear in the coordinates and does not depend on time."""
-        return self.turning.profile is None and not (self.turning.terms and self.still.terms)
+        return self.rotated.profile is None and not (self.rotated.terms and self.unrotated.terms)
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Row:
     __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
-        return f"<row of {_sides_of(s for product in self.products for s in (product.turning, product.still))}>"
+        return f"<row of {_sides_of(s for product in self.products for s in (product.rotated, product.unrotated))}>"
 
     def __add__(self, other: "Row | Profile | float") -> "Row":
         row = _row(other)
@@ -163,7 +163,7 @@ class Row:
     def __mul__(self, number: float) -> "Row":
         if not is_number(number):
             raise InputError(f"a row of a joint is multiplied by {in_words(number)}; use a finite number{_most(number)}")
-        scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
+        scaled = tuple(replace(p, unrotated=p.unrotated.times(complex(number))) for p in self.products)
         drives = tuple((number * factor, profile) for factor, profile in self.drives)
         return replace(self, products=scaled, constant=number * self.constant, drives=drives)
 
@@ -175,7 +175,7 @@ class Row:
     @property
     def driven(self):
         """True if the row depends on a profile of time."""
-        return bool(self.drives) or any(product.turning.profile is not None for product in self.products)
+        return bool(self.drives) or any(product.rotated.profile is not None for product in self.products)
 
     def named(self, label: str, unit: str = "") -> "Row":
         """Return the row with a name and unit for its multiplier."""
@@ -230,11 +230,11 @@ def dot(a: Vector, b: Vector) -> Row:
     products = []
     for e in _vector(a).summands:
         for f in _vector(b).summands:
-            turning, still = (f, e) if e.profile is None and f.profile is not None else (e, f)
-            if still.profile is not None:  # R(alpha) E . R(beta) F = R(alpha - beta) E . F
-                angle = None if turning.profile is still.profile else difference(turning.profile, still.profile)
-                turning = replace(turning, profile=angle)
-            products.append(Product(turning, replace(still, profile=None)))
+            rotated, unrotated = (f, e) if e.profile is None and f.profile is not None else (e, f)
+            if unrotated.profile is not None:  # R(alpha) E . R(beta) F = R(alpha - beta) E . F
+                angle = None if rotated.profile is unrotated.profile else difference(rotated.profile, unrotated.profile)
+                rotated = replace(rotated, profile=angle)
+            products.append(Product(rotated, replace(unrotated, profile=None)))
     return Row(tuple(products))
 
 

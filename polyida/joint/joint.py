@@ -99,7 +99,7 @@ class Reaction:
 
     def __init__(self, joint: Joint, whole: bool = False):
         self.joint, self.rows = joint, list(rows_of(joint.rows()))
-        summands = [s for row in self.rows for product in row.products for s in (product.turning, product.still)]
+        summands = [s for row in self.rows for product in row.products for s in (product.rotated, product.unrotated)]
         on_b = [(side, part) for s in summands for side, part, _ in self._of_b(s)]
         self._has_moment = any(part == "direction" or not _same(side, joint.b) for side, part in on_b)
         has_force = any(part == "point" for _, part in on_b) or not on_b
@@ -130,9 +130,9 @@ class Reaction:
         forces: dict = {}
         for k, row in enumerate(self.rows):
             for product in row.products:
-                turn = turns.get(id(product.turning.profile), 1.0)
-                e, f = turn * product.turning.at(place), product.still.at(place)
-                for summand, other, w in ((product.turning, f, turn), (product.still, e, 1.0)):
+                turn = turns.get(id(product.rotated.profile), 1.0)
+                e, f = turn * product.rotated.at(place), product.unrotated.at(place)
+                for summand, other, w in ((product.rotated, f, turn), (product.unrotated, e, 1.0)):
                     for side, part, weight in self._of_b(summand):
                         key = (id(side), part)
                         forces[key] = side, part, forces.get(key, (None, None, 0.0))[2] - lam[:, k] * np.conj(w * weight) * other

@@ -315,12 +315,14 @@ class PrescribedPosition(Joint):
         """`x - X(t)` and `y - Y(t)`, or one of them."""
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
         label = "PrescribedPosition"
-        return [(dot(along(e), self.at.x) - as_profile(given, label)).named(axis, "N") for axis, e, given in axes if given is not None]
+        return [
+            (dot(along(e), self.at.x) - as_profile(profile, label)).named(axis, "N") for axis, e, profile in axes if profile is not None
+        ]
 
     @property
     def components(self) -> tuple[tuple[str, str], ...]:
         """Forces in the prescribed directions."""
-        return tuple((axis, "N") for axis, given in (("x", self.x), ("y", self.y)) if given is not None)
+        return tuple((axis, "N") for axis, profile in (("x", self.x), ("y", self.y)) if profile is not None)
 
     def facing(self) -> Self:
         """Return itself: a is already a place of the ground."""

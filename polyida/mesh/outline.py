@@ -118,11 +118,11 @@ class _Ring:
         return inside * np.concatenate([_depth(part, self.points, self.edges) for part in parts])
 
 
-def _points(given, what, orientation):
+def _points(corners, what, orientation):
     """(n, 2) without equal neighbours, counter-clockwise for orientation 1."""
-    points = floats(given)
+    points = floats(corners)
     if points is None or points.ndim != 2 or points.shape[1] != 2 or not len(points):
-        raise InputError(f"{what} is {repr(given)[:80]}; it must be an (n, 2) array of finite numbers")
+        raise InputError(f"{what} is {repr(corners)[:80]}; it must be an (n, 2) array of finite numbers")
     size = float(np.ptp(points, axis=0).max())
     points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > SAME * size]
     area = signed_area(points) if len(points) > 2 else 0.0

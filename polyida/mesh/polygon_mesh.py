@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
 from polyida.mesh.sections import Section, select
-from polyida.validation import is_number, named_keywords
+from polyida.validation import is_number, named_keywords, settle
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -91,11 +91,11 @@ class PolygonMesh:
         if not isinstance(self.sections, Mapping):
             raise InputError(f"mesh sections are {self.sections!r}; they must be a dictionary, name -> node indices")
         named = {str(name): checks.section_nodes(name, value, len(points)) for name, value in self.sections.items()}
-        for name, array in (("points", points), ("nodes", nodes), ("offsets", offsets)):
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "sections", MappingProxyType(named))
-        object.__setattr__(self, "supports", MappingProxyType(checks.node_pairs("supports", self.supports, len(points), bool)))
-        object.__setattr__(self, "loads", MappingProxyType(checks.node_pairs("loads", self.loads, len(points), float)))
+        supports, loads = (
+            checks.node_pairs(name, getattr(self, name), len(points), kind) for name, kind in (("supports", bool), ("loads", float))
+        )
+        named, supports, loads = map(MappingProxyType, (named, supports, loads))
+        settle(self, points=points, nodes=nodes, offsets=offsets, sections=named, supports=supports, loads=loads)
         checks.require_valid_cells(self)
 
     def __reduce__(self):

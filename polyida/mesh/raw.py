@@ -167,8 +167,8 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         rows = np.unique(place[index])
         if (rows >= 0).any():
             named[name] = rows[rows >= 0]
-    found = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
-    return PolygonMesh(points, nodes, offsets, found | named, supports, loads), notes
+    automatic = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
+    return PolygonMesh(points, nodes, offsets, automatic | named, supports, loads), notes
 
 
 def _joined(cells):

@@ -141,6 +141,8 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
         raise InputError(f"mesh to write is {repr(mesh)[:80]}; it must be a PolygonMesh")
     path = _path(path)
     kind = _format_of(path, format)
+    if unit is None:
+        raise InputError(f"mesh file {path}: unit is None; it must be the name of a unit, or the metres in one unit")
     size = unit_size(unit)
     if not is_flag(overwrite):
         raise InputError(f"mesh file {path}: overwrite = {overwrite!r} must be True or False")
