@@ -14,11 +14,11 @@ from polyida.errors import InputError
 
 Public = TypeVar("Public", bound=Callable[..., Any])
 
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by a right angle: the imaginary unit as a matrix of (x, y)
 
 
 def is_number(value):
-    """Whether it is a finite number (int, float, of numpy too), no bool."""
+    """True for a finite number (int, float, also of numpy), not for a bool."""
     return isinstance(value, Real) and not isinstance(value, (bool, np.bool_)) and abs(_as_float(value)) < math.inf
 
 
@@ -30,7 +30,7 @@ def _as_float(value):
 
 
 def is_whole(value, least=1, most=2**62):
-    """Whether it is a whole number from `least` to `most`, no bool."""
+    """True for a whole number from `least` to `most`, not for a bool."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -39,12 +39,12 @@ def is_whole(value, least=1, most=2**62):
 
 
 def is_one_of(value, known):
-    """Whether it is one of the texts `known`."""
+    """True for one of the texts `known`."""
     return isinstance(value, str) and value in known
 
 
 def takes(function, count):
-    """Whether a function may be called with so many arguments, as far as it says."""
+    """True if a function can be called with so many arguments, or if its signature is unknown."""
     bound = hasattr(function, "__self__") and hasattr(function, "__func__")
     return _takes(function.__func__, count + 1) if bound else _takes.__wrapped__(function, count)
 
@@ -61,13 +61,13 @@ def _takes(function, count):
 
 
 def settle(part, **values):
-    """Give fields of a frozen part their checked values, in its __post_init__: kernels take floats alone."""
+    """Set fields of a frozen dataclass to their checked values, in its __post_init__."""
     for name, value in values.items():
         object.__setattr__(part, name, value)
 
 
 def reals(value):
-    """The value as an array of floats, finite or not, or None where it is anything else: text, ragged lists, complex numbers."""
+    """The value as an array of floats, finite or not; None for anything else: text, ragged lists, complex numbers."""
     try:
         array = np.asarray(value)
         numbers = array.dtype.kind in "iuf" or (array.dtype.kind == "O" and all(isinstance(x, Real) for x in array.flat))
@@ -77,13 +77,13 @@ def reals(value):
 
 
 def floats(value):
-    """The same, and None where a number is not finite."""
+    """The value as an array of finite floats, or None."""
     array = reals(value)
     return array if array is not None and np.isfinite(array).all() else None
 
 
 def complexes(value):
-    """The value as an array of complex numbers, finite or not, or None where it is anything else."""
+    """The value as an array of complex numbers, finite or not; None for anything else."""
     try:
         array = np.asarray(value)
         return array.astype(complex) if array.dtype.kind in "iufcb" else None
@@ -92,19 +92,19 @@ def complexes(value):
 
 
 def is_flag(value):
-    """Whether it is True or False."""
+    """True for a bool."""
     return isinstance(value, (bool, np.bool_))
 
 
 def read_only(array):
-    """An array as a view that nobody can write through."""
+    """A read-only view of an array."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def on_pairs(matrix):
-    """A complex matrix, dense or sparse, as it acts on (x, y) pairs, real: each entry w becomes ((Re w, -Im w), (Im w, Re w))."""
+    """The real matrix for (x, y) pairs of a complex matrix, dense or sparse: each entry w becomes ((Re w, -Im w), (Im w, Re w))."""
     if not hasattr(matrix, "tocsr"):
         return np.kron(matrix.real, np.eye(2)) + np.kron(matrix.imag, TURN)
     from scipy.sparse import csr_array, kron
@@ -123,14 +123,14 @@ def complex_of_pairs(pairs):
 
 
 def positive(part, name, value, unit):
-    """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
+    """The value as a float; InputError, with part and value, unless it is a finite number above zero."""
     if not is_number(value) or value <= 0:
         raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
     return float(value)
 
 
 def number(part, name, value, unit, least=-math.inf):
-    """The value as a float; raises InputError naming part and value where it is not a finite number of `least` or more."""
+    """The value as a float; InputError, with part and value, unless it is a finite number of `least` or more."""
     if not (is_number(value) and value >= least):
         least = "" if least == -math.inf else f", {least:g} or more"
         raise InputError(f"{part}: {name} = {value!r} must be a finite number of {unit}{least}")
@@ -138,7 +138,7 @@ def number(part, name, value, unit, least=-math.inf):
 
 
 def vector2(part, name, value):
-    """The value as two floats; raises InputError naming part and value otherwise."""
+    """The value as two floats; InputError, with part and value, for anything else."""
     pair = floats(value)
     if pair is None or pair.shape != (2,):
         raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")

@@ -18,9 +18,9 @@ import pytest
 import polyida
 import polyida as pi
 from polyida import jit
+from polyida.fingerprint import machine_code_fingerprint
 from polyida.jit import cache as kernel_cache
 from polyida.jit.user_functions import over
-from polyida.mark import machine_mark_of
 
 faster = pytest.mark.skipif(jit.compilers is None, reason="numba's own compilers keep code in files of their own, or do not keep it")
 HELPERS = "SCALE = 2.0\n\n\ndef scaled(x):\n    return SCALE * x\n"
@@ -98,7 +98,7 @@ def test_the_mark_of_a_function_is_that_of_its_machine_code(edit, tmp_path, monk
             (tmp_path / f"{name}.py").write_text(text.replace(*change))
             monkeypatch.delitem(sys.modules, name, raising=False)
         importlib.invalidate_caches()
-        marks.append(machine_mark_of(importlib.import_module("own_functions_here").Own.force))
+        marks.append(machine_code_fingerprint(importlib.import_module("own_functions_here").Own.force))
     assert None not in marks and (marks[0] != marks[1]) is (edit in CHANGES.values())
 
 
@@ -179,10 +179,12 @@ def test_what_cannot_be_told_by_value_has_no_mark():
     c_function = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(lambda x: x)
     callback = numba.cfunc("float64(float64)")(lambda x: x)
     given_types = numba.njit("float64(float64)")(lambda x: x)
-    assert None not in [machine_mark_of(closed(x)) for x in (1.0, (1, "a"), np.ones(3), np.float32(1.0), before, np.sin, np.dot, math.sin)]
-    assert machine_mark_of(before) != machine_mark_of(numba.njit(fastmath=True)(before.py_func))
-    assert [machine_mark_of(closed(x)) for x in (c_function, callback, given_types, object())] == [None] * 4
-    assert machine_mark_of(lambda x: here.before(x)) is None
+    assert None not in [
+        machine_code_fingerprint(closed(x)) for x in (1.0, (1, "a"), np.ones(3), np.float32(1.0), before, np.sin, np.dot, math.sin)
+    ]
+    assert machine_code_fingerprint(before) != machine_code_fingerprint(numba.njit(fastmath=True)(before.py_func))
+    assert [machine_code_fingerprint(closed(x)) for x in (c_function, callback, given_types, object())] == [None] * 4
+    assert machine_code_fingerprint(lambda x: here.before(x)) is None
 
 
 def test_what_is_printed_is_the_same_from_kept_code(tmp_path):

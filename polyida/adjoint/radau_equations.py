@@ -29,7 +29,7 @@ import numpy as np
 
 from polyida.integrate.start import rows_at
 from polyida.linear.lu import FactorCache, ScaledLU, SingularSystem, block_matrix, dense, scaled
-from polyida.linear.step_matrix import ENOUGH, LEFT, SLOW, Border
+from polyida.linear.saddle import ENOUGH, LEFT, SLOW, Border
 
 ROUNDS = 2  # solves with a step's own factor: the second takes what round-off left
 MOST = 25  # corrections with one set of factors of the modes

@@ -11,7 +11,7 @@ from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear import dense as compiled_lu
 from polyida.linear.lu import LU, dense
-from polyida.linear.step_matrix import ENOUGH, ExactSaddle
+from polyida.linear.saddle import ENOUGH, ExactSaddle
 from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import dense as small
 from polyida.system.dense import BENT, END, FORCE, FORCE_V, INNER, MASS, MASS_VARIES, PHI_Q, TANGENT, VELOCITY, Dense, vector

@@ -10,7 +10,7 @@ from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts
-from polyida.linear.step_matrix import ExactSaddle
+from polyida.linear.saddle import ExactSaddle
 from polyida.model.differences import along, central
 
 

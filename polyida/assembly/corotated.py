@@ -22,7 +22,7 @@ from polyida.jit import entry, pack, part, shared
 from polyida.linear.dissection import Symbolic, symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
 from polyida.linear.lu import SingularSystem
-from polyida.linear.step_matrix import StepMatrix
+from polyida.linear.saddle import StepMatrix
 from polyida.linear.team import Team, solve_together
 
 

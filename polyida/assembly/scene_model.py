@@ -24,7 +24,7 @@ from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.force.force_element import ForceElement
 from polyida.joint.formula import Row, rows_of
 from polyida.linear.lu import dense
-from polyida.linear.step_matrix import StepMatrix
+from polyida.linear.saddle import StepMatrix
 from polyida.model import Needs
 from polyida.model.differences import along
 from polyida.profile import Profile

@@ -8,7 +8,7 @@ nearly every state of a scene compiled code proves that it is neither (assembly/
 
 from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
-from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, rows_of, way
+from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, path_length, rows_of
 from polyida.model.guarded import Compiled, unguarded
 from polyida.system.python import small_own
 
@@ -92,7 +92,7 @@ class Watch:
 
     def _require_no_passage(self, t, rows, size):
         before, products = self.least, between(self.rows, rows)
-        distance, since = way(products), t - self.t
+        distance, since = path_length(products), t - self.t
         if size + before <= distance and cosine(self.rows, rows, products) < REVERSED:
             raise self._failure(rows if size < before else self.rows, self.t + since * before / (before + size))
         if self.proof:
@@ -100,7 +100,7 @@ class Watch:
         speed, ahead, state = distance / since if since else 0.0, AHEAD * self.h, self.state
         if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
             q = state.q + ahead * state.v
-            speed = max(speed, way(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
+            speed = max(speed, path_length(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
         self.due = t + min(2.0 * since, MOST * self.h, 0.25 * size / max(speed, 1e-300))
 
     def suspicion(self, t):

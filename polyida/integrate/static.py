@@ -12,7 +12,7 @@ from polyida.integrate.sizes import memory_of_rest
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem, dense
-from polyida.linear.saddle import KKT, falling, require_independent, typical
+from polyida.linear.saddle import KKT, negative_directions, require_independent, typical
 from polyida.model import Model, differences
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
@@ -117,10 +117,10 @@ class Loading:
         reason, moved = "static equilibrium not found; use more load steps", float(np.abs(dq).max())
         raise StepFailure("newton", reason, self.t, iterations=self.max_iterations, moved=moved)
 
-    def factored(self, K, B, reason=FREE, pull=None):
+    def factored(self, K, B, reason=FREE, columns=None):
         """The factored KKT. Raises StepFailure if it is singular."""
         try:
-            return KKT(K, B, pull=pull)
+            return KKT(K, B, columns=columns)
         except SingularSystem:
             raise StepFailure("singular", reason, self.t) from None
 
@@ -144,7 +144,7 @@ class Loading:
         model, t, zero = self.model, self.t, np.zeros(self.model.n)
         memory = memory_of_rest(model, t, q, lam, model.residual(t, q, zero, zero, lam), solve)
         try:
-            directions = falling(self.stiffness(q, lam), model.phi_q(t, q))
+            directions = negative_directions(self.stiffness(q, lam), model.phi_q(t, q))
         except SingularSystem:
             directions = None
         return Equilibrium(t, q, zero, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts)

@@ -1,1 +1,1 @@
-"""Runs in HDF5 files: one layout (layout.py), one writer (writer.py), one reader (reader.py); nothing in a file is ever executed."""
+"""Runs in HDF5 files: layout.py describes a file, writer.py writes it, reader.py reads it. Nothing in a file is executed."""

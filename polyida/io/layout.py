@@ -1,16 +1,15 @@
-"""What a result file looks like: names, shapes and sizes that its writer and its reader agree upon.
+"""Layout of the file of a run: names, shapes and sizes for writer and reader; frames that are read from a file like arrays.
 
-`format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
-`a` (frames, n), `lam` (frames, m), these four in single precision where that was asked for, and `drive i` (frames, 3) of
-profiles that have no formula; `sensors` (steps, 1 + numbers), the time and what sensors gave, whose names and shapes `about` holds. All of
-them are chunked with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
-blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
-ends; the frames behind the last whole block are in the slots.
+`format` (attribute); `about`, JSON as bytes; `scene/...`, arrays of the scene; frames `t` (frames,), `q`, `v`, `a` (frames, n), `lam` (frames,
+m), the last four optionally in single precision, and `drive i` (frames, 3) of profiles without a formula; `sensors` (steps, 1 + numbers),
+time and values of sensors, whose names and shapes are in `about`. All datasets are chunked with HDF5's checksum (Fletcher32), and the file is
+in HDF5's mode for one writer and many readers (SWMR). Frames are written in blocks, one chunk or a row of chunks of each name. A block is
+written once, so that none is damaged if the process ends; the frames after the last complete block are in the slots.
 
-Two datasets `slot i`, written in turn, the other one whole meanwhile: HEAD, then a record (JSON: how many frames hold,
-how the run stands), the state to go on from, the frames behind the last block, one name after the other, and the steps of sensors there.
+Two datasets `slot i` are written in turn, so that one of them is always complete: HEAD, then a record (JSON: number of committed frames,
+status of the run), the state to continue from, the frames after the last block, one name after the other, and the values of sensors there.
 
-While a living process writes a file it holds a lock on it; the system takes that off when the process ends, however it ends.
+A process that writes a file holds a lock on it, which the system removes when the process ends.
 """
 
 import os
@@ -23,17 +22,17 @@ from polyida.errors import InputError
 from polyida.validation import is_number
 
 FORMAT = "polyida trajectory 4"
-HEAD = struct.Struct("<QII")  # of a slot: bytes behind it, their CRC-32, bytes of the record
+HEAD = struct.Struct("<QII")  # of a slot: number of bytes that follow, their CRC-32, bytes of the record
 FRAMES = ("t", "q", "v", "a", "lam")
 SENSORS = "sensors"
-BLOCK_BYTES = 1_000_000  # of frames that are read or written at once
-FEW, BLOCK_FRAMES = 16, 1024  # frames of a block: single ones are slow to write, however long they are
-MEMORY_LIMIT = 512 * 2**20  # bytes of frames that are held in memory
-COLUMNS = 1024  # numbers of a frame in a chunk: with FEW frames one coordinate's history, and one frame, are a small part of the file
+BLOCK_BYTES = 1_000_000  # of a block of frames
+FEW, BLOCK_FRAMES = 16, 1024  # least and most frames of a block: single ones are slow to write, however long they are
+MEMORY_LIMIT = 512 * 2**20  # bytes of frames in memory
+COLUMNS = 1024  # numbers of a frame in a chunk: reading one coordinate, or one frame, then reads a small part of the file
 
 
 def frames_at_once(width):
-    """How many frames of `width` numbers make a block, a multiple of FEW."""
+    """The number of frames of a block, a multiple of FEW, for frames of `width` numbers."""
     return int(np.clip(BLOCK_BYTES // (8 * max(1, width)) // FEW * FEW, FEW, BLOCK_FRAMES))
 
 
@@ -43,22 +42,22 @@ def chunk_of(rows, shape):
 
 
 def shapes_of(n, m, drives=()):
-    """{name: shape of a frame} of what a file holds; drives are names of profiles, each (value, d1, d2)."""
+    """{name: shape of a frame} of a file; drives are names of profiles, each (value, d1, d2)."""
     return {"t": (), "q": (n,), "v": (n,), "a": (n,), "lam": (m,)} | {name: (3,) for name in drives}
 
 
 def dtypes_of(shapes, single=False):
-    """{name: dtype} of what a file holds: of q, v, a and lam in single precision where that is asked for."""
+    """{name: dtype} of a file; single: q, v, a and lam in single precision."""
     return {name: np.dtype("f4" if single and name in FRAMES[1:] else "f8") for name in shapes}
 
 
 def width_of(shapes):
-    """How many numbers make a frame."""
+    """Numbers of a frame."""
     return sum(int(np.prod(shape)) for shape in shapes.values())
 
 
 def sensed_width(sensors):
-    """How many numbers make a step of sensors, {name: shape of what it gives}: the time and theirs; 0 where there are none."""
+    """Numbers of a step of sensors, {name: shape of a value}, with the time; 0 without sensors."""
     return 1 + width_of(sensors) if sensors else 0
 
 
@@ -67,34 +66,34 @@ try:
 except ImportError:  # not on this system
     fcntl = None  # type: ignore[assignment]
 
-CAN_TELL = hasattr(fcntl, "F_OFD_GETLK")
-LAYOUT = "hhqqi4x"  # struct flock
+HAS_LOCKS = hasattr(fcntl, "F_OFD_GETLK")
+LOCK_FORMAT = "hhqqi4x"  # struct flock
 
 
 def lock(file, on=True):
-    """Mark an open file until the process ends or closes it, or take the mark off; nothing where the system has no such locks."""
-    if CAN_TELL:
+    """Lock an open file until the process ends or closes it, or unlock it; nothing happens on systems without such locks."""
+    if HAS_LOCKS:
         with suppress(OSError):
             fcntl.fcntl(file, fcntl.F_OFD_SETLK, _request(fcntl.F_WRLCK if on else fcntl.F_UNLCK))
 
 
 def being_written(path):
-    """Whether a process that lives is writing the file; False where there is none, or the system cannot tell."""
-    if CAN_TELL:
+    """True if a process is writing the file; False if the system has no such locks."""
+    if HAS_LOCKS:
         with suppress(OSError), open(path, "rb") as file:
             answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _request(fcntl.F_RDLCK))
-            return struct.unpack(LAYOUT, answer)[0] != fcntl.F_UNLCK
+            return struct.unpack(LOCK_FORMAT, answer)[0] != fcntl.F_UNLCK
     return False
 
 
 def require_unwritten(path):
-    """Raise InputError where a living process writes the file."""
+    """Raise InputError if a process is writing the file."""
     if being_written(path):
         raise InputError(f"{path}: another process is still writing it; it is not replaced")
 
 
 def _request(kind):
-    return struct.pack(LAYOUT, kind, os.SEEK_SET, 0, 0, 0)
+    return struct.pack(LOCK_FORMAT, kind, os.SEEK_SET, 0, 0, 0)
 
 
 def require_bytes(part, memory_limit):
@@ -104,7 +103,7 @@ def require_bytes(part, memory_limit):
 
 
 def blocks(frames):
-    """Consecutive pieces (k, ...) of frames, in double precision, of bounded size."""
+    """Consecutive blocks (k, ...) of frames, in double precision, of bounded size."""
     step = frames_at_once(int(np.prod(frames.shape[1:])))
     return (np.asarray(frames[first : first + step], float) for first in range(0, max(1, len(frames)), step))
 
@@ -115,19 +114,19 @@ def each(frames):
 
 
 class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
-    """Frames (count, width) that are read when asked for: the rows of an HDF5 dataset, and behind them those of `tail`.
+    """Frames (count, width) that are read when needed: the rows of an HDF5 dataset, then those of the array `tail`.
 
-    What is indexed is read, of single coordinates their chunks alone; arithmetic, `np.asarray` and all else that an array
-    has read all of it. Raises InputError where what is read is not whole.
+    Indexing reads the indexed frames, of single coordinates only their chunks; arithmetic, `np.asarray` and other attributes of arrays read
+    all frames. Raises InputError if damaged data are read.
     """
 
     def __init__(self, dataset, tail, count, path):
         self._dataset, self._tail, self._path, self.dtype = dataset, tail, path, tail.dtype
-        self._file = getattr(dataset, "file", None)  # stays open as long as its frames are known
+        self._file = getattr(dataset, "file", None)  # keeps the file open
         self.cut(count)
 
     def cut(self, count):
-        """Have no more frames than `count`."""
+        """Keep the first `count` frames."""
         stored = min(vars(self).get("_stored", count - len(self._tail)), count)
         self._stored, self._tail = stored, self._tail[: count - stored]
         self.shape = (int(count), *self._tail.shape[1:])
@@ -167,7 +166,7 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
         return np.concatenate(list(self._pieces(rows)))[(np.arange(len(rows)), *rest)]
 
     def _pieces(self, rows, columns=None):
-        """The rows of that number, in their order, a bounded number at once; columns: a slice of them, or all."""
+        """The rows of these numbers, in their order, a bounded number at once; columns: a slice, or all."""
         step = frames_at_once(columns.stop - columns.start if columns else int(np.prod(self.shape[1:])))
         for run in np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1):
             for part in np.split(run, range(step, len(run), step)):
@@ -183,7 +182,7 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
         return values
 
     def rows(self, first, end, columns=None):
-        """Frames first to end as they are there. Raises OSError where a checksum does not fit."""
+        """Frames first to end without checks. Raises OSError if a checksum is wrong."""
         stored, rest = self._stored, (columns,) if columns else ()
         rows = np.asarray(self._dataset[(slice(min(first, stored), min(end, stored)), *rest)], self.dtype)
         return rows if end <= stored else np.concatenate([rows, self._tail[(slice(max(0, first - stored), end - stored), *rest)]])

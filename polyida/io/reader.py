@@ -1,9 +1,9 @@
-"""Result files opened and looked through: what they hold, what of it is whole.
+"""Reading and checking the files of runs.
 
-HDF5 marks a file that is open for writing and opens it afterwards only in SWMR mode, in which it reads a damaged spot
-again and again for hours. Here the mark is taken off in what is read, not in the file: the flags of the superblock
-(version 3: byte 11) are cleared, its end of file (bytes 28 to 35) is that of the file at hand, and its checksum
-(bytes 44 to 47) made to fit. Source: HDF5 File Format Specification 3.0; checksum: Bob Jenkins, lookup3.
+HDF5 marks a file that is open for writing, and afterwards opens it only in SWMR mode, in which it reads a damaged spot again and again for
+hours. Here the mark is removed from the data that HDF5 reads, not from the file: the flags of the superblock (version 3: byte 11) are
+cleared, its end of file (bytes 28 to 35) is set to the size of the file, and its checksum (bytes 44 to 47) is recomputed. Source: HDF5 File
+Format Specification 3.0; checksum: Bob Jenkins, lookup3.
 """
 
 import io
@@ -40,7 +40,7 @@ MASK = 0xFFFFFFFF
 
 
 class Source(io.RawIOBase):
-    """A readable file object on a descriptor, which it owns; position and reads are its own, also after a fork."""
+    """A readable file object that owns a descriptor and has a position of its own, also after a fork."""
 
     def __init__(self, descriptor):
         self._descriptor, self._at, self.size = descriptor, 0, os.fstat(descriptor).st_size
@@ -53,16 +53,16 @@ class Source(io.RawIOBase):
         os.close(self._descriptor)
 
     def seek(self, offset, whence=0):
-        """As of a file."""
+        """As io.RawIOBase."""
         self._at = offset + (0, self._at, self.size)[whence]
         return self._at
 
     def tell(self):
-        """As of a file."""
+        """As io.RawIOBase."""
         return self._at
 
     def readinto(self, buffer):
-        """As of a file, the superblock repaired."""
+        """As io.RawIOBase, with the superblock repaired."""
         view = memoryview(buffer).cast("B")
         data = self._part(len(view))
         view[: len(data)] = data
@@ -107,19 +107,19 @@ TRIES, PAUSE = 50, 0.01  # s: at a file that is being written
 
 @contextmanager
 def naming(path, everything=True):
-    """Have every InputError name the file; with `everything`, whatever goes wrong in reading it is such an error."""
+    """Context in which every InputError names the file; everything: any other exception becomes an InputError."""
     try:
         yield
     except InputError as error:
         raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    except Exception as error:  # noqa: BLE001, a damaged file fails in the library, in json or here, in ways that nobody can list
+    except Exception as error:  # noqa: BLE001, a damaged file fails in the library, in json or here, in many ways
         if not everything:
             raise
         raise InputError(f"{path}: not a whole polyida trajectory ({type(error).__name__}: {error})") from None
 
 
 def read(path):
-    """The Stored of a file. Raises InputError naming it where it is missing, damaged or of another kind."""
+    """The Stored of a file. Raises InputError if it is missing, damaged or of another kind."""
     try:
         found = Path(path).is_file()
     except (TypeError, ValueError, OSError):
@@ -138,7 +138,7 @@ def read(path):
 
 
 def read_open(descriptor, path):
-    """The Stored of a file that nobody writes, by its descriptor, which it owns, whatever lies at its path by now."""
+    """The Stored of a file that is not being written, by its descriptor, which the Stored then owns."""
     import h5py
 
     source = Source(descriptor)
@@ -147,11 +147,11 @@ def read_open(descriptor, path):
 
 
 class Stored:
-    """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
+    """An open file, checked: plain data `about`, the last complete `record`, `restart`, the state to continue from, or None.
 
-    torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold.
-    single: whether frames are in single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives; sensed: the same of the
-    rows of sensors. Raises InputError, or whatever a damaged file makes fail.
+    torn: True if a slot is not complete. seconds: (CPU, wall). n, m: of the model. count: committed frames. single: True if frames have
+    single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives; sensed: StoredFrames of the sensors. Raises InputError,
+    or another exception for a damaged file.
     """
 
     def __init__(self, file, path, size, live=False):
@@ -172,10 +172,10 @@ class Stored:
             raise
 
     def _dataset(self, name, *shape):
-        """The dataset of that name, not read; of this shape where one is given, None in it where any length is right.
+        """The dataset of that name, not read; shape: the required one, with None for any length.
 
-        Nobody vouches for a file: no links, no virtual, external or compressed datasets, no numbers but integers and
-        floats, and all together not more than fit in the file. Raises InputError naming the dataset.
+        Files are not trusted: links, virtual, external or compressed datasets, types other than integers and floats, and sizes beyond that
+        of the file raise InputError.
         """
         import h5py
 
@@ -196,7 +196,7 @@ class Stored:
         return node
 
     def _array(self, name):
-        """A dataset read whole: finite float64, int64, or bytes."""
+        """A complete dataset: finite float64, int64, or bytes."""
         try:
             values = np.asarray(self._dataset(name)[()])
         except OSError as error:
@@ -216,7 +216,7 @@ class Stored:
         return {name.removeprefix(f"{group}/"): self._array(name) for name in names if name.startswith(f"{group}/")}
 
     def _newest(self):
-        """(record, numbers) of the newer whole slot; one that is being written is waited for."""
+        """(record, numbers) of the newer complete slot; waits for one that is being written."""
         for _ in range(TRIES if self.live else 1):
             slots = [self._slot(f"slot {k}") for k in range(2)]
             if whole := [slot for slot in slots if slot]:
@@ -226,7 +226,7 @@ class Stored:
         raise InputError("it has no whole record of a flush; nothing in it holds")
 
     def _slot(self, name):
-        """(record, numbers) of a slot, None where it is not whole, () where nothing was written yet."""
+        """(record, numbers) of a slot, None if it is not complete, () if nothing was written yet."""
         dataset = self._dataset(name, None)
         if self.live:
             dataset.refresh()
@@ -240,7 +240,7 @@ class Stored:
         return json.loads(body[:text]), np.frombuffer(body[text:], float)
 
     def _unpack(self, numbers):
-        """Split the numbers of a slot into the state to go on from and the frames behind the last block."""
+        """Split the numbers of a slot into the state to continue from and the frames after the last block."""
         record, n, m = self.record, self.n, self.m
         memory = [(str(name), tuple(map(int, shape))) for name, shape in record["memory"]]
         shapes = [(), (n,), (n,), (n,), (m,), *(shape for _, shape in memory)] if record["restart"] else []
@@ -254,7 +254,7 @@ class Stored:
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
         tails = dict(zip(self.shapes, parts[-len(self.shapes) - 1 :]))
         self.single = found["q"].dtype == np.float32
-        none = np.zeros((self.count, 0))  # of no width: lam without constraints
+        none = np.zeros((self.count, 0))  # lam without constraints
         self.columns = {
             name: StoredFrames(found.get(name, none), tails[name].astype(dtype), self.count, self.path)
             for name, dtype in dtypes_of(self.shapes, self.single).items()
@@ -264,7 +264,7 @@ class Stored:
         self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
 
     def _found(self, what, shapes, count, rows):
-        """{name: dataset} of columns of which `count` rows hold, the last `rows` of these not in it."""
+        """{name: dataset} of columns with `count` committed rows, the last `rows` of which are in the slot."""
         found = {name: self._dataset(name, None, *shape) for name, shape in shapes.items() if shape != (0,)}
         least = min(map(len, found.values()), default=count)
         if not 0 <= rows <= count <= least + rows:
@@ -272,16 +272,15 @@ class Stored:
         return found
 
     def _restart(self, names, parts):
-        told, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
-        if not 0 <= int(told["frames"]) <= self.count:
+        stored, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
+        if not 0 <= int(stored["frames"]) <= self.count:
             raise InputError("the state to go on from is damaged")
-        return Restart(state, int(told["frames"]), counts_of(told["counts"]).as_dict())
+        return Restart(state, int(stored["frames"]), counts_of(stored["counts"]).as_dict())
 
     def check(self):
-        """Look through all frames, and all that sensors gave; those behind the first that is damaged are given up. Returns what is wrong,
-        or "".
+        """Read all frames and sensor values, and drop those from the first damaged one on. Returns what is damaged, or "".
 
-        Raises InputError where no frame is whole.
+        Raises InputError if no frame is left.
         """
         good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda found: found[0])
         sensed, fault = self._whole(SENSORS, self.sensed)
@@ -300,7 +299,7 @@ class Stored:
         return "; ".join(wrong)
 
     def _whole(self, name, frames):
-        """(how many frames of a column come before the first that is damaged, what that is)."""
+        """(number of frames of a column before the first damaged one, the damage)."""
         step, last, count = frames_at_once(width_of(self.shapes)), -np.inf, len(frames)
         for first in range(0, count, step):
             try:
@@ -317,9 +316,9 @@ class Stored:
         return count, ""
 
     def frames(self, limit):
-        """{name: frames} of t, q, v, a and lam: arrays, but StoredFrames where all are over `limit` bytes and they not small beside it.
+        """{name: frames} of t, q, v, a and lam: arrays, or StoredFrames of large ones if all together exceed `limit` bytes.
 
-        The file is closed where none are left there.
+        The file is closed if all are arrays.
         """
         found = {name: self.columns[name] for name in FRAMES}
         whole = sum(values.nbytes for values in found.values()) <= limit

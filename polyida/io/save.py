@@ -1,4 +1,4 @@
-"""What of a run goes into a file: integrator, scene and plan before it, how it stands at every flush."""
+"""Contents of the file of a run: integrator, scene and plan before the run, its status at every flush."""
 
 import os
 from dataclasses import asdict, is_dataclass
@@ -17,7 +17,7 @@ from polyida.validation import is_flag
 
 
 def save(run, path, overwrite=False):
-    """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
+    """Write a trajectory; the file appears complete or not at all. Raises InputError if it exists and overwrite is False."""
     run.known_model("save")
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
     single = run.q.dtype == np.float32
@@ -33,9 +33,9 @@ def save(run, path, overwrite=False):
 
 
 def free(given, overwrite):
-    """The absolute path where a file can be written, symbolic links followed.
+    """The absolute path of a file that can be written, symbolic links followed.
 
-    Raises InputError where one is in the way that must not be overwritten or is being written, or no file can be.
+    Raises InputError if the file exists and must not be overwritten, is being written, or cannot be written there.
     """
     if not is_flag(overwrite):
         raise InputError(f"{given}: overwrite = {overwrite!r} must be True or False")
@@ -59,7 +59,7 @@ def free(given, overwrite):
 
 
 def behind_blocks(file, rows):
-    """The rows of sensors that a file does not have in whole blocks, which it gets."""
+    """Write complete blocks of sensor rows to a file; returns the rows after them."""
     table = file.sensors
     while len(rows) - table.count >= table.rows:
         file.append([rows[table.count : table.count + table.rows]], table)
@@ -67,10 +67,7 @@ def behind_blocks(file, rows):
 
 
 def create(path, model, integrator, n, m, plan, machine, single=False, sensors=NONE):
-    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine; see FrameStore.
-
-    sensors: {name: shape of what it gives}.
-    """
+    """A Writer with the contents that are known before the run: integrator, scene, plan, machine. sensors: {name: shape of a value}."""
     kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
@@ -85,7 +82,7 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
 
 
 def commit(store, status, message, counts, seconds, restart, sensed, last=False):
-    """Make the frames so far hold, with how the run stands and where it goes on; sensed: rows behind the blocks. last: for good."""
+    """Commit the frames so far with the status of the run and the state to continue from; sensed: sensor rows after the blocks."""
     record = {
         "status": status,
         "message": message,

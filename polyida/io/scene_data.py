@@ -1,6 +1,6 @@
-"""A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code.
+"""A scene as plain data and back, for the file of a run: numbers and names, never code.
 
-A part is its kind and its fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
+A part has a kind and fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
 {"complex": [real, imaginary]}, {"array": key}, {"named": {name: a field}}, {"part": a part of its own, such as the plate of a reduced
 body}, {"each": list of profiles and numbers}, {"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key},
 {"material": numbers}, {"unknown": type}.
@@ -22,36 +22,37 @@ from polyida.validation import is_number, is_whole
 
 
 class UnknownPart(Exception):
-    """A file's scene has a part whose class is not at hand."""
+    """The class of a part in a file is unknown, or a field of it cannot be stored."""
 
 
 def to_data(model):
-    """(description, arrays, drives) of a scene's parts and gravity: a JSON-ready dictionary, the arrays it refers to by key, and {key:
-    (part, profile)} of the profiles that have no formula.
+    """(description, arrays, drives) of a scene's parts and gravity.
+
+    A dictionary for JSON, its arrays by key, and {key: (part, profile)} of the profiles without a formula.
     """
     parts = model.parts
-    book = _Book(parts, {placed.name: placed.user.fields_to_store(placed.body) for placed in model.few})
+    encoder = _Encoder(parts, {placed.name: placed.user.fields_to_store(placed.body) for placed in model.few})
     entries = [
-        {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, f"part {number}", part)}
+        {"kind": registry.name_of(type(part)), "name": name, "fields": encoder.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())
     ]
-    whole = {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}
+    whole = {"gravity": encoder.value("gravity", "gravity", model.gravity), "parts": entries}
     whole |= {
         "factors": {
-            name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in given_factors(model).items()
+            name: [encoder.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in given_factors(model).items()
         }
     }
-    return whole, book.arrays, book.drives
+    return whole, encoder.arrays, encoder.drives
 
 
-class _Book:
-    """Takes down the fields of parts; arrays and drives collect what is no JSON."""
+class _Encoder:
+    """Converts fields of parts to data; collects arrays and drives."""
 
     def __init__(self, parts, made):
         self.parts, self.made, self.arrays, self.drives, self.meshes = parts, made, {}, {}, {}
 
     def fields(self, name, key, part):
-        """{field: data} of a part, its name left out; key: what its arrays are called by."""
+        """{field: data} of a part without its name; key: the prefix of its arrays."""
         values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
         values |= self.made.get(name, {}) if part is self.parts.get(name) else {}
         return {field: self.value(name, f"{key} {field}", value) for field, value in values.items()}
@@ -119,12 +120,11 @@ def _numbers(value, kinds):
 
 
 def from_data(description, arrays, drives=None):
-    """{name: part} and gravity from data. `drives(key)` gives a profile for one that has no formula.
+    """{name: part} and gravity from data. drives(key): the profile of a drive.
 
-    Raises InputError where the data do not describe a scene, and UnknownPart for a kind that is not in `registry.parts`, or that
-    has a field which no file can hold.
+    Raises InputError if the data are no scene, and UnknownPart for a kind that is not in `registry.parts` and for a field without data.
     """
-    reader = _Reader(arrays, drives or (lambda key: None))
+    reader = _Decoder(arrays, drives or (lambda key: None))
     try:
         for entry in description["parts"]:
             reader.parts[entry["name"]] = reader.part(entry)
@@ -136,8 +136,8 @@ def from_data(description, arrays, drives=None):
 
 
 def factors_from(description, arrays):
-    """{plate: (stiffness, mass)} of the plates of a scene that are not full, from its data."""
-    reader = _Reader(arrays, None)
+    """{plate: (stiffness, mass)} of plates with factors of cells, from data."""
+    reader = _Decoder(arrays, None)
     try:
         found = description.get("factors", {}).items()
         return {name: tuple(reader.value({"name": name}, "factors", one) for one in pair) for name, pair in found}
@@ -145,14 +145,14 @@ def factors_from(description, arrays):
         raise InputError(f"the factors in the file are damaged: {type(error).__name__} {error}") from None
 
 
-class _Reader:
-    """Makes parts of entries, one after the other; sides refer to parts before them."""
+class _Decoder:
+    """Makes parts from entries, one after the other; sides refer to earlier parts."""
 
     def __init__(self, arrays, drives):
         self.arrays, self.drives, self.parts, self.meshes = arrays, drives, {}, {}
 
     def part(self, entry):
-        """The part that an entry describes."""
+        """The part of an entry."""
         kind = registry.find(registry.parts, entry["kind"])
         if kind is None:
             raise UnknownPart(f"its part {entry['name']!r} is a {entry['kind']}; define or import that class before loading")
@@ -160,7 +160,7 @@ class _Reader:
         return kind(**values, name=entry["name"])
 
     def value(self, entry, key, value):
-        """The value that data describe, of a key of an entry."""
+        """The value of the data of a field `key`."""
         if not isinstance(value, dict):
             return tuple(value) if isinstance(value, list) else value
         if "unknown" in value:

@@ -1,4 +1,4 @@
-"""Frames of a run as they come: in memory while they are small, in a file beyond or from the start."""
+"""Storage of frames during a run: in memory, and beyond a limit in a file."""
 
 import mmap
 import os
@@ -11,41 +11,40 @@ import numpy as np
 
 from polyida.io.layout import FRAMES, MEMORY_LIMIT, dtypes_of, shapes_of
 from polyida.io.reader import read_open
-from polyida.io.writer import NotWritten, taken
+from polyida.io.writer import NotWritten, writing
 from polyida.memory import LAZY, room
 
 BLOCK = 1 << 20  # bytes that are written at once
-WINDOW = 1 << 24  # bytes after which the system is told that those before will not be read soon
-SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
-PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it
+WINDOW = 1 << 24  # bytes after which the system may drop those before from its cache
+SMALL = 1 << 20  # bytes of a run's frames: fewer are copied to arrays of their own
+PART = 8  # an array smaller than 1 / PART of the memory is copied: otherwise it would keep all of it
 
 
 class Spill:
-    """A file for each of the arrays of a block, numbers as they are in memory; no other process can come at them.
+    """Temporary files, one for each array of a block, with numbers as in memory.
 
-    What is on the disk need not stay in memory: new memory would cost more than the writing. rows: frames of a block;
-    count: frames in whole blocks. Methods raise NotWritten.
+    rows: frames of a block; count: frames in complete blocks. Methods raise NotWritten.
     """
 
     def __init__(self, frame_bytes):
         self.rows, self.count, self.shown = max(1, BLOCK // frame_bytes), 0, Path(tempfile.gettempdir()) / "frames"
-        self._files, self._told = [], 0
+        self._files, self._cached = [], 0
 
     def append(self, block):
         """Append frames, a list of arrays. Safe to be interrupted and called again."""
-        with taken(self.shown):
+        with writing(self.shown):
             self._files += [tempfile.TemporaryFile(buffering=0) for _ in block[len(self._files) :]]  # noqa: SIM115, they stay open
             for file, values in zip(self._files, block):
                 _write(file, values.reshape(-1).view(np.uint8), self.count * values[:1].nbytes)
         self.count += len(block[0])
-        self._told += sum(values.nbytes for values in block)
-        if self._told > WINDOW and hasattr(os, "posix_fadvise"):
+        self._cached += sum(values.nbytes for values in block)
+        if self._cached > WINDOW and hasattr(os, "posix_fadvise"):
             for file in self._files:
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-            self._told = 0
+            self._cached = 0
 
     def arrays(self, block):
-        """The frames as arrays, of the shapes and dtypes of a block; what is written into them later is not in the file."""
+        """The frames as arrays, of the shapes and dtypes of a block; later changes of the arrays do not change the file."""
         return [_mapped(file, values, self.count) for file, values in zip(self._files, block)]
 
 
@@ -67,10 +66,9 @@ def _mapped(file, values, count):
 class FrameStore:
     """Accepted states of one run.
 
-    They are written into their final place in memory, up to `limit` bytes, and block after block from there to the
-    `file`, where there is one. Beyond the limit they go to the file alone, or to a temporary one; where more are
-    `expected`, a number of frames, from the start. Not more than a block is held then. single: q, v, a and lam are kept
-    in single precision. Raises NotWritten where the disk does not take them.
+    They are written to their final place in memory, up to `limit` bytes, and block after block from there to the `file`, if there is one.
+    Beyond the limit, or from the start if more frames are `expected`, they go to the file or to temporary files, and memory has one block.
+    single: q, v, a and lam in single precision. Raises NotWritten.
     """
 
     def __init__(self, n, m, limit=MEMORY_LIMIT, file=None, single=False, expected=0):
@@ -78,7 +76,7 @@ class FrameStore:
         self.drives = list(file.drives.values()) if file else []
         shapes = shapes_of(n, m, range(len(self.drives)))
         self._shapes, self._dtypes = list(shapes.values()), list(dtypes_of(shapes, single).values())
-        self._away, self._first, self._rows = file, 0, 0  # where the frames before the block are, and how many
+        self._away, self._first, self._rows = file, 0, 0  # the file of the frames before the block; their number; rows in the block
         many = self._many() if limit >= self._bytes(max(expected, file.rows if file else 1)) else [()]
         self._whole = len(many[0]) > 0
         self._block = many if self._whole else self._few()
@@ -87,54 +85,54 @@ class FrameStore:
         return frames * sum(prod(shape) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))
 
     def _many(self):
-        """A block that frames stay in, of whole blocks of the file."""
+        """A block for all frames, a multiple of blocks of the file."""
         found = room(self._shapes, self._dtypes, self.limit)
         rows = len(found[0]) - (len(found[0]) % self.file.rows if self.file else 0)
         return [values[:rows] for values in found]
 
     def _few(self):
-        """A block that frames go through on their way to a file."""
+        """A block for frames on their way to a file."""
         self._away = self._away or Spill(self._bytes(1))
         return [np.empty((self._away.rows, *shape), dtype) for shape, dtype in zip(self._shapes, self._dtypes)]
 
     def rows(self, count):
-        """The places of the next `count` frames, [q, v, a, lam], to be written into before they are kept; None where they do not stay there."""
+        """The arrays of the next `count` frames, [q, v, a, lam], to write into; None if they are not the final ones."""
         first, end = self._rows, self._rows + count
         if self._single or not self._whole or end > len(self._block[0]):
             return None
         return [values[first:end] for values in self._block[1 : len(FRAMES)]]
 
     def extend(self, stretch):
-        """Keep the states of a Stretch; nothing is copied where they are in their places already."""
+        """Store the states of a Stretch; those that are in `rows` already are not copied."""
         self._extend([getattr(stretch, name) for name in FRAMES])
 
     def copy(self, columns, count):
-        """Keep the first `count` of frames, arrays or StoredFrames in the order of FRAMES."""
+        """Store the first `count` frames of arrays or StoredFrames, in the order of FRAMES."""
         for first in range(0, count, self.file.rows):
             self._extend([values[first : min(first + self.file.rows, count)] for values in columns])
 
     def _extend(self, columns):
         done, whole = 0, len(columns[0])
         while done < whole:
-            first, room = self._rows, len(self._block[0]) - self._rows
+            first, free = self._rows, len(self._block[0]) - self._rows
             if self._away:
-                room = min(room, self._away.count + self._away.rows - self.count)
-            count = min(room, whole - done)
+                free = min(free, self._away.count + self._away.rows - self.count)
+            count = min(free, whole - done)
             for values, column in zip(self._block, columns):
                 values[first : first + count] = column[done : done + count]
             for values, profile in zip(self._block[len(FRAMES) :], self.drives):
                 values[first : first + count] = [profile.at(t) for t in columns[0][done : done + count]]
             self._rows, self.count, done = first + count, self.count + count, done + count
-            if count == room:
+            if count == free:
                 self.put_away()
 
     def waiting(self):
-        """The frames that the file does not have yet, not more than a block of them."""
+        """The frames that the file does not have yet, one block at most."""
         first = self._away.count - self._first
         return [values[first : self._rows] for values in self._block]
 
     def put_away(self):
-        """Bring what waits to the file; a block that is full is left for one to go through. Safe to be interrupted and called again."""
+        """Write waiting frames to the file; after a full block memory has one block. It may be interrupted and called again."""
         full = self._rows == len(self._block[0])
         if full and self._away is None:
             self._away = Spill(self._bytes(1))
@@ -145,7 +143,7 @@ class FrameStore:
             self._whole, self._block, self._first, self._rows = False, block, self.count, 0
 
     def arrays(self):
-        """{name: frames} of all that was kept, or committed to a file, arrays or StoredFrames. The store is used up then."""
+        """{name: frames} of all stored, or committed, frames, arrays or StoredFrames. The store cannot be used afterwards."""
         block, self._block = self._block, []
         if self.file:
             with suppress(NotWritten):
@@ -157,5 +155,5 @@ class FrameStore:
             return dict(zip(FRAMES, self._away.arrays(block)))
         found = [values[: self.file.held if self.file else self.count] for values in block]
         whole = sum(values.nbytes for values in found)
-        left = LAZY and whole > SMALL
-        return {name: values if left and PART * values.nbytes > whole else values.copy() for name, values in zip(FRAMES, found)}
+        stays = LAZY and whole > SMALL
+        return {name: values if stays and PART * values.nbytes > whole else values.copy() for name, values in zip(FRAMES, found)}

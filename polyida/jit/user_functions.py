@@ -20,10 +20,10 @@ from numba import NumbaError, TypingError, carray, types
 from numba.extending import intrinsic, lower_builtin, models, overload_method, register_model
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
+from polyida.fingerprint import is_dispatcher, machine_code_fingerprint, of_polyida
 from polyida.jit import cache as kernel_cache
 from polyida.jit import own_address, own_part
 from polyida.jit.intrinsics import integers, pointer, real
-from polyida.mark import is_dispatcher, machine_mark_of, of_polyida
 from polyida.profile import Profile
 from polyida.validation import named_keywords
 
@@ -104,7 +104,7 @@ def for_numba(given):
     """
     if is_dispatcher(given) and not _is_function(given):
         return given
-    key = given, machine_mark_of(given)
+    key = given, machine_code_fingerprint(given)
     if key not in _converted:
         function = given.function if isinstance(given, CompiledFunction) else getattr(given, "py_func", given)
         names, cells = dict(function.__globals__), [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
@@ -191,7 +191,7 @@ def _row_function(label, function, dimensions, shape):
         return {RAISED}
     return {DONE}
 """
-    mark, name = machine_mark_of(function), f"{label} {function.__name__}"
+    mark, name = machine_code_fingerprint(function), f"{label} {function.__name__}"
     return CALLBACK(c_function_of(name, for_numba(function), mark, source, {}, len(shape)))
 
 
@@ -289,7 +289,7 @@ class OwnData:
     {check}{out}[...] = {result}
     return {DONE}
 """
-        mark = machine_mark_of(function, *self.functions)
+        mark = machine_code_fingerprint(function, *self.functions)
         return _c_function(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
 
 

@@ -13,7 +13,7 @@ def magnitude(x):
 
 @part
 def factor(matrix, pivots):
-    """P matrix = L U in place, by rows, with partial pivoting: False if it is singular. pivots (n,): the row taken at each step.
+    """P matrix = L U in place, by rows, with partial pivoting; False if it is singular. pivots (n,): the pivot row of each step.
 
     The diagonal of U becomes its reciprocals.
     """
@@ -41,7 +41,7 @@ def factor(matrix, pivots):
 
 @part
 def solve(matrix, pivots, b):
-    """b becomes the solution, with what `factor` left."""
+    """b becomes the solution, with the factors of `factor`."""
     n = b.shape[0]
     for k in range(n):
         if pivots[k] != k:
@@ -75,7 +75,7 @@ def clear(matrix):
 
 @entry
 def solve_small(matrix, b):
-    """b <- matrix^-1 b, with rows divided by their largest entry first; overwrites both. False where it is singular."""
+    """b <- matrix^-1 b, with rows divided by their largest entry first; overwrites both. False if it is singular."""
     for i in range(b.shape[0]):
         size = 0.0
         for j in range(b.shape[0]):

@@ -1,8 +1,8 @@
 """Nested dissection of a nodal pattern, and the fronts of its multifrontal factor.
 
-A set of nodes is halved across its longest axis; a least vertex cover of the edges that cross the cut parts the halves
-(Koenig: as many nodes as a largest matching has edges), and each half is cut in its turn (George 1973). A front is a
-separator, or a set too small to cut, with the later nodes that its elimination joins to it.
+A set of nodes is halved across its longest axis; a minimum vertex cover of the edges that cross the cut separates the halves
+(Koenig: it has as many nodes as a maximum matching has edges), and each half is divided in the same way (George 1973). A front is a
+separator, or a set too small to divide, with the later nodes that its elimination couples.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ import numpy as np
 
 from polyida.jit import entry, pack, part
 
-LEAF = 16  # nodes that are no longer cut: more make a fuller factor, less make short loops
+LEAF = 16  # nodes of a set that is not divided: more make a fuller factor, fewer make short loops
 
 
 @pack
@@ -19,9 +19,8 @@ class Symbolic(NamedTuple):
     """The fronts of a pattern, children before parents. Places are positions in the order of elimination.
 
     order: (n,) coordinate -> place, n = 2 nodes; nodes: node at each nodal place; front f owns the nodal places
-    first[f]:first[f + 1] and reaches rows[start[f]:start[f + 1]]; children: how many fronts hand it their update;
-    panel: where its share of the factor begins; size: coordinates of the largest front; depth: most entries of updates
-    that wait at a time.
+    first[f]:first[f + 1] and is coupled to rows[start[f]:start[f + 1]]; children: number of fronts whose updates it takes;
+    panel: start of its part of the factor; size: coordinates of the largest front; depth: most entries of waiting updates.
     """
 
     order: np.ndarray
@@ -64,7 +63,7 @@ def symbolic(indptr, indices, points):
 
 
 def _reached(indptr, indices, nodes, place, first, children):
-    """(start, rows, depth) of `Symbolic`: a front reaches what its nodes and its children reach beyond it."""
+    """(start, rows, depth) of `Symbolic`: the later nodes that are coupled to a front's nodes or its children."""
     count, begin = np.diff(indptr), np.append(0, np.cumsum(np.diff(indptr)[nodes]))
     joined = place[indices[np.argsort(np.repeat(place, count), kind="stable")]]  # neighbours of the node at each place
     reach, waiting, depth, deepest = [], [], 0, 0
@@ -87,9 +86,9 @@ def _update_entries(rows):
 
 @entry
 def dissect(indptr, indices, points, nodes, fronts, side, room, mate, came, queue, low_of, high_of):
-    """Bring nodes (0, 1, 2 ...) into the order of elimination; fill fronts (:, 3) = first place, end, children; parents before children.
+    """Sort nodes (0, 1, 2 ...) in the order of elimination; fill fronts (:, 3) = first place, end, children; parents before children.
 
-    The other arrays are scratch, side is 0. Returns the number of fronts.
+    The other arrays are scratch; side is 0. Returns the number of fronts.
     """
     count = nodes.shape[0]
     low_of[0], high_of[0], top, found = 0, count, min(count, 1), 0
@@ -145,7 +144,7 @@ def along_axis(points, members, c):
 
 @part
 def hops(indptr, indices, root, side, distance, queue):
-    """Fill distance (-1 before) with the edges from root on side 1; queue gets the nodes reached. Returns how many."""
+    """Fill distance (-1 before) with the number of edges from root on side 1; queue gets these nodes. Returns their number."""
     distance[root], queue[0] = 0, root
     head, tail = 0, 1
     while head < tail:
@@ -162,7 +161,7 @@ def hops(indptr, indices, root, side, distance, queue):
 
 @part
 def middle(c):
-    """A value with about half of c below it and some not below; where all are equal, c becomes 0, 1, 2 ... first."""
+    """A value with about half of c below it and some not below; if all are equal, c becomes 0, 1, 2 ... first."""
     n, low, high = c.shape[0], np.inf, -np.inf
     for value in c:
         low, high = min(low, value), max(high, value)
@@ -182,9 +181,9 @@ def middle(c):
 
 @entry
 def cover_cut(indptr, indices, members, side, mate, came, queue):
-    """Set side to 3 on a least set of nodes that meets every edge between sides 1 and 2; mate, came, queue are scratch.
+    """Set side to 3 on a minimum set of nodes that covers every edge between sides 1 and 2; mate, came, queue are scratch.
 
-    The second round finds no path any more, but marks all that alternating paths reach from unmatched nodes.
+    The second round finds no path any more, but marks all nodes on alternating paths from unmatched nodes.
     """
     for i in members:
         mate[i] = -1
@@ -210,7 +209,7 @@ def cover_cut(indptr, indices, members, side, mate, came, queue):
 
 @part
 def augment(indptr, indices, root, side, mate, came, queue):
-    """Match root along an alternating path; where there is none, came keeps what the search has reached."""
+    """Match root along an alternating path; if there is none, came marks the visited nodes."""
     head, tail, end = 0, 1, -1
     queue[0] = root
     while head < tail and end < 0:
@@ -241,7 +240,7 @@ def augment(indptr, indices, root, side, mate, came, queue):
 
 @part
 def group(members, side, room):
-    """Bring members into the order of sides 1, 2, 3 and clear side. Returns how many are on 1 and on 2."""
+    """Sort members by sides 1, 2, 3 and clear side. Returns the numbers on 1 and on 2."""
     n, at, a, ab = members.shape[0], 0, 0, 0
     for k in range(n):
         room[k] = members[k]

@@ -2,8 +2,8 @@
 
 The pattern is given by groups of unknowns that are all coupled to each other, like the bodies of a mechanism. Unknowns of the same groups
 are eliminated together, those with the fewest neighbours first (minimum degree). Each elimination works on a small dense matrix, its front:
-the unknowns that it eliminates, then their neighbours. What is left of it is added to the front of the neighbour that is next (Duff and
-Reid 1983). There is no pivoting: a pivot that is small beside the diagonal ends the elimination.
+the eliminated unknowns, then their neighbours. Its Schur complement is added to the front of the next neighbour (Duff and Reid 1983). There
+is no pivoting: a pivot that is small relative to the diagonal ends the elimination.
 """
 
 import heapq
@@ -14,16 +14,16 @@ import numpy as np
 from polyida.jit import entry, pack
 from polyida.linear.dense import magnitude
 
-SMALL = 1e-10  # of a diagonal number: a pivot that is smaller has lost most of its digits
+SMALL = 1e-10  # of a diagonal entry: a smaller pivot has lost most of its digits
 
 
 @pack
 class Elimination(NamedTuple):
-    """The fronts in their order, by number: how many unknowns each eliminates and how many it has, its first number in the values, a square
-    matrix, its first entry in `unknowns`, and its parent, -1 without one.
+    """The fronts in their order: number of eliminated unknowns, size, start of its square matrix in the values, first entry in `unknowns`, and
+    parent, -1 without one.
 
-    unknowns: of all fronts, those that are eliminated first. into: the place of each in the parent's front, behind the eliminated ones.
-    diagonal: where the value of each unknown's diagonal number is.
+    unknowns: of all fronts, the eliminated ones first. into: the place of each in the parent's front, after the eliminated ones. diagonal:
+    the place of each unknown's diagonal entry in the values.
     """
 
     pivots: np.ndarray
@@ -38,7 +38,7 @@ class Elimination(NamedTuple):
 
 def elimination(count, groups):
     """The Elimination of `count` unknowns that are coupled within groups, sequences of their numbers."""
-    fronts = _merged(_fronts(_alike(count, groups)))
+    fronts = _merged(_fronts(_supervariables(count, groups)))
     pivots, size = (np.array([len(part) for part in parts], np.int64) for parts in (zip(*fronts) if fronts else ((), ())))
     size = size + pivots
     start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * size, size))
@@ -54,14 +54,14 @@ def elimination(count, groups):
 
 
 def positions(e, rows, columns):
-    """Where the values of the entries (rows, columns), arrays of unknowns that share a group, are."""
+    """Places in the values of the entries (rows, columns), arrays of unknowns that share a group."""
     front, _ = _own(e)
     of = np.minimum(front[rows], front[columns])
     return e.start[of] + _places(e, of, rows) * e.size[of] + _places(e, of, columns)
 
 
-def _alike(count, groups):
-    """[(unknowns, the groups that they are in)]: those of the same groups together, each unknown once."""
+def _supervariables(count, groups):
+    """[(unknowns, their groups)]: unknowns of the same groups together, each unknown once."""
     of = [[] for _ in range(count)]
     for number, group in enumerate(groups):
         for unknown in group:
@@ -72,18 +72,18 @@ def _alike(count, groups):
     return [(unknowns, set(numbers)) for numbers, unknowns in found.items()]
 
 
-def _fronts(alike):
+def _fronts(supervariables):
     """[(unknowns eliminated, their neighbours)] in the order of least degree, neighbours in the order in which they are eliminated."""
-    members, groups = [unknowns for unknowns, _ in alike], {}
-    for number, (_, of) in enumerate(alike):
+    members, groups = [unknowns for unknowns, _ in supervariables], {}
+    for number, (_, of) in enumerate(supervariables):
         for group in of:
             groups.setdefault(group, set()).add(number)
-    of = [set(numbers) for _, numbers in alike]
+    of = [set(numbers) for _, numbers in supervariables]
 
     def degree(number):
         return sum(len(members[other]) for other in set().union(*(groups[group] for group in of[number])))
 
-    waiting, order, borders = [(degree(number), number) for number in range(len(alike))], {}, []
+    waiting, order, borders = [(degree(number), number) for number in range(len(supervariables))], {}, []
     heapq.heapify(waiting)
     known = {number: size for size, number in waiting}
     while waiting:
@@ -105,7 +105,7 @@ def _fronts(alike):
 
 
 def _merged(fronts):
-    """The fronts with those taken into their parents that have all of its unknowns as neighbours."""
+    """The fronts, each merged into its parent if all unknowns of the parent are its neighbours."""
     front_of, gone = {u: f for f, (own, _) in enumerate(fronts) for u in own}, {}
     for f, (own, border) in enumerate(fronts):
         if border:
@@ -137,7 +137,7 @@ def _places(e, fronts, unknowns):
 
 @entry
 def eliminate(e, values, sizes):
-    """Turn `values` into factors; `sizes` is scratch for a number of each unknown. False where a pivot is too small."""
+    """Turn `values` into factors; `sizes` is scratch for a number of each unknown. False if a pivot is too small."""
     for u in range(sizes.shape[0]):
         sizes[u] = values[e.diagonal[u]]
     for f in range(e.size.shape[0]):
@@ -156,7 +156,7 @@ def eliminate(e, values, sizes):
                     values[row + k] = factor
                     for j in range(k + 1, n):
                         values[row + j] -= factor * values[top + j]
-        if e.parent[f] >= 0:  # add what is left of the front to its parent
+        if e.parent[f] >= 0:  # add the Schur complement to the parent
             above, first, last = e.start[e.parent[f]], e.first[f], e.size[e.parent[f]]
             for i in range(e.pivots[f], n):
                 row, to = at + i * n, above + e.into[first + i] * last
@@ -167,7 +167,7 @@ def eliminate(e, values, sizes):
 
 @entry
 def solve(e, values, right, x):
-    """Fill x with the solution for a right-hand side, with the factors that `eliminate` left in `values`."""
+    """Fill x with the solution for a right-hand side, with the factors of `eliminate` in `values`."""
     for u in range(x.shape[0]):
         x[u] = right[u]
     for f in range(e.size.shape[0]):

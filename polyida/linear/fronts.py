@@ -1,7 +1,7 @@
-"""Multifrontal factor `S = U^T D U` of a symmetric nodal block matrix: eliminated in double precision, kept and solved with in single.
+"""Multifrontal factor `S = U^T D U` of a symmetric nodal block matrix: eliminated in double precision, stored and solved in single.
 
-Each front is a small dense matrix (Duff & Reid 1983): blocks and the children's updates go in, its own nodes are eliminated, rows of U,
-whose diagonal is 1, go to the panel and the Schur complement to the parent. A panel holds four rows of U at a time, from their diagonal
+Each front is a small dense matrix (Duff & Reid 1983): blocks and the children's updates are added, its own nodes are eliminated, rows of U,
+whose diagonal is 1, are stored in the panel, and the Schur complement is passed to the parent. A panel holds four rows of U at a time, from their diagonal
 block on, with the reciprocal of D on the diagonal: a solve runs through it once forward, once backward. There is no pivoting: S need not be
 positive definite, but a pivot that is zero ends the elimination.
 """
@@ -39,15 +39,15 @@ def single(values):
 
 @entry
 def fill_panels(s, blocks, panels, numbers, places):
-    """Eliminate front after front; numbers, places are scratch. False where a pivot is zero or not finite."""
-    room, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
+    """Eliminate front after front; numbers, places are scratch. False if a pivot is zero or not finite."""
+    workspace, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
     local, waiting = places[: s.nodes.shape[0]], places[s.nodes.shape[0] :]
     top = behind = 0
     for f in range(s.children.shape[0]):
         first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f] : s.start[f + 1]]
         own = 2 * (last - first)
         n = own + 2 * rows.shape[0]
-        front = room[: n * n].reshape((n, n))
+        front = workspace[: n * n].reshape((n, n))
         for i in range(n):
             for j in range(i - i % 2, n):
                 front[i, j] = 0.0
@@ -64,8 +64,8 @@ def fill_panels(s, blocks, panels, numbers, places):
             add_update(updates[top:], reach, local, front)
         if not eliminate(front, own):
             return False
-        keep_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
-        top += keep_update(front, own, updates[top:])
+        store_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
+        top += store_update(front, own, updates[top:])
         waiting[behind] = f
         behind += 1
     return True
@@ -150,7 +150,7 @@ def subtract_two(front, k, i):
 
 @part
 def finish(front, i):
-    """Turn the rows of node i, less all before, into rows of U, with D on the diagonal. False where a pivot is zero or not finite."""
+    """Turn the rows of node i into rows of U, with D on the diagonal. False if a pivot is zero or not finite."""
     x, y = front[i, i:], front[i + 1, i:]
     if not 0.0 < abs(x[0]) < np.inf:
         return False
@@ -168,27 +168,26 @@ def finish(front, i):
 
 
 @part
-def keep_rows(front, own, panel):
+def store_rows(front, own, panel):
     """Copy the rows of U to the panel, four (at last two) at a time, with reciprocal diagonal."""
     n, at = front.shape[0], 0
     for k in range(0, own, 4):
         for i in range(k, min(k + 4, own)):
-            row, kept = front[i, i:], panel[at + i - k : at + n - k]
+            row, stored = front[i, i:], panel[at + i - k : at + n - k]
             for j in range(row.shape[0]):
-                kept[j] = row[j]
-            kept[0] = 1.0 / row[0]
+                stored[j] = row[j]
+            stored[0] = 1.0 / row[0]
             at += n - k
 
 
 @part
-def keep_update(front, own, updates):
+def store_update(front, own, updates):
     """Copy the Schur complement to updates, packed upper triangle by rows. Returns its entries."""
     at = 0
     for i in range(own, front.shape[0]):
         row = front[i, i:]
-        kept = updates[at : at + row.shape[0]]
         for j in range(row.shape[0]):
-            kept[j] = row[j]
+            updates[at + j] = row[j]
         at += row.shape[0]
     return at
 
@@ -206,7 +205,7 @@ def solve_fronts(s, panels, x):
 
 @part
 def descend(s, panels, x, work, f):
-    """The forward half of a solve on front f: its part in x, what it hands on in work. False where x is zero there, and work is not filled."""
+    """The forward half of a solve on front f: its part in x, that of later fronts in work. False if x is zero there; work is not filled then."""
     at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
     n = own + 2 * (high - low)
     if zero(x, at, own):
@@ -223,7 +222,7 @@ def descend(s, panels, x, work, f):
 
 @part
 def spread(s, x, work, f):
-    """Add what front f hands on to the places that it reaches."""
+    """Add the part of later fronts in work, from front f, to x."""
     own, low = 2 * (s.first[f + 1] - s.first[f]), s.start[f]
     for k in range(low, s.start[f + 1]):
         i, q = 2 * s.rows[k], own + 2 * (k - low)
@@ -249,7 +248,7 @@ def ascend(s, panels, x, work, f):
 
 @part
 def zero(values, at, count):
-    """Whether `count` values from `at` on are zero; it mostly ends at the first."""
+    """True if `count` values from `at` on are zero; it mostly ends at the first."""
     for k in range(at, at + count):  # noqa: SIM110, compiled code has no `all`
         if values[k] != 0.0:
             return False
@@ -258,7 +257,7 @@ def zero(values, at, count):
 
 @part
 def forward(panels, at, w, own, n):
-    """w <- U^-T w on the front's own places, and less their part on the others, n in all; its panel begins at `at`."""
+    """w <- U^-T w on the front's own places, and less their part on the others, n in all; the panel starts at `at`."""
     for k in range(0, own - 3, 4):
         m = n - k
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]

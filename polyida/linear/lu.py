@@ -2,7 +2,7 @@
 
 import numpy as np
 
-LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
+LEAST = 4 * np.finfo(float).eps  # a pivot below n times this times the largest entry may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 # constants of compiled code, some of them
 KEPT = 6  # factors in a FactorCache
@@ -18,7 +18,7 @@ def dense(matrix):
 
 
 def block_matrix(blocks):
-    """The matrix made of rows of blocks, None for zeros: CSC where the first of them is sparse, dense otherwise."""
+    """The matrix of rows of blocks, None for zeros: CSC if the first block is sparse, dense otherwise."""
     heights = [next(block.shape[0] for block in row if block is not None) for row in blocks]
     widths = [next(block.shape[1] for block in column if block is not None) for column in zip(*blocks)]
     if hasattr(blocks[0][0], "tocsc"):
@@ -37,9 +37,9 @@ def block_matrix(blocks):
 
 
 class LU:
-    """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem where A is singular or not finite.
+    """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem if A is singular or not finite.
 
-    pivoting: SuperLU's too with partial pivoting; by default it keeps the order of minimum degree on the pattern of A + A^T.
+    pivoting: partial pivoting of SuperLU too; by default it keeps the order of minimum degree on the pattern of A + A^T.
     """
 
     def __init__(self, matrix, pivoting=False):
@@ -55,7 +55,7 @@ class LU:
         return self._solve(b, transposed) if np.size(b) else np.array(b)
 
     def doubtful(self):
-        """Whether a pivot may be round-off of zero."""
+        """True if a pivot may be round-off of zero."""
         pivots = np.abs(self._pivots())
         return bool(pivots.min(initial=np.inf) <= LEAST * len(pivots) * self._size)
 
@@ -75,7 +75,7 @@ def _sparse(matrix, options):
 
     try:
         lu = splu(matrix, **options)
-    except RuntimeError as error:  # what SuperLU raises where the matrix is singular
+    except RuntimeError as error:  # SuperLU: the matrix is singular
         raise SingularSystem("the iteration matrix is singular") from error
     return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lambda: lu.U.diagonal()
 

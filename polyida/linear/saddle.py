@@ -1,4 +1,4 @@
-"""The saddle-point system of one Newton step: its factor, dense or sparse and scaled on request, its inertia, and dependent constraints.
+"""Saddle-point systems of Newton steps: factors, scaling, inertia, dependent constraints, and step matrices with a border of constraints.
 
 ```
 [ S    B^T ] [ dq   ]     [ r   ]
@@ -9,6 +9,7 @@ rows of B, exactly where K is. It is congruent to itself with `K + g B^T B` in p
 and those of `-B (K + g B^T B)^-1 B^T` (Haynsworth 1968); those of a symmetric factor L D L^T are the negative entries of D (Sylvester).
 """
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,12 @@ SCALINGS = ("none", "bottasso", "physical")
 
 
 def typical(matrix):
-    """The mean size of the diagonal; 1 where that is 0."""
+    """The mean size of the diagonal; 1 if that is 0."""
     return float(np.mean(np.abs(matrix.diagonal()))) or 1.0
 
 
 def scaling_size(kind, step_square, tangent):
-    """What rows of r are divided by, and multipliers measured in, for beta h^2 = `step_square`; phi and q keep their units.
+    """The divisor of rows of r and unit of multipliers for beta h^2 = `step_square`; phi and q keep their units.
 
     Bottasso, Dopico, Trainelli 2008: 1 / (beta h^2). Physical (Bauchau, Epple, Bottasso 2009): the same times
     s = m_r + gamma h d_r + beta h^2 k_r, of typical mass, damping and stiffness: the mean of the diagonal of S.
@@ -34,20 +35,20 @@ def scaling_size(kind, step_square, tangent):
     return {"none": 1.0, "bottasso": 1.0 / step_square}.get(kind) or typical(tangent)
 
 
-def assemble(tangent, phi_q, size=1.0, pull=None):
-    """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise. pull: B of the upper right block, where it is another."""
-    return block_matrix([[1 / size * tangent, (phi_q if pull is None else pull).T], [phi_q, None]])
+def assemble(tangent, phi_q, size=1.0, columns=None):
+    """The scaled matrix, (n + m, n + m): dense if S is dense, CSC otherwise. columns: B of the upper right block, if it differs."""
+    return block_matrix([[1 / size * tangent, (phi_q if columns is None else columns).T], [phi_q, None]])
 
 
 class KKT:
-    """A factorization of the system, by default with the power of two for `size` that is nearest the physical one, which rounds nothing.
+    """A factor of the system. size: of the scaling; by default the power of two nearest the physical one, which rounds nothing.
 
     Raises SingularSystem.
     """
 
-    def __init__(self, tangent, phi_q, size=None, pull=None):
+    def __init__(self, tangent, phi_q, size=None, columns=None):
         self.n, self.size = tangent.shape[0], size or 2.0 ** np.round(np.log2(typical(tangent)))
-        self.lu = LU(assemble(tangent, phi_q, self.size, pull), pivoting=True)
+        self.lu = LU(assemble(tangent, phi_q, self.size, columns), pivoting=True)
 
     def solve(self, r, phi, transposed=False):
         """(dq, dlam) for the residuals r (n,) and phi (m,); transposed: with S^T in place of S."""
@@ -56,7 +57,7 @@ class KKT:
 
 
 def require_independent(model, phi_q, q):
-    """Raise InputError naming the constraints where the rows of phi_q (m, n) are linearly dependent."""
+    """Raise InputError, naming the constraints, if the rows of phi_q (m, n) are linearly dependent."""
     rows = rows_of(phi_q, coordinate_sizes(model, q))
     if not np.all(rows.lengths > 0):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
@@ -69,13 +70,13 @@ def require_independent(model, phi_q, q):
         )
 
 
-SYMMETRIC = 1e-6  # largest deviation of K from its transpose, over its largest entry, that derivatives by differences explain
+SYMMETRIC = 1e-6  # largest asymmetry of K over its largest entry that is an error of derivatives by differences
 
 
-def falling(tangent, phi_q):
-    """Number of independent directions that phi_q allows in which the tangent (n, n), is negative; None where it is not symmetric.
+def negative_directions(tangent, phi_q):
+    """Number of negative eigenvalues of the tangent (n, n) on the null space of phi_q; None if the tangent is not symmetric.
 
-    Raises SingularSystem where the sparse factor breaks down.
+    Raises SingularSystem if the sparse factor breaks down.
     """
     if not symmetric(tangent):
         return None
@@ -96,7 +97,7 @@ def falling(tangent, phi_q):
 
 
 def symmetric(matrix):
-    """Whether a matrix is its transpose, but for what derivatives by differences explain."""
+    """True if a matrix is its transpose up to errors of derivatives by differences."""
     return abs(matrix - matrix.T).max() <= SYMMETRIC * abs(matrix).max()
 
 
@@ -113,13 +114,13 @@ def _negative(matrix):
     return int(np.sum(lu.U.diagonal() < 0)), lu.solve
 
 
-MOST = 3  # constraints that a message names
-FULL = 10_000  # numbers of phi_q up to which its zeros cost less than what tells them
+MOST = 3  # constraints in a message
+FULL = 10_000  # numbers of phi_q up to which a dense matrix is faster than a sparse one
 
 
 class Rows(NamedTuple):
     """phi_q in the sizes of the coordinates, (m, n), the lengths of its rows, and the Gram matrix of the rows made of
-    length one, (m, m), where they are above 0."""
+    length one, (m, m), if they are above 0."""
 
     phi_q: object
     lengths: np.ndarray
@@ -127,7 +128,7 @@ class Rows(NamedTuple):
 
 
 def coordinate_sizes(model, q):
-    """`1 / sqrt(M_ii)`, (n,): what each coordinate is measured in, so that its unit does not matter; massless ones get the mean."""
+    """`1 / sqrt(M_ii)`, (n,): a unit of each coordinate, so that results do not depend on units; the mean for massless ones."""
     masses = np.abs(model.mass(q).diagonal())
     known = masses > 0
     return 1.0 / np.sqrt(np.where(known, masses, masses[known].mean() if known.any() else 1.0))
@@ -148,15 +149,15 @@ def rows_of(phi_q, sizes):
 
 
 def least(rows):
-    """The smallest singular value of the unit rows, 0 to 1; nan where they are not finite."""
+    """The smallest singular value of the unit rows, 0 to 1; nan if they are not finite."""
     if not np.isfinite(rows.gram).all():
         return float("nan")
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(rows.gram)[0])))
 
 
 def involved(model, rows):
-    """Names of the constraints, three at most, that weigh most in the nearest linear dependence, in their order: of joints, where
-    rows by which bodies stay rigid are in it too."""
+    """Names of up to three constraints with the largest weights in the nearest linear dependence, in their order; rather of joints than of
+    rows that keep bodies rigid."""
     weights = np.abs(np.linalg.eigh(rows.gram)[1][:, 0])
     of_joints = np.where([model.keeps_body(k) for k in range(len(weights))], 0.0, weights)
     weights = of_joints if of_joints.any() else weights
@@ -169,12 +170,187 @@ def between(before, after):
     return dense(before.phi_q @ after.phi_q.T) / np.outer(before.lengths, after.lengths)
 
 
-def way(products):
+def path_length(products):
     """Frobenius norm of the change of the unit rows, from their products."""
     return float(np.sqrt(max(0.0, 2.0 * (len(products) - np.trace(products)))))
 
 
 def cosine(before, after, products):
-    """Of the angle by which the space of the rows has turned; -1 where a combination of them came back reversed."""
+    """Cosine of the angle by which the space of the rows has turned; -1 if a combination of rows was reversed."""
     (sign, size), sizes = np.linalg.slogdet(products), [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)]
     return float(sign * np.exp(size - 0.5 * sum(sizes)))
+
+
+MANY = 50  # constraints beyond which the border's columns are not made anew in every iteration
+
+
+class Border:
+    """A few rows and columns beside a factored S: constraints and their multipliers. X: S^-1 C.
+
+    ```
+    [ S   C ] [ x ]   [ b     ]       X = S^-1 C,  y = S^-1 b
+    [ R   D ] [ w ] = [ below ]       (R X - D) w = R y - below,  x = y - X w
+    ```
+    C and S may be as old as S's factor. R and D are those of each solve, so that the last rows are solved to round-off for any age of S.
+    """
+
+    def __init__(self, X):
+        self.X, self.rows, self.lu = X, None, None
+
+    def solve(self, y, rows, below, corner=0.0):
+        """(x, w) from `y = S^-1 b`, rows R (k, n), below (k,) and corner D, (k, k) or 0. Raises SingularSystem.
+
+        The factor for the same rows and their corner is made once.
+        """
+        if not self.X.shape[1]:
+            return y, np.zeros(0)
+        if rows is not self.rows:
+            self.rows = None
+            try:
+                self.lu = LU(rows @ self.X - corner)
+            except SingularSystem:
+                raise SingularSystem("the constraints' system is singular") from None
+            self.rows = rows
+        w = self.lu.solve(rows @ y - below)
+        return y - self.X @ w, w
+
+
+class StepMatrix:
+    """`S = c_m M + c_v C + K` of any model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
+
+    made_at: t, q, v, a, lam of the factor in one array; `again` repeats it from that. solves: those for its border.
+    If S alone is singular, or may be, as with coordinates without mass, or constraints are many, `saddle` factors the whole matrix with its
+    constraints, whose B is as old as S.
+    """
+
+    backend = ""
+    near_any_state = False  # True if it turns with the bodies: then it is useful at states far from that of the factor
+    caution = 0.5  # share of Newton's tolerance: a matrix that does not turn with its bodies contracts ever slower in a step
+
+    def __init__(self, model):
+        self.model, self.made_at, self.solves = model, np.zeros(0), 0
+        self.S = self.lu = self.border = self.whole = None
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Factor S at a state; the rest is made at the first solve."""
+        self.made_at = np.concatenate([[t], q, v, a, lam])
+        self._take(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
+
+    def _take(self, S, c_m):
+        self.S, self.c_m, self.lu, self.border, self.whole = S, c_m, None, None, None
+        with suppress(SingularSystem):
+            self.lu = LU(S)
+
+    def again(self, made_at, c_m, c_v):
+        """Repeat a factorization of S."""
+        self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
+
+    def beside(self, c_m, c_v, change):
+        """The step matrix with other c_m and c_v, S + change, from M and C of the same state: nothing is evaluated again."""
+        other = type(self)(self.model)
+        other.made_at = self.made_at
+        other._take(self.S + change, c_m)
+        return other
+
+    def solve(self, q, b, transposed=False):
+        """S^-1 b, or S^-T b, b (n,) or (n, k), at q near to where S was factored. Raises SingularSystem where S has no inverse."""
+        if self.lu is None:
+            raise SingularSystem("the step matrix is singular")
+        return self.lu.solve(b, transposed)
+
+    def saddle(self, t, q, lam, r, phi):
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
+        if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
+            at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
+            self.whole = KKT(self.S, self.model.phi_q(*at))
+        if self.whole:
+            return self.whole.solve(r, phi)
+        B = self.model.phi_q(t, q)
+        if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
+            self.border = Border(self.solve(q, dense(B).T))
+        return self.border.solve(self.solve(q, -r), B, -phi)
+
+    def stands_alone(self):
+        """True if S certainly has an inverse; with constraints, some coordinates may be held by these alone."""
+        return self.lu is not None and not (self.model.m > 0 and self.lu.doubtful())
+
+
+class WholeMatrix(StepMatrix):
+    """The same by one factor of `[[S, B^T], [B, 0]]`, scaled on request; its B is as old as S."""
+
+    def __init__(self, model, scaling):
+        super().__init__(model)
+        self.scaling = scaling
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Factor the whole matrix at a state. Raises SingularSystem."""
+        S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
+        self.made_at = np.concatenate([[t], q, v, a, lam])
+        self.whole = KKT(S, self.model.phi_q(t, q), scaling_size(self.scaling, 1 / abs(c_m), S))
+
+
+ENOUGH = 1e-11  # of |x|: the error at which refinement ends
+LEFT = 1e3 * ENOUGH  # of |x|: a smaller correction that no longer decreases is round-off
+SLOW = 0.3  # contraction above which the factor is repeated
+CORRECTIONS = 12  # with one factor
+
+
+class ExactSaddle:
+    """The system at one state after another, of a model with c_m and c_v. counts: anything that counts factorizations and solves."""
+
+    def __init__(self, model, c_m, c_v, counts):
+        self.model, self.c_m, self.c_v, self.counts = model, c_m, c_v, counts
+        self.system = self.direct = self.M = self.K = self.C = self.S = self.B = None
+        self.here = ()
+
+    def at(self, t, q, v, a, lam):
+        """Evaluate the matrices of a state."""
+        model, self.here, self.direct = self.model, (t, q, v, a, lam), None
+        self.C = model.force_v(t, q, v) if model.needs.velocity_forces else None
+        if model.is_scene and model.small:
+            self.K, self.M, self.B = model.small_tangent(t, q, v, lam), model.small_mass(), model.small_phi_q(t, q)
+            self.C = None if self.C is None else self.C.toarray()
+        else:
+            self.K, self.M, self.B = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), model.mass(q), model.phi_q(t, q)
+        self.S = self.c_m * self.M + self.K
+        self.S = self.S if self.C is None else self.S + self.c_v * self.C
+
+    def solve(self, right, below, transposed=False):
+        """(x, mu). Raises SingularSystem."""
+        if isinstance(self.S, np.ndarray):
+            return self._direct(right, below, transposed)
+        S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
+        if not self.system.near_any_state:
+            return self._direct(right, below, transposed)
+        found = self._refine(S, right, below) if len(self.system.made_at) else None
+        if found is None:
+            self.system = self.model.step_matrix()
+            self.system.factor(*self.here, self.c_m, self.c_v)
+            self.counts.factorizations += 1
+            self.counts.solves += self.system.solves
+            found = self._refine(S, right, below)
+        return self._direct(right, below, transposed) if found is None else found
+
+    def _direct(self, right, below, transposed):
+        if self.direct is None:
+            self.counts.factorizations += 1
+            self.direct = KKT(self.S, self.B)
+        self.counts.solves += 1
+        return self.direct.solve(-right, -below, transposed)
+
+    def _refine(self, S, right, below):
+        """(x, mu), or None if the factor is too old."""
+        t, q, _, _, lam = self.here
+        x, mu, r, rows, last = np.zeros_like(right), np.zeros_like(below), right, below, np.inf
+        for _ in range(CORRECTIONS):
+            dx, dmu = self.system.saddle(t, q, lam, -r, -rows)
+            self.counts.solves += 1
+            x, mu, moved = x + dx, mu + dmu, np.linalg.norm(dx)
+            size, rate = np.linalg.norm(x), moved / last
+            ahead = rate / (1.0 - rate) if 0.0 < rate < 0.5 else 1.0
+            if moved * ahead <= ENOUGH * size:
+                return x, mu
+            if rate > SLOW:
+                break
+            r, rows, last = right - S @ x - self.B.T @ mu, below - self.B @ x, moved
+        return (x, mu) if moved <= LEFT * size else None

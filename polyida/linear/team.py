@@ -1,9 +1,8 @@
-"""The solve with a multifrontal factor in several threads: subtrees of the dissection side by side, what is above them by one.
+"""The solve with a multifrontal factor in several threads: subtrees of the dissection in parallel, the fronts above them in one thread.
 
-Thread k takes the fronts cuts[k]:cuts[k + 1], without those on the way from a cut to the root, `top`. What it hands to their places it
-leaves in `late`, and thread 0 adds all that in the order of the fronts: every sum is made in the order in which one thread makes it, so the
-result is the same bit by bit for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait for each other awake: a
-solve is some thousandths of a second.
+Thread k has the fronts cuts[k]:cuts[k + 1] without those on the path from a cut to the root, `top`. Its contributions to `top` are stored in
+`late`, and thread 0 adds them in the order of the fronts: every sum has the order of a single thread, so the result is the same bit by bit
+for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait actively: a solve takes some thousandths of a second.
 """
 
 from contextlib import contextmanager
@@ -20,13 +19,13 @@ from polyida.linear.fronts import ascend, descend, spread
 
 entry = partial(jit.entry, fastmath=jit.FAST)
 part = partial(jit.part, fastmath=jit.FAST)
-LINE = 8  # numbers of a cache line: nobody waits on the line that another writes
+LINE = 8  # numbers of a cache line: each signal has its own
 CALLED, DONE, GONE = 0, LINE, -1
 
 
 @pack
 class Team(NamedTuple):
-    """cuts (k + 1,); top (fronts,); shared (nodes,): places of top; late (k, most); signals (2 LINE k,): how often a thread was called, and done."""
+    """cuts (k + 1,); top (fronts,); shared (nodes,): places of top; late (k, most); signals (2 LINE k,): counts of calls and of completed calls of each thread."""
 
     cuts: np.ndarray
     top: np.ndarray
@@ -48,7 +47,7 @@ def team(s, count, dtype):
 
 
 def _cuts(s, count):
-    """(cuts, fronts on the way from them to the root): near equal shares of the panels, with little above."""
+    """(cuts, fronts on the paths from them to the root): nearly equal parts of the panels, with few fronts above."""
     parent, waiting, work = np.full(len(s.children), -1), [], np.diff(s.panel).astype(float)
     for f, held in enumerate(s.children):
         parent[waiting[len(waiting) - held :]] = f
@@ -67,7 +66,7 @@ def _cuts(s, count):
 
 @entry
 def serve(s, panels, x, t, who):
-    """The work of thread `who`, whenever it is called, until it is told to go."""
+    """The loop of thread `who`: it waits for calls, until GONE."""
     work, calls = np.empty(s.size, x.dtype), 0
     while True:
         while seen(t.signals, 2 * LINE * who + CALLED) == calls:
@@ -84,7 +83,7 @@ def serve(s, panels, x, t, who):
 
 @part
 def gather(s, panels, x, t, who, work):
-    """The forward half on the fronts of thread `who`; what goes to the top is left in late."""
+    """The forward half on the fronts of thread `who`; contributions to the top are stored in late."""
     late, at = t.late[who], 0
     for f in range(t.cuts[who], t.cuts[who + 1]):
         if t.top[f]:
@@ -117,7 +116,7 @@ def scatter(s, panels, x, t, who, work):
 
 @part
 def call(t):
-    """Call all threads but this one, the number 0. Returns how often that was."""
+    """Call all other threads from thread 0. Returns the number of calls so far."""
     calls = seen(t.signals, DONE) + 1
     leave(t.signals, DONE, calls)
     for who in range(1, t.late.shape[0]):
@@ -127,7 +126,7 @@ def call(t):
 
 @part
 def await_all(t, calls):
-    """Wait until all have done what they were called for."""
+    """Wait until all threads have completed the call."""
     for who in range(1, t.late.shape[0]):
         while seen(t.signals, 2 * LINE * who + DONE) != calls:
             pass
@@ -163,7 +162,7 @@ def solve_together(s, panels, x, t):
 
 @contextmanager
 def at_work(t, factor, x):
-    """Within this the other threads serve solves of x with the factor."""
+    """Context in which the other threads take part in solves of x with the factor."""
     t.signals[:] = 0
     args = factor.fronts, factor.panels, x, t
     serving = bound(serve, *args, 1)
@@ -181,14 +180,14 @@ def at_work(t, factor, x):
 
 
 class Helpers:
-    """`count` threads, this one included; factors on the same fronts have the same team."""
+    """`count` threads with this one; factors on the same fronts share a Team."""
 
     def __init__(self, count):
         self.count, self.team = count, None
 
     @contextmanager
     def at_work(self, factor, room):
-        """The room of solves with the factor, which are shared within this; as it was where there is one thread."""
+        """Context in which threads share solves with the factor; gives the workspace of the solves."""
         if self.count == 1:
             yield room
             return

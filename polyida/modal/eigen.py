@@ -20,7 +20,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem, dense
-from polyida.linear.saddle import KKT, falling, require_independent, symmetric
+from polyida.linear.saddle import KKT, negative_directions, require_independent, symmetric
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 
@@ -192,7 +192,7 @@ def _below_all(system):
 
 def _falls(system, shift):
     try:
-        return bool(falling(system.K - shift * system.M, system.B))
+        return bool(negative_directions(system.K - shift * system.M, system.B))
     except SingularSystem:
         return True
 

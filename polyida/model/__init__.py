@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.linear.lu import SingularSystem
-from polyida.linear.saddle import KKT
-from polyida.linear.step_matrix import StepMatrix
+from polyida.linear.saddle import KKT, StepMatrix
 from polyida.model import differences
 from polyida.reprs import table
 from polyida.validation import named_keywords
@@ -315,7 +314,7 @@ class Model:
         return max((s for s in reached if s < 0), default=-np.inf), min((s for s in reached if s > 0), default=np.inf)
 
     def step_matrix(self) -> Any:
-        """Return a StepMatrix of this model (linear/step_matrix.py), not factored yet."""
+        """Return a StepMatrix of this model (linear/saddle.py), not factored yet."""
         return StepMatrix(self)
 
     def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:

@@ -1,4 +1,4 @@
-"""What of a run is kept, and where it stops: frames at accepted steps or given times, sensors at every step, the zero of a function."""
+"""Sampling of a run: frames at accepted steps or given times, sensors at every step, the zero of `until`."""
 
 import numpy as np
 
@@ -8,22 +8,22 @@ from polyida.jit.user_functions import over
 from polyida.sensor import Sensor
 from polyida.validation import is_number, read_only, reals
 
-FEW = 64  # rows of sensors to begin with
+FEW = 64  # rows of sensors at first
 
 
 class Sampler:
-    """Puts into a store every `every`-th accepted step, the first and the last; or the times `output`, where given.
+    """Stores every `every`-th accepted state, the first and the last; or the times `output`.
 
-    rows: the store's places of the next states, where each becomes a frame, or None.
+    rows: `FrameStore.rows` if each state becomes a frame, or None.
     """
 
     def __init__(self, store, counts, every=1, output=None, done=0):
         self.store, self.counts, self.every = store, counts, every
-        self.output, self.next, self.kept = output, done, None
+        self.output, self.next, self.last_frame = output, done, None
         self.rows = store.rows if every == 1 and output is None else None
 
     def start(self, state):
-        """Keep the first state."""
+        """Store the first state."""
         if self.output is None:
             self.keep(state)
         elif self.next < len(self.output) and self.output[self.next] == state.t:
@@ -31,7 +31,7 @@ class Sampler:
             self.keep(state)
 
     def step(self, before, stretch):
-        """Keep what is wanted of the steps from one accepted state to those of a stretch, the last of which is number `counts.steps`."""
+        """Store frames of the steps from an accepted state to those of a stretch, the last of which is number `counts.steps`."""
         if self.output is None:
             self._keep_every(stretch, self.counts.steps - len(stretch))
             return
@@ -45,35 +45,35 @@ class Sampler:
         first = -(done + 1) % self.every
         if first < len(stretch):
             self.store.extend(stretch.part(first, len(stretch), self.every))
-            self.kept = None if (done + len(stretch)) % self.every else stretch.last
+            self.last_frame = None if (done + len(stretch)) % self.every else stretch.last
 
     def keep(self, state):
-        """Make a state the next frame, unless it is the last one already."""
-        if state is not self.kept:
+        """Store a state as the next frame, unless it is the last one already."""
+        if state is not self.last_frame:
             self.store.extend(Stretch.of(state))
-            self.kept = state
+            self.last_frame = state
 
 
 def leading(good):
-    """How many entries are True before the first that is not."""
+    """Number of True entries before the first False."""
     return int(np.append(good, False).argmin())
 
 
 class Until:
-    """Watches f(t, q, v) for a change of sign from step to step. Raises InputError where it gives no finite number."""
+    """Detects a change of sign of f(t, q, v) from step to step. Raises InputError if f returns no finite number."""
 
     def __init__(self, function, state):
         self.function = function
         self.sign = np.sign(self._value(state))
-        self.quiet(Stretch.of(state))  # what numba cannot compile is refused before the run
+        self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
 
     def quiet(self, stretch):
-        """How many states lead a stretch without a change of sign, of a compiled function; 0 of one in Python."""
+        """Number of states at the start of a stretch without a change of sign, of a compiled function; 0 for one in Python."""
         values = over("until:", self.function, stretch.t, stretch.q, stretch.v)
         return 0 if values is None or not self.sign else leading(np.sign(values[:, 0]) == self.sign)
 
     def crossing(self, before, after):
-        """The state where f is zero between two accepted ones, or None. A zero at the start does not count."""
+        """The state between two accepted ones at which f is zero, or None. A zero at the start is ignored."""
         value = self._value(after)
         if self.sign == 0 or (value != 0 and np.sign(value) == self.sign):
             self.sign = self.sign or np.sign(value)
@@ -109,10 +109,10 @@ def require_sensors(part, sensors):
 
 
 class Recorder:
-    """Calls sensors of a model, {name: f(t, q, v) or a Sensor}, and keeps what they give, row after row.
+    """Calls sensors of a model, {name: f(t, q, v) or a Sensor}, and records their values.
 
-    shapes: {name: shape of what it gives}; rows (steps, 1 + numbers): the time and all of it. `before`: Sensors of the run so far, to go
-    on from; without it the first step tells the shapes.
+    shapes: {name: shape of a value}, known after the first step; rows (steps, 1 + numbers): time and values. before: Sensors of the run so
+    far, for `resume`.
     """
 
     def __init__(self, model, functions, before=None):
@@ -122,17 +122,17 @@ class Recorder:
             self.shapes, self._rows, self.count = dict(before.shapes), before.rows, len(before.rows)
 
     def step(self, state):
-        """An accepted state. Raises InputError naming the sensor that gives anything but finite numbers of the shape that it gave first."""
+        """Record an accepted state. Raises InputError if a sensor does not return finite numbers of its first shape."""
         if not self.functions:
             return
         values = {name: self._value(name, state) for name in self.functions}
         self.shapes = self.shapes or {name: value.shape for name, value in values.items()}
         if not self.count:
-            self.quiet(Stretch.of(state))  # what numba cannot compile is refused before the run
+            self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
         self._add(np.concatenate([[state.t], *(value.ravel() for value in values.values())])[None])
 
     def quiet(self, stretch):
-        """How many states lead a stretch at which compiled sensors give finite numbers, for `take`; 0 where one is Python."""
+        """Number of states at the start of a stretch with finite values of compiled sensors, for `take`; 0 if a sensor is Python."""
         if not self.functions:
             return len(stretch)
         found, given = [], (stretch.t, stretch.q, stretch.v)
@@ -144,7 +144,7 @@ class Recorder:
         return leading(np.isfinite(self.ahead).all(axis=1))
 
     def take(self, first, end):
-        """The accepted states from number `first` to before `end` of the stretch that `quiet` looked at last."""
+        """Record the states `first` to `end` of the last stretch of `quiet`."""
         if self.functions:
             self._add(self.ahead[first:end])
 
@@ -173,5 +173,5 @@ class Recorder:
 
     @property
     def rows(self):
-        """All that was recorded."""
+        """The recorded rows."""
         return self._rows[: self.count]

@@ -12,7 +12,7 @@ from uuid import uuid4
 
 import polyida
 from polyida.errors import InputError
-from polyida.mark import NoMark, mark_of
+from polyida.fingerprint import NoFingerprint, fingerprint_of
 from polyida.progress import teller
 from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
@@ -232,8 +232,8 @@ def _row_folder(function, folder):
     except OSError as error:
         raise InputError(f"sweep: folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
     try:
-        code = mark_of(function)
-    except NoMark as error:
+        code = fingerprint_of(function)
+    except NoFingerprint as error:
         advice = "make it within the function, give what it is made of by the case, or sweep without a folder"
         raise InputError(f"sweep: {_name_of(function)} uses {error}; {advice}") from None
     return RowFolder(Path(folder), f"{polyida.__version__} {package_hash()} {code}", retry_failed=True)

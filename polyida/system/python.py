@@ -10,7 +10,7 @@ import numpy as np
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem, dense
-from polyida.linear.step_matrix import StepMatrix
+from polyida.linear.saddle import StepMatrix
 from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
 from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 from polyida.system import dense as small

@@ -8,7 +8,6 @@ import pytest
 
 import polyida as pi
 from polyida.io.layout import frames_at_once
-from polyida.io.writer import fletcher32
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -143,17 +142,6 @@ def test_a_coordinate_s_history_is_read_without_the_others(tmp_path):
             run.q[key]
     with pytest.raises(pi.InputError, match="load: check = 1 must"):
         pi.load(path, check=1)
-
-
-@pytest.mark.parametrize("kind, words", [("f8", "i8"), ("f4", "i4")])
-@pytest.mark.parametrize("shape", [(16,), (16, 1021), (32, 3), (2, 2)])
-def test_our_checksum_is_that_of_hdf5(tmp_path, shape, kind, words):
-    numbers = np.random.default_rng(0).random(shape).astype(kind)
-    for values in (numbers, np.zeros(shape, kind), np.full(shape, -1, words).view(kind), np.where(numbers > 0.1, 0, numbers)):
-        with h5py.File(tmp_path / "one.h5", "w") as file:
-            file.create_dataset("x", data=values, chunks=shape, fletcher32=True)
-            stored = file["x"].id.read_direct_chunk((0,) * len(shape))[1]
-        assert fletcher32(values) == int.from_bytes(stored[-4:], "little") and stored[:-4] == values.tobytes()
 
 
 def test_a_file_without_a_whole_frame_is_refused(path):

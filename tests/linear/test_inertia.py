@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import null_space
 from scipy.sparse import csc_array, csr_array
 
-from polyida.linear.saddle import falling
+from polyida.linear.saddle import negative_directions
 
 
 @pytest.mark.parametrize("m", [0, 1, 4])
@@ -17,16 +17,16 @@ def test_it_counts_the_negative_eigenvalues_on_the_null_space(sparse, m):
         matrix = 1e6 * (matrix + matrix.T + shift * np.eye(20))
         space = null_space(border) if m else np.eye(20)
         expected = int(np.sum(np.linalg.eigvalsh(space.T @ matrix @ space) < 0))
-        assert falling(*(csc_array(matrix), csr_array(border)) if sparse else (matrix, border)) == expected
+        assert negative_directions(*(csc_array(matrix), csr_array(border)) if sparse else (matrix, border)) == expected
 
 
 def test_a_floating_body_counts_as_held_by_its_constraints():
     """K alone is singular: a spring between two points that one row holds."""
     matrix = np.array([[1.0, -1.0], [-1.0, 1.0]])
     for border, expected in (([[1.0, 0.0]], 0), ([[1.0, 1.0]], 0)):
-        assert falling(csc_array(matrix), csr_array(np.array(border))) == expected
-        assert falling(csc_array(-matrix), csr_array(np.array(border))) == 1
+        assert negative_directions(csc_array(matrix), csr_array(np.array(border))) == expected
+        assert negative_directions(csc_array(-matrix), csr_array(np.array(border))) == 1
 
 
 def test_a_matrix_that_is_not_symmetric_is_not_judged():
-    assert falling(np.array([[1.0, 1.0], [0.0, 1.0]]), np.zeros((0, 2))) is None
+    assert negative_directions(np.array([[1.0, 1.0], [0.0, 1.0]]), np.zeros((0, 2))) is None

@@ -7,7 +7,7 @@ from scipy.sparse import csc_array, csr_array, diags_array
 import polyida as pi
 from polyida import problems
 from polyida.linear.lu import SingularSystem
-from polyida.linear.step_matrix import StepMatrix, WholeMatrix
+from polyida.linear.saddle import StepMatrix, WholeMatrix
 
 
 @pytest.fixture

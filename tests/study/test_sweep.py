@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.mark import mark_of
+from polyida.fingerprint import fingerprint_of
 
 CALLS = []
 RESERVED = ["error", "cpu_s", "wall_s", "memory_mb"]
@@ -279,7 +279,7 @@ def marked(tmp_path, monkeypatch):
             sys.modules.pop(module, None)
         importlib.invalidate_caches()
         function = getattr(importlib.import_module("swept_cases"), name)
-        return mark_of(function), function
+        return fingerprint_of(function), function
 
     yield mark
     for module in ("swept_helpers", "swept_cases"):
@@ -318,20 +318,20 @@ def test_changed_code_has_another_mark(marked, edit):
 def test_what_changes_no_answer_keeps_the_mark(marked, edit):
     mark, function = marked()
     function(2.0)
-    assert mark_of(function) == mark == marked(*edit)[0]
+    assert fingerprint_of(function) == mark == marked(*edit)[0]
 
 
 def test_partials_lambdas_methods_and_closures_have_marks(marked):
     assert marked(name="partly")[0] != marked(*CHANGES["a material"], name="partly")[0]
     assert marked(name="short")[0] != marked(*CHANGES["a constant"], name="short")[0]
     closed = lambda factor: lambda x: {"y": factor * x}  # noqa: E731
-    assert mark_of(closed(1.0)) == mark_of(closed(1.0)) != mark_of(closed(2.0))
+    assert fingerprint_of(closed(1.0)) == fingerprint_of(closed(1.0)) != fingerprint_of(closed(2.0))
     adds = lambda scene: lambda x: {"y": scene.add(x)}  # noqa: E731, a thing that has an `add` is no list that is filled
-    assert mark_of(adds(pi.Scene((0.0, 0.0)))) != mark_of(adds(pi.Scene((0.0, 1.0))))
+    assert fingerprint_of(adds(pi.Scene((0.0, 0.0)))) != fingerprint_of(adds(pi.Scene((0.0, 1.0))))
     mesh = pi.mesh.rectangle(1.0, 0.1, cells=4)
-    before = mark_of(closed(mesh))
+    before = fingerprint_of(closed(mesh))
     mesh.quality()
-    assert mark_of(closed(mesh)) == before != mark_of(closed(pi.mesh.rectangle(1.0, 0.1, cells=5)))
+    assert fingerprint_of(closed(mesh)) == before != fingerprint_of(closed(pi.mesh.rectangle(1.0, 0.1, cells=5)))
 
 
 def test_other_code_another_version_and_another_case_run_anew(tmp_path, monkeypatch):

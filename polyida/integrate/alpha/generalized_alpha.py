@@ -11,8 +11,7 @@ from polyida.integrate.alpha.step_size import ErrorControl, control_of_run, tole
 from polyida.integrate.alpha.steps import Steps, adaptive_steps, extrapolated, fixed_steps
 from polyida.integrate.discontinuities import PARTS, number_of_steps, pieces, run_interval, sampling
 from polyida.integrate.state import Counts, Integrator, State, States, Stretch
-from polyida.linear.saddle import SCALINGS
-from polyida.linear.step_matrix import WholeMatrix
+from polyida.linear.saddle import SCALINGS, WholeMatrix
 from polyida.model import Model
 from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 

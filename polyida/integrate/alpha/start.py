@@ -19,7 +19,7 @@ from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
-from polyida.linear.step_matrix import ExactSaddle
+from polyida.linear.saddle import ExactSaddle
 from polyida.model.differences import beside
 
 MUCH_LONGER = 2.5  # times the step before; adaptive steps grow by less

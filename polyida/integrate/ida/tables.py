@@ -26,7 +26,7 @@ from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
 from polyida.linear.lu import dense, first_order_sizes, first_order_units
-from polyida.linear.step_matrix import MANY
+from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
 from polyida.system.python import small_own

@@ -24,8 +24,7 @@ from functools import partial
 import numpy as np
 
 from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_order_sizes, first_order_units
-from polyida.linear.saddle import typical
-from polyida.linear.step_matrix import Border, StepMatrix
+from polyida.linear.saddle import Border, StepMatrix, typical
 from polyida.model.differences import bend, reach_along
 
 NOTHING = 1e-12  # of the largest mass: none

@@ -1,6 +1,6 @@
-"""A mark of a function: of its code, of what it names in modules of the user's own, and of the values that come with it.
+"""Fingerprints of functions: of their code, of what it names in the user's modules, and of their values.
 
-Sweeps find their rows by it, and compiled functions of users their machine code.
+Sweeps find their rows by them, and compiled functions of users their machine code.
 """
 
 import copyreg
@@ -20,70 +20,69 @@ import numpy as np
 PLAIN = (int, float, complex, str, bytes, bool, type(None), type(Ellipsis))
 FILLING = {"append", "extend", "insert", "add", "update", "setdefault", "clear", "pop", "popitem", "remove", "discard"}
 LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_ATTR", "LOAD_METHOD")
-STORES = (list, dict, set)  # what a function may fill
-# constants of compiled code: it is kept under a mark
+STORES = (list, dict, set)  # containers that a function may fill
+# constants of compiled code: it is stored under a fingerprint
 BY_VALUE = (*STORES, frozenset, np.ndarray, np.generic, np.dtype, np.ufunc, FunctionType, CodeType, ModuleType, type)
 BESIDE = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount", "co_flags")
 
 
-class NoMark(Exception):
-    """Nobody can say whether a value has changed."""
+class NoFingerprint(Exception):
+    """It is unknown if a value has changed."""
 
 
-def mark_of(function):
-    """A text that changes with what a function does, as far as its code shows.
+def fingerprint_of(function):
+    """A text that changes with the code of a function and all that it names.
 
-    It is made of the code as it is loaded (comments and the places of lines are not in it), defaults, closures, and all functions,
-    classes and values that the code names in modules of the user's own, and so on from there. What is installed (Python's library,
-    packages, polyida) counts by its name alone. A list, dictionary or variable that a function itself fills is its log or its store and
-    does not count. Raises NoMark for a value of which no mark can be made.
+    It is made of the loaded code (without comments and line numbers), defaults, closures, and all functions, classes and values that the
+    code names in the user's modules, recursively. Installed modules (Python's library, packages, polyida) are represented by names. A list,
+    dictionary or variable that the function itself fills is its log or store and is ignored. Raises NoFingerprint for a value without one.
     """
-    return _marked(_Reader(), function)
+    return _digested(_Reader(), function)
 
 
-def machine_mark_of(*functions):
-    """A text that changes with all that machine code of functions depends on, for numba; None where that cannot be told.
+def machine_code_fingerprint(*functions):
+    """A text that changes with all that the machine code of functions depends on in numba; None if that is unknown.
 
-    Only Python's library, numpy and numba count by name, and polyida's own compiled functions: the folder of kernels has their versions in
-    its name. All else counts by value. There is no mark of what has an address in this process, such as C functions, nor of a function that is
-    named as an attribute of a user's module: numba may have compiled it before, from other values. A mark is made once, as long as all that
-    the functions name stays the same; again each time, if they name lists, dictionaries, classes or modules of the user's own.
+    Python's library, numpy, numba and polyida's compiled functions are represented by names: the folder of kernels has their versions in
+    its name. All else is represented by value. Objects with an address in this process, such as C functions, have none, nor has a function
+    that is an attribute of a user's module: numba may have compiled it before, with other values. The text is made once while all that the
+    functions name stays the same; each time if they name lists, dictionaries, classes or modules of the user.
     """
-    mark, named, arrays = _known.get(functions, (None, (), ()))
+    text, named, arrays = _known.get(functions, (None, (), ()))
     same = all(space.get(name, space) is value for space, name, value in named)
-    if mark and same and all(_content(array) == content for array, content in arrays):
-        return mark
+    if text and same and all(_content(array) == content for array, content in arrays):
+        return text
     reader = _MachineReader()
     try:
-        mark = _marked(reader, functions)
-    except NoMark:
+        text = _digested(reader, functions)
+    except NoFingerprint:
         return None
     if reader.constant:
-        _known[functions] = mark, reader.named, reader.arrays
-    return mark
+        _known[functions] = text, reader.named, reader.arrays
+    return text
 
 
-_known: dict = {}  # {functions: (their mark, [(where they find a name, the name, its value)], [(array, its content)])}
+_known: dict = {}  # {functions: (their text, [(namespace, name, value)], [(array, its content)])}
 
 
 def _content(array):
     return array.shape, array.dtype, array.tobytes()
 
 
-def _marked(reader, thing):
+def _digested(reader, thing):
     reader.add(thing)
     return reader.digest.hexdigest()
 
 
 class _Reader:
-    """Walks what a function is made of, each thing once, and digests it in the order of the walk."""
+    """Visits all that a function is made of, each object once, and digests it in this order."""
 
     def __init__(self):
         self.digest = hashlib.sha256()
-        self.seen, self.alive = {}, []  # numbers by id, and the things themselves: the id of one that is gone is given again
+        self.seen, self.alive = {}, []  # numbers by id, and the objects themselves: the id of a deleted object is reused
 
     def by_name(self, module):
-        """Whether what a module holds counts by its name alone."""
+        """True if the contents of a module are represented by names."""
         return _installed(module)
 
     def note(self, *texts):
@@ -108,7 +107,7 @@ class _Reader:
             self.add(thing)
 
     def _walk(self, thing):
-        """Digest a thing that is not plain by what it is made of."""
+        """Digest an object that is not plain by its parts."""
         self.note(type(thing).__name__)
         if isinstance(thing, ModuleType):
             self.note(thing.__name__)
@@ -121,7 +120,7 @@ class _Reader:
         elif isinstance(thing, type):
             self._class(thing)
         elif type(thing) in (set, frozenset):
-            self._all(sorted(_marked(type(self)(), one) for one in thing))
+            self._all(sorted(_digested(type(self)(), one) for one in thing))
         elif type(thing) in (list, tuple):
             self._all(thing)
         elif type(thing) is dict:
@@ -146,11 +145,11 @@ class _Reader:
                 self._value(name, value)
 
     def _value(self, name, value):
-        """Digest what a function names."""
+        """Digest a name of a function and its value."""
         self._all([name, value])
 
     def _stores(self, code):
-        """Names that do not count: of what a function assigns beside its own variables, and of what it fills."""
+        """Ignored names: of variables that a function assigns outside itself, and of containers that it fills."""
         return _stores(code)
 
     def _class(self, kind):
@@ -162,12 +161,12 @@ class _Reader:
                 self._all(parts or [value])
 
     def _reduced(self, thing):
-        """What pickle takes an object apart into, without what it has worked out for itself."""
+        """The parts of an object in pickle, without cached properties."""
         try:
             reduce = copyreg.dispatch_table.get(type(thing))
             found = reduce(thing) if reduce else thing.__reduce_ex__(4)
-        except Exception as error:  # noqa: BLE001, whatever a user's object answers
-            raise NoMark(f"a {type(thing).__name__}, of which nobody can say whether it changed ({error})") from None
+        except Exception as error:  # noqa: BLE001, of a user's object
+            raise NoFingerprint(f"a {type(thing).__name__}, of which nobody can say whether it changed ({error})") from None
         if isinstance(found, str):
             return [type(thing), found]
         make, arguments, state, entries, items = (*found, None, None, None)[:5]
@@ -177,9 +176,9 @@ class _Reader:
 
 
 class _MachineReader(_Reader):
-    """The same for machine code: what it cannot tell by value has no mark.
+    """The same for machine code: what is not represented by value has no fingerprint.
 
-    named, arrays: as of `_known`; constant: whether nothing else that was read can change in place.
+    named, arrays: as of `_known`; constant: True if nothing else that was read can change in place.
     """
 
     def __init__(self):
@@ -206,7 +205,7 @@ class _MachineReader(_Reader):
     def _value(self, name, value):
         self.constant = self.constant and "." not in name
         if "." in name and (isinstance(value, FunctionType) or is_dispatcher(value)):
-            raise NoMark(name)
+            raise NoFingerprint(name)
         super()._value(name, value)
 
     def _walk(self, thing):
@@ -217,12 +216,12 @@ class _MachineReader(_Reader):
         elif array:
             self.arrays.append((thing, _content(thing)))
         if isinstance(thing, ModuleType) and not self.by_name(thing.__name__) and hasattr(thing, "__getattr__"):
-            raise NoMark(thing.__name__)
+            raise NoFingerprint(thing.__name__)
         if is_dispatcher(thing):
             if of_polyida(thing):
                 self.note(thing.__module__, thing.__qualname__)
-            elif not getattr(thing, "_can_compile", False):  # for given types alone
-                raise NoMark(thing.__qualname__)
+            elif not getattr(thing, "_can_compile", False):  # with fixed types
+                raise NoFingerprint(thing.__qualname__)
             else:
                 super()._walk(thing)
         elif isinstance(thing, (BuiltinFunctionType, type(np.dot))) and self.by_name(module):
@@ -232,21 +231,21 @@ class _MachineReader(_Reader):
         elif isinstance(thing, BY_VALUE) or type(thing).__module__ == "polyida.jit.user_functions":
             super()._walk(thing)
         else:
-            raise NoMark(type(thing).__name__)
+            raise NoFingerprint(type(thing).__name__)
 
 
 def is_dispatcher(thing):
-    """Whether a thing is what numba's decorators make of a function."""
+    """True for a function compiled by numba."""
     return hasattr(thing, "py_func") and hasattr(thing, "targetoptions")
 
 
 def of_polyida(thing):
-    """Whether a function is of this package."""
+    """True for a function of this package."""
     return str(thing.__module__).partition(".")[0] == "polyida"
 
 
 def _wrapped(thing):
-    """The functions that a descriptor or a compiled or cached function is about; empty for anything else."""
+    """The functions in a descriptor or a compiled or cached function; empty for anything else."""
     if isinstance(thing, property):
         return [thing.fget, thing.fset, thing.fdel]
     if isinstance(thing, cached_property):
@@ -268,7 +267,7 @@ def _codes(code):
 
 
 def _stores(code):
-    """Names of what a function assigns beside its own variables, `global count`, and of what it fills, `log.append(x)`, `store[key] = x`."""
+    """Names that a function assigns outside itself, `global count`, and of containers that it fills, `log.append(x)`, `store[key] = x`."""
     assigned, filled = set(), set()
     for part in _codes(code):
         steps = list(dis.get_instructions(part))
@@ -283,7 +282,7 @@ def _stores(code):
 
 
 def _named(function, closed, by_name):
-    """{name: value} of what a function's code names: globals, and what it takes from modules of the user's own, also from `closed` ones."""
+    """{name: value} of the names in a function's code: globals, and attributes of the user's modules, also of `closed` ones."""
     names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
     known = function.__globals__
     found = {name: known[name] for name in names if name in known}
@@ -305,7 +304,7 @@ def _named(function, closed, by_name):
 
 
 def _imported(function, by_name):
-    """The modules of the user's own that a function imports when it is called."""
+    """The user's modules that a function imports when it is called."""
     found = []
     for code in _codes(function.__code__):
         if dis.opmap["IMPORT_NAME"] not in code.co_code[::2]:
@@ -313,14 +312,14 @@ def _imported(function, by_name):
         steps = list(dis.get_instructions(code))
         for level, _, step in zip(steps, steps[1:], steps[2:]):
             if step.opname == "IMPORT_NAME":
-                with suppress(Exception):  # what cannot be imported the case will tell
+                with suppress(Exception):  # a failing import raises when the function is called
                     name = importlib.util.resolve_name("." * level.argval + step.argval, function.__globals__.get("__package__"))
                     found += [] if by_name(name) else [importlib.import_module(name)]
     return found
 
 
 def _installed(name):
-    """Whether a module is Python's, polyida's or one of an installed package, known by its name; else it is the user's own."""
+    """True if the module of a name is Python's, polyida's or of an installed package; False for the user's."""
     if not isinstance(name, str) or name == "__main__":
         return False
     top = name.partition(".")[0]
