@@ -44,7 +44,7 @@ def slopes(run):
     return {"q": in_q}
 
 
-missed = pi.objective.Own(value, slopes)
+missed = pi.objective.UserObjective(value, slopes)
 gradient = pi.gradient(run, missed, parameters=["spring.stiffness", "tip.mass"])
 print(f"missed by {abs(height(run.q[-1]) - WANTED):.3f} m; dJ/dstiffness = {gradient['spring.stiffness']:.4g} m2 rad / (N m)")
 print(pi.check_gradient(run, missed, parameters=["spring.stiffness", "tip.mass"]))
