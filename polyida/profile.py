@@ -10,6 +10,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.model.differences import around, within
 from polyida.reprs import cut
@@ -287,10 +288,8 @@ def _values(function, t):
     """The finite values of a user's function at a time or an array of times."""
     if not np.ndim(t):
         return _checked(function, t)
-    from polyida.jit.user_functions import over
-
     times = np.asarray(t, float)
-    found = over("profile", function, times.ravel())
+    found = registry.find(registry.above, "over")("profile", function, times.ravel())
     if found is None or not np.isfinite(found).all():
         found = np.array([_checked(function, at) for at in times.ravel().tolist()])
     return found.reshape(times.shape)
@@ -330,11 +329,8 @@ def difference(first: Profile, second: Profile) -> Profile:
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
     pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
     value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
-    return Profile(value, d1, d2, kinks, takes_arrays=_take_arrays(first, second))
-
-
-def _take_arrays(*profiles):
-    return all(bool(profile.formula) or profile.takes_arrays for profile in profiles)
+    arrays = all(profile.formula or profile.takes_arrays for profile in (first, second))
+    return Profile(value, d1, d2, kinks, takes_arrays=arrays)
 
 
 def _less(f, g, t):
@@ -357,7 +353,7 @@ def scaled(profile: Profile, factor: float) -> Profile:
     """
     _require_numbers("scaled", factor=factor)
     value, d1, d2 = (partial(_times, f, float(factor)) for f in (profile.value, profile.d1, profile.d2))
-    return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest, takes_arrays=_take_arrays(profile))
+    return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest, takes_arrays=bool(profile.formula or profile.takes_arrays))
 
 
 def _times(f, factor, t):

@@ -53,6 +53,9 @@ problems: dict[str, Any] = {
     "two-link-arm": "polyida.problems.mechanisms:two_link_arm_problem",
     "peaucellier": "polyida.problems.mechanisms:peaucellier_problem",
 }
+above: dict[str, Any] = {  # functions that modules call which the functions' own modules import
+    "over": "polyida.jit.user_functions:over"
+}
 views: dict[str, Any] = {  # attributes of a run that draw it
     "plot": "polyida.show.plots:RunPlots",
     "drawing": "polyida.show.plots:drawing",

@@ -128,8 +128,8 @@ def linear_system(part, model, state=None):
     C = model.force_v(t, q, rest) if model.needs.velocity_forces else None
     M = model.mass(q)
     K = model.tangent(t, q, rest, rest, state.lam, 0.0, 0.0, 1.0)
-    given = [matrix for matrix in (M, C, K, B) if matrix is not None]
-    sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in given)
+    matrices = [matrix for matrix in (M, C, K, B) if matrix is not None]
+    sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in matrices)
     return LinearSystem(model, state, *[None if matrix is None else matrix.tocsc() if sparse else dense(matrix) for matrix in (M, C, K, B)])
 
 
@@ -146,11 +146,11 @@ def damped(system, count):
     them, or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once.
     """
     slow, N = _rigid(system, count)
-    left = count - N.shape[1]
+    remaining = count - N.shape[1]
     roots, X = np.zeros(N.shape[1], complex), N.astype(complex)
-    if left:
+    if remaining:
         solve = _arnoldi if _large(system, count) else _dense_damped
-        s, Y = _least(*solve(system, left, N, slow), left)
+        s, Y = _least(*solve(system, remaining, N, slow), remaining)
         # exactly zero where a shape without stiffness stays where it is: of its two roots, 0 and -c/m, the other one fades
         mass = np.einsum("ik,ik->k", Y.conj(), system.M @ Y).real
         drag = 0.0 if system.C is None else np.einsum("ik,ik->k", Y.conj(), system.C @ Y).real

@@ -32,13 +32,13 @@ OFF = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to a
 MOST = 2000  # coordinates without `modes`
 
 
-def inputs_of(part, model, state, given):
+def inputs_of(part, model, state, inputs):
     """A list of InputDirection with labels of a user's None (all profiles), one input, a list or a dictionary {label: input}."""
-    if given is None:
-        given = [name for name in input_names(model) if name]
-    if not isinstance(given, (list, dict)):
-        given = [given]
-    named = given.items() if isinstance(given, dict) else ((None, one) for one in given)
+    if inputs is None:
+        inputs = [name for name in input_names(model) if name]
+    if not isinstance(inputs, (list, dict)):
+        inputs = [inputs]
+    named = inputs.items() if isinstance(inputs, dict) else ((None, one) for one in inputs)
     found = [(label, input_direction(part, model, state, one)) for label, one in named]
     return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(found)]
 
@@ -105,17 +105,17 @@ class Output:
     along: Callable[[tuple[NDArray, NDArray, NDArray], NDArray], NDArray]
 
 
-def outputs_of(part, model, state, given):
+def outputs_of(part, model, state, outputs):
     """A list of Output of a user's None, one output, a list or a dictionary {label: output}."""
-    if given is None:  # the places of all masses and loads; without any, all of q
-        given = [name for name, thing in model.parts.items() if isinstance(getattr(thing, "at", None), Attachment)]
-        given = given or {f"q[{k}]": row for k, row in enumerate(np.eye(model.n))}
-    if isinstance(given, (dict, list)) and not given:
-        raise InputError(f"{part}: output {given!r} names nothing to look at; leave it out for masses, loads or all coordinates")
-    if isinstance(given, dict):
-        return [_output(part, model, state, one, str(label)) for label, one in given.items()]
-    given = given if isinstance(given, list) else [given]
-    return [_output(part, model, state, one, None) for one in given]
+    if outputs is None:  # the places of all masses and loads; without any, all of q
+        outputs = [name for name, thing in model.parts.items() if isinstance(getattr(thing, "at", None), Attachment)]
+        outputs = outputs or {f"q[{k}]": row for k, row in enumerate(np.eye(model.n))}
+    if isinstance(outputs, (dict, list)) and not outputs:
+        raise InputError(f"{part}: output {outputs!r} names nothing to look at; leave it out for masses, loads or all coordinates")
+    if isinstance(outputs, dict):
+        return [_output(part, model, state, one, str(label)) for label, one in outputs.items()]
+    outputs = outputs if isinstance(outputs, list) else [outputs]
+    return [_output(part, model, state, one, None) for one in outputs]
 
 
 def labels_of(outputs):
@@ -131,14 +131,14 @@ def along(outputs, moved, mu):
     return np.concatenate([np.zeros((0, mu.shape[1])), *(output.along(moved, mu) for output in outputs)])
 
 
-def _output(part, model, state, given, label):
-    vector = None if isinstance(given, (str, Attachment)) else floats(given)
+def _output(part, model, state, output, label):
+    vector = None if isinstance(output, (str, Attachment)) else floats(output)
     if vector is not None and vector.shape == (model.n,):
         return Output((label or "output",), lambda moved, mu: vector[None] @ moved[0])
-    what, kind = given if isinstance(given, tuple) and len(given) == 2 else (given, "position")
+    what, kind = output if isinstance(output, tuple) and len(output) == 2 else (output, "position")
     if not is_one_of(kind, KINDS) or not isinstance(what, (str, Attachment)):
         wanted = f"a name, (name, one of {', '.join(KINDS)}), or {model.n} finite numbers"
-        raise InputError(f"{part}: output {str(given)[:80]} must be {wanted}")
+        raise InputError(f"{part}: output {str(output)[:80]} must be {wanted}")
     return _reaction(part, model, state, what, label) if kind == "reaction" else _place(model, state, what, kind, label)
 
 
@@ -256,13 +256,13 @@ def linearise(
     >>> t, y, _ = scipy.signal.lsim(system.to_scipy(), u, t)  # doctest: +SKIP
     """
     system = linear_system("linearise", model, state)
-    given = inputs_of("linearise", system.model, system.state, inputs)
+    directions = inputs_of("linearise", system.model, system.state, inputs)
     looked_at = outputs_of("linearise", system.model, system.state, outputs)
-    coordinates = Coordinates("linearise", system, given, modes)
-    motors = [k for k, one in enumerate(given) if one.row.any()]
+    coordinates = Coordinates("linearise", system, directions, modes)
+    motors = [k for k, one in enumerate(directions) if one.row.any()]
     A, B, C, D = _matrices(coordinates, motors, looked_at)
     shapes = np.concatenate([coordinates.T, coordinates.G[:, motors]], axis=1).T
-    names = tuple(one.label for one in given)
+    names = tuple(one.label for one in directions)
     return StateSpace(A, B, C, D, names, labels_of(looked_at), tuple(names[k] for k in motors), shapes)
 
 
@@ -364,8 +364,8 @@ def frequency_response(
         As `pi.linearise`.
     """
     system = linear_system("frequency_response", model, state)
-    given = floats(frequencies)
-    if given is None or given.ndim > 1 or not given.size:
+    at = floats(frequencies)
+    if at is None or at.ndim > 1 or not at.size:
         raise InputError(f"frequency_response: frequencies = {str(frequencies)[:80]} must be finite numbers in Hz, at least one")
     inputs = inputs_of("frequency_response", system.model, system.state, input if isinstance(input, dict) else [input])
     if len(inputs) != 1:
@@ -374,7 +374,7 @@ def frequency_response(
     outputs = outputs_of("frequency_response", system.model, system.state, output)
     whole = lambda omega: system.factor(-(omega**2), 1j * omega).solve(-pushed.force, pushed.row)  # noqa: E731
     solve = whole if modes is None else _modal(system, pushed, modes)
-    frequencies = np.atleast_1d(given)
+    frequencies = np.atleast_1d(at)
     values = [_look(outputs, solve, 2 * np.pi * f) for f in frequencies]
     return FrequencyResponse(frequencies, np.array(values), pushed.label, labels_of(outputs))
 

@@ -162,7 +162,7 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
     t, ends = times[0], (times.min() - times[0], times.max() - times[0])
     d, length = _size(q) * random.standard_normal(model.n), ends[1] - ends[0] or 1.0
     smooth, everywhere = model._smooth(t), differences.EVERYWHERE
-    room = smooth if ends[0] == ends[1] else (max(smooth[0], ends[0]), min(smooth[1], ends[1]))
+    bounds = smooth if ends[0] == ends[1] else (max(smooth[0], ends[0]), min(smooth[1], ends[1]))
     pace = min(length, _size(q) / _size(v))
 
     def size():  # of what phi is the sum of, whose round-off it has
@@ -177,15 +177,15 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
     if nonholonomic:
         compared = {
             "phi_q": ("the slope of phi_rate in v", lambda s: model.phi_rate(t, q, v + s * d), 1.0, everywhere, 1),
-            "phi_bias": ("d/dt of phi_rate at constant v", lambda s: model.phi_rate(t + s, q + s * v, v), pace, room, 1),
+            "phi_bias": ("d/dt of phi_rate at constant v", lambda s: model.phi_rate(t + s, q + s * v, v), pace, bounds, 1),
         }
     else:
         moving = lambda s: model.phi(t + s, q + s * v)  # noqa: E731
         compared = {
-            "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, room, 1),
-            "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, room, 2),
+            "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, bounds, 1),
+            "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, bounds, 2),
             "phi_q": ("the derivative of phi in q", lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
-            "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, room, 1),
+            "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, bounds, 1),
         }
     for name, (meaning, *differenced) in compared.items():
         if writes(model.user, name) and (wrong := _wrong(written[name], *differenced, size)):
@@ -193,10 +193,10 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
             raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
 
 
-def _wrong(call, function, scale, room, order, size):
+def _wrong(call, function, scale, bounds, order, size):
     """A derivative that is written and differences of the function, in words; empty if they agree, or if the differences are unknown."""
     with suppress(*RAISED):
-        written, (found, doubt) = np.asarray(call()), _known(function, scale, room, order, size)
+        written, (found, doubt) = np.asarray(call()), _known(function, scale, bounds, order, size)
         off = np.abs(written - found) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(found))
         worst = int(np.argmax(off))
         if np.isfinite(off).all() and off[worst] > 0.0:
@@ -204,10 +204,10 @@ def _wrong(call, function, scale, room, order, size):
     return ""
 
 
-def _known(function, scale, room, order, size):
+def _known(function, scale, bounds, order, size):
     """(derivative, uncertainty), (m,) each, by the longest differences of SCALES from which shorter ones differ by round-off alone, or least."""
     steps = [differences.FIRST_ORDER_STEP * scale * part for part in SCALES]
-    found = [differences.within(function, room, step, order) for step in steps]
+    found = [differences.within(function, bounds, step, order) for step in steps]
     noise = [ROUND * (np.abs(np.asarray(function(0.0))) + size()) / step**order for step in steps]
     apart = [np.maximum(np.abs(one - other) - blur, 0.0) for one, other, blur in zip(found, found[1:], noise[1:])]
     doubts = [np.max(apart[k:], axis=0) + noise[k] for k in range(len(apart))]

@@ -139,12 +139,12 @@ class Cut:
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""
         u, v, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
-        left = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
+        residual = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
         x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
         turn /= abs(turn) or 1.0
         point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
-        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(t, v, a)]))
+        forces = -complex_of_pairs(np.concatenate([residual, self.slivers.forces(t, v, a)]))
         arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
         through = way.conjugate() * forces.sum()
         return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag
@@ -173,6 +173,6 @@ def _body(model, plate: Any):
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:
         return known[name]
-    given = getattr(plate, "label", None) or repr(plate)
-    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {given:.100}"
-    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known)) or 'none'}")
+    label = getattr(plate, "label", None) or repr(plate)
+    label = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {label:.100}"
+    raise InputError(f"section_forces: {label}; known: {', '.join(map(repr, known)) or 'none'}")

@@ -90,24 +90,24 @@ class AcceptedStates:
     def _next_copied(self):
         """A copy of the next state, checked, or None after the last."""
         try:
-            given = next(self.states, END)
+            yielded = next(self.states, END)
             if wrong := self._wrong_count():
                 self.stop(wrong)
-            if given is END:
+            if yielded is END:
                 return None
-            if not isinstance(given, State):
-                self.stop(f"its steps yielded {type(given).__name__}, a polyida.State is needed")
-            if not is_number(given.t):
-                self.stop(f"its steps yielded a State at t = {given.t!r}")
-            arrays = [self._floats(name, getattr(given, name), getattr(self.before, name).shape, given.t) for name in FIELDS]
-            t = self.t_end if abs(given.t - self.t_end) <= self.slack else float(given.t)
-            if not isinstance(given.memory or {}, dict):
-                self.stop(f"memory at t = {given.t:.9g} s must be a dictionary, not {type(given.memory).__name__}")
+            if not isinstance(yielded, State):
+                self.stop(f"its steps yielded {type(yielded).__name__}, a polyida.State is needed")
+            if not is_number(yielded.t):
+                self.stop(f"its steps yielded a State at t = {yielded.t!r}")
+            arrays = [self._floats(name, getattr(yielded, name), getattr(self.before, name).shape, yielded.t) for name in FIELDS]
+            t = self.t_end if abs(yielded.t - self.t_end) <= self.slack else float(yielded.t)
+            if not isinstance(yielded.memory or {}, dict):
+                self.stop(f"memory at t = {yielded.t:.9g} s must be a dictionary, not {type(yielded.memory).__name__}")
             try:
-                memory = deepcopy(given.memory or {})
+                memory = deepcopy(yielded.memory or {})
             except Exception as error:  # noqa: BLE001 what a copy of anything may raise
-                self.stop(f"memory at t = {given.t:.9g} s cannot be copied ({error}); keep numbers, texts and arrays in it")
-            state = State(t, *arrays, memory, bool(given.restart))
+                self.stop(f"memory at t = {yielded.t:.9g} s cannot be copied ({error}); keep numbers, texts and arrays in it")
+            state = State(t, *arrays, memory, bool(yielded.restart))
             self._require_finite(state)
             if not t > self.before.t:
                 self.stop(f"t = {t:.9g} s after {self.before.t:.9g} s does not advance")

@@ -149,14 +149,14 @@ def _plan(stored, t_end, until):
 
 def _recorder(stored, model, sensors):
     """A Recorder with the values of the sensors up to the state from which the run is continued."""
-    known, given = ", ".join(map(repr, stored.sensors)), sensors or {}
-    if sensors is None and known:
+    names, functions = ", ".join(map(repr, stored.sensors)), sensors or {}
+    if sensors is None and names:
         raise InputError(
-            f"the run had the sensors {known}, functions which no file holds; give sensors=, or sensors=False to go on without"
+            f"the run had the sensors {names}, functions which no file holds; give sensors=, or sensors=False to go on without"
         )
-    if sensors is not False and list(given) != list(stored.sensors):
+    if sensors is not False and list(functions) != list(stored.sensors):
         raise InputError(
-            f"the run had {f'the sensors {known}' if known else 'no sensors'}; it cannot go on with {', '.join(map(repr, given))}"
+            f"the run had {f'the sensors {names}' if names else 'no sensors'}; it cannot go on with {', '.join(map(repr, functions))}"
         )
     found = sensors_of(stored)
-    return Recorder(guard(model), given, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
+    return Recorder(guard(model), functions, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))

@@ -90,9 +90,9 @@ class Until:
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
         if is_number(value):
             return float(value)
-        given = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
+        shown = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
         wanted = "a finite number that changes sign where the run is to stop, like t - 0.02"
-        raise InputError(f"until: the function gave {given} at t = {state.t:.9g} s; it must give {wanted}")
+        raise InputError(f"until: the function gave {shown} at t = {state.t:.9g} s; it must give {wanted}")
 
 
 def require_sensors(part, sensors):

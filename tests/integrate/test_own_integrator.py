@@ -151,3 +151,29 @@ def test_counts_that_are_none_stop_the_run(name, tmp_path):
 def test_steps_with_other_arguments_are_refused_before_the_run(steps):
     with pytest.raises(pi.InputError, match=r"solve: steps of .* must take \(model, state, t_end, counts\)"):
         solved(SimpleNamespace(steps=steps))
+
+
+class Declared(Mine, pi.Integrator):
+    """One that inherits the defaults: its states are copied and checked."""
+
+
+class Trusted(Declared):
+    """One whose states are used as they are."""
+
+    trusted = True
+
+
+def test_one_that_inherits_gets_the_defaults():
+    integrator = Declared()
+    assert integrator.fixed_step() == 0.0 and integrator.relative_tolerance() is None and integrator.without_halving() is integrator
+    run = solved(integrator)
+    assert run.success and np.array_equal(run.q, solved(Mine()).q) and run.summary().startswith("done: Declared")
+    wrong = solved(Declared(lambda s: replace(s, q=s.q.tolist())))
+    assert wrong.status == "integrator" and "list" in wrong.message
+
+
+def test_states_of_a_trusted_one_are_taken_as_they_are():
+    run, plain = solved(Trusted()), solved(Mine())
+    assert run.success and run.counts == plain.counts and np.array_equal(run.q, plain.q) and np.array_equal(run.t, plain.t)
+    bad = solved(Trusted(lambda s: replace(s, q=s.q * np.nan)))
+    assert bad.status == "not finite" and "Trusted" in bad.message and len(bad) == BAD + 1
