@@ -116,15 +116,6 @@ FOUR_BAR_START = np.pi / 3  # angle of the crank, rad
 FOUR_BAR_TURN = profile.quintic(0.0, 2 * np.pi, duration=0.5)  # of the motor, rad
 
 
-def four_bar_positions(angle):
-    """(crank pin, rocker pin), complex, m, of rigid links with the crank at an angle, rad: Freudenstein's equation."""
-    crank_length, coupler, rocker, frame = FOUR_BAR
-    crank = crank_length * np.exp(1j * np.asarray(angle, float))
-    across = frame - crank
-    along = (abs(across) ** 2 + coupler**2 - rocker**2) / (2 * abs(across))
-    return crank, crank + (along + 1j * np.sqrt(coupler**2 - along**2)) * across / abs(across)
-
-
 def four_bar(level="full", modes=5, cells=70, seed=1, material=SOFT):
     """Four-bar: a motor turns the crank once within 0.5 s, by a quintic from 60 degrees; the coupler moves a rocker.
 

@@ -30,6 +30,15 @@ def complex_path(run, name):
     return run.position(name) @ (1, 1j)
 
 
+def four_bar_positions(angle):
+    """(crank pin, rocker pin), complex, m, of rigid links with the crank at an angle, rad: Freudenstein's equation."""
+    crank_length, coupler, rocker, frame = mechanisms.FOUR_BAR
+    crank = crank_length * np.exp(1j * np.asarray(angle, float))
+    across = frame - crank
+    along = (abs(across) ** 2 + coupler**2 - rocker**2) / (2 * abs(across))
+    return crank, crank + (along + 1j * np.sqrt(coupler**2 - along**2)) * across / abs(across)
+
+
 def rigid_paths(name, t):
     """{named point: its path, complex, m} of rigid links, from the motors' profiles."""
 
@@ -37,7 +46,7 @@ def rigid_paths(name, t):
         return np.array([profile(time) for time in t])
 
     if name == "four-bar":
-        return dict(zip(("crank pin", "pin"), mechanisms.four_bar_positions(mechanisms.FOUR_BAR_START + turned(mechanisms.FOUR_BAR_TURN))))
+        return dict(zip(("crank pin", "pin"), four_bar_positions(mechanisms.FOUR_BAR_START + turned(mechanisms.FOUR_BAR_TURN))))
     if name == "peaucellier":
         pin, upper, _, pen = mechanisms.peaucellier_positions(mechanisms.INVERSOR_START + turned(mechanisms.INVERSOR_TURN))
         return {"upper crank pin": pin, "upper inner pin": upper, "pen": pen}
@@ -75,7 +84,7 @@ def test_a_four_bar_is_drawn_by_hand_and_closes():
     scene = mechanisms.four_bar("rigid")
     state = pi.consistent_state(scene.build())
     assert np.abs(state.q).max() < 1e-12
-    pin, rocker = mechanisms.four_bar_positions(np.pi / 3)
+    pin, rocker = four_bar_positions(np.pi / 3)
     assert abs(scene.build().attachment("crank pin").point @ (1, 1j) - pin) < 1e-12
     assert abs(scene.build().attachment("rocker pin").point @ (1, 1j) - rocker) < 1e-12
 
@@ -84,7 +93,7 @@ def test_freudensteins_equation_holds():
     """`R1 cos(rocker) - R2 cos(crank) + R3 = cos(crank - rocker)` of the angles, R1 = d/a, R2 = d/c, R3 = (a^2 - b^2 + c^2 + d^2)/(2 a c)."""
     a, b, c, d = mechanisms.FOUR_BAR
     angle = np.linspace(0.0, 2 * np.pi, 50)
-    pin, rocker = mechanisms.four_bar_positions(angle)
+    pin, rocker = four_bar_positions(angle)
     psi = np.angle(rocker - d)
     assert np.allclose(d / a * np.cos(psi) - d / c * np.cos(angle) + (a * a - b * b + c * c + d * d) / (2 * a * c), np.cos(angle - psi))
     assert np.allclose(np.abs(rocker - pin), b)
