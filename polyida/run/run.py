@@ -69,7 +69,8 @@ class Run:
     def _run(self, state, presses):
         self.last = state
         try:
-            with over_time(self.progress, state.t, self.plan["t_end"]) as self.progress:
+            bar = over_time(self.progress, state.t, self.plan["t_end"]) if self.progress else nullcontext()
+            with bar as self.progress:
                 status, message = self._steps(state, presses)
         except StepFailure as failure:
             suspicion = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)

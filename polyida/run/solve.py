@@ -127,7 +127,8 @@ def solve(
         if q0 is not None or v0 is not None:
             raise InputError("solve: give either a state or q0 and v0; the state holds both")
         state = require_state("solve", known, state)
-    require_progress("solve", progress)
+    if progress is not None:
+        require_progress("solve", progress)
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
     method = require_run(model, t_end, begin, integrator)
@@ -166,7 +167,8 @@ def solve(
         q, v = (vector_of("q0", q0, known), vector_of("v0", v0, known)) if state is None else (state.q, state.v)
         if small_own(known) and unguarded(known).by_numba:
             Compiled(known)  # raises InputError for a function that numba cannot compile
-        require_declared(known, float(begin), q, v, float(t_end), method.nonholonomic)
+        if known.own_forces or not known.compiled:  # a scene of polyida's own parts needs no check
+            require_declared(known, float(begin), q, v, float(t_end), method.nonholonomic)
         if state is None:
             state = consistent_state(known, t0, q0, v0)
         elif not state.restart:
