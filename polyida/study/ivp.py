@@ -190,18 +190,17 @@ def settings_text(integrator, others):
     """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()"."""
     if not is_dataclass(integrator):
         return repr(integrator)[:MAX_LENGTH]
-    items, kind = [item for item in fields(integrator) if item.repr and item.init], type(integrator)
+    items, kind, values = [item for item in fields(integrator) if item.repr and item.init], type(integrator), _settings(integrator)
 
     def text(names):
-        values = [(name, getattr(integrator, name)) for name in names]
-        return ", ".join(f"{name}={value:g}" if is_number(value) else f"{name}={value!r}" for name, value in values)
+        return ", ".join(f"{name}={values[name]:g}" if is_number(values[name]) else f"{name}={values[name]!r}" for name in names)
 
     if all(type(other) is kind for other in others):
-        values = {item.name: getattr(integrator, item.name) for item in items}
-        varied = [name for name, value in values.items() if any(not np.array_equal(value, getattr(other, name)) for other in others)]
+        others = [_settings(other) for other in others]
+        varied = [item.name for item in items if any(not np.array_equal(values[item.name], other[item.name]) for other in others)]
         if varied:
             return text(varied)[:MAX_LENGTH]
-    changed = [item.name for item in items if item.default is MISSING or not np.array_equal(getattr(integrator, item.name), item.default)]
+    changed = [item.name for item in items if item.default is MISSING or not np.array_equal(values[item.name], item.default)]
     return f"{kind.__name__}({text(changed)})"[:MAX_LENGTH]
 
 
@@ -209,5 +208,10 @@ def kind_of(integrator):
     """A text that is equal for integrators with the same kernels: class and settings without their numbers."""
     if not is_dataclass(integrator):
         return repr(type(integrator))
-    values = {item.name: getattr(integrator, item.name) for item in fields(integrator)}
-    return f"{type(integrator)} { {name: value is None if value is None or is_number(value) else value for name, value in values.items()} }"
+    values = _settings(integrator).items()
+    return f"{type(integrator)} { {name: value is None if value is None or is_number(value) else value for name, value in values} }"
+
+
+def _settings(part):
+    """{field: value} of a dataclass."""
+    return {item.name: getattr(part, item.name) for item in fields(part)}

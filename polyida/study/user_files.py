@@ -129,8 +129,9 @@ class IntegratorChoice:
             raise InputError(f"{self.name} must have --{_option(min(missing))}")
         with user_errors(self.file):
             integrator = self.make(**{self.settings[key]: value for key, value in values.items()})
-        if isinstance(integrator, type) or not callable(getattr(integrator, "steps", None)):
-            raise InputError(f"{self.name}: {integrator!r} is no integrator, which has `steps(model, state, t_end, counts)`")
+        from polyida.integrate.state import declared
+
+        declared(integrator, self.name)  # raises InputError if it is no integrator
         return integrator
 
 
