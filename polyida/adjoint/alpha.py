@@ -17,7 +17,7 @@ K^T w: from the recursion it would carry the error of w, divided by h^2.
 
 The driver calls the entry ADJOINT of the model's table (adjoint/tables.py, system/table.py) with right, below, bar, w, mu and found. It
 solves the system above at the end of step k; w and mu hold a prediction before and the solution behind it; bar (n,) is P_q + j_q. found
-(2, n) becomes what y and z lose beside bars, K^T w + B^T mu and C^T w."""
+(3, n) becomes what y and z lose beside bars, K^T w + B^T mu and C^T w, and M w, which nobody reads here."""
 
 from collections import deque
 from dataclasses import replace
@@ -28,7 +28,7 @@ import numpy as np
 from polyida.adjoint.history import replayed_state, step_history
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
 from polyida.adjoint.run import RunAdjoint
-from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
+from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint, swept
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
 from polyida.integrate.alpha.start import started
@@ -45,9 +45,10 @@ from polyida.system.python import small_own, small_table
 Q, V, A, AHEAD = range(4)  # rows of Memory.bars
 SEEN, SHARE = range(2)  # of Memory.marks
 MARKS = 3
-W, RIGHT, BAR, STIFF, DAMPED = range(5)  # rows of Trial.now
+W, RIGHT, BAR, STIFF, DAMPED = range(5)  # rows of Trial.now, which has one more
 MU, BELOW = range(2)  # of Trial.rows
 WILD = 16.0  # shares of differences above which a prediction is worth nothing: w has grown out of zero
+OF_NEWTON = 1e-2  # of Newton's tolerance: what refinement leaves of w
 SAMPLES = 300  # coordinates by which shares are found
 
 
@@ -111,7 +112,7 @@ class Memory(NamedTuple):
 
 @pack
 class Trial(NamedTuple):
-    """Scratch of a step: now (5, n), rows (2, m)."""
+    """Scratch of a step: now (6, n), rows (2, m)."""
 
     now: np.ndarray
     rows: np.ndarray
@@ -231,13 +232,22 @@ def stretch(f, workspace, p, j, first, last, y, z, out):
 
 def adjoint_table(model, settings, h, counts):
     """The table of a model for steps of h. counts: what counts its work."""
+    to_a, to_v = settings.coefficients.rates(h)
     if settings.form == "index3" and settings.linear != "kkt":
         if model.compiled:
-            from polyida.adjoint.scene_table import SceneAdjoint
+            from polyida.adjoint.scene_table import EXACT, SceneAdjoint
 
-            return SceneAdjoint(model, settings, h, counts)
+            def factor(t, q, v, a, lam, modes):
+                system = settings.step_matrix(model)
+                system.factor(float(t), q, v, a, lam, *modes[0])
+                counts.solves += system.solves
+                counts.backend = system.backend
+                return [(system.corotated, system.room)]
+
+            enough, one = max(EXACT, OF_NEWTON * settings.newton_tolerance(0.0)[1]), np.ones(1)
+            return SceneAdjoint(model, [[to_v]], [[to_a]], [(to_a, to_v, one, one)], factor, enough, counts)
         if small_own(model):
-            return DenseAdjoint(small_table(model), settings, h, counts)
+            return DenseAdjoint(small_table(model), [[to_v]], [[to_a]], counts)
     return PythonAdjoint(model, settings, h, counts)
 
 
@@ -249,7 +259,7 @@ class Sweep:
         self.model, self.settings, self.counts = model, settings, counts
         self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h))
         self.memory = Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS))
-        self.trial = Trial(np.zeros((5, n)), np.zeros((2, m)))
+        self.trial = Trial(np.zeros((6, n)), np.zeros((2, m)))
         self.table, self.before = adjoint_table(model, settings, h, counts), np.inf
 
     def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
@@ -267,23 +277,15 @@ class Sweep:
         own = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
         self.own, done = own, len(t)
         table.take(*states, slips)
-        while done:
-            fresh, last = table.refresh(done - 1), done
-            done, ended = self._steps(table, 0, done)
-            if ended != DONE:
-                if fresh and done == last:  # the table's solution does not converge: take the step with its exact matrices
-                    exact = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
-                    exact.take(*states)
-                    done, _ = self._steps(exact, done - 1, done)
-                    self._forget()
-                table.drop()
-        return SweepResult(AdjointState(*self.memory.bars.copy()), self.out.w, self.out.mu, table.kappa, table.slips)
 
-    def _steps(self, table, first, last):
-        with table.at_work() as (functions, workspace):
-            result = stretch(functions, workspace, self.method, self.own, first, last, self.memory, self.trial, self.out)
-        table.raise_left()
-        return result
+        def exact():
+            self._forget()
+            made = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
+            made.take(*states)
+            return made
+
+        swept(table, exact, done, lambda *at: stretch(*at[:2], self.method, self.own, *at[2:], self.memory, self.trial, self.out))
+        return SweepResult(AdjointState(*self.memory.bars.copy()), self.out.w, self.out.mu, table.kappa, table.slips)
 
     def _forget(self):
         """Predict nothing from the steps so far."""

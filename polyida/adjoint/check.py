@@ -142,8 +142,8 @@ class ReplayedRadauRun(ReplayedRun):
 
     def _taken(self, model, state, times):
         states, engine = [state], exact_steps(model, self.run.integrator, state, float(self.run.t[-1]), Counts())
-        for segment in self.history.segments:
-            state, t = begun(model, states[-1]), times(segment.first + 1)
+        for k in range(1, len(self.history.frames)):
+            state, t = begun(model, states[-1]), times(k)
             engine.limits = within(model, state.t, t)
             states.append(engine.step(state, t - state.t, t))
         return states

@@ -135,7 +135,8 @@ def values_of(model):
             table.hold_constant(float(work.t[0]), work.q[0])
         if not table or small.values(table.w, *state, *found) != DONE:
             for k, (t, q, v, a, lam) in enumerate(zip(work.t.tolist(), *state[1:])):
-                found[0][k] = model.residual(t, q, v, a, lam)
+                if len(w):
+                    found[0][k] = model.residual(t, q, v, a, lam)
                 for made, function, given in zip(found[1:], (model.phi, model.phi_rate, model.phi_bias), ((q,), (q, v), (q, v))):
                     if len(made):
                         made[k] = function(t, *given)

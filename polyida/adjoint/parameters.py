@@ -25,7 +25,7 @@ from polyida.joint.joint import Joint
 from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
 from polyida.model.guarded import guard, unguarded, writes
-from polyida.validation import complex_of_pairs, floats
+from polyida.validation import complex_of_pairs, floats, read_only
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 
@@ -294,14 +294,12 @@ class OfOwnModel(Parameter):
 
     def slope(self, work):
         """By the model's residual_p and phi_p as far as it writes these; by differences of copies of the model."""
-        result, model, own = np.zeros(np.shape(self.value)), guard(self.model), unguarded(self.model)
+        result, own = np.zeros(np.shape(self.value)), unguarded(self.model)
         if writes(own, "residual_p"):
-            for w, *state in zip(work.w, work.t.tolist(), work.q, work.v, work.a, work.lam):
-                result = result + w @ model.residual_p(self.name, *state)
+            result = result + self._written("residual_p", work.w, *work[:5])
             work = work._replace(w=np.zeros_like(work.w))
         if writes(own, "phi_p") and work.mu is not None:
-            for mu, t, q in zip(work.mu, work.t.tolist(), work.q):
-                result = result + (mu @ model.phi_p(self.name, t, q) if mu.any() else 0.0)
+            result = result + self._written("phi_p", work.mu, *work[:2])
             work = work._replace(mu=None)
         near = work.t if writes(own, "kinks") else np.zeros(0)
         for t in np.unique(near).tolist():
@@ -309,9 +307,20 @@ class OfOwnModel(Parameter):
         result = result if len(near) else result + self._by_differences(work, None)
         return result if result.ndim else float(result)
 
+    def _written(self, function, factors, times, *states):
+        """Of entries with these factors, by a function that the model writes: it is guarded only if its results are wrong."""
+        which = np.flatnonzero(factors.any(axis=1))
+        at = list(zip(times[which].tolist(), *(read_only(x[which]) for x in states)))
+        shape, own = (len(which), factors.shape[1], *np.shape(self.value)), unguarded(self.model)
+        found = floats([getattr(own, function)(self.name, *state) for state in at])
+        if found is None or found.shape != shape:
+            found = np.array([getattr(guard(self.model), function)(self.name, *state) for state in at]).reshape(shape)
+        return np.tensordot(factors[which], found, 2)
+
     def _by_differences(self, work, t):
         """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
         work = AdjointMultipliers(*work[:6], *(None if x is None or not x.any() else x for x in work[6:]))
+        work = work if work.w.any() else work._replace(w=np.zeros((0, work.w.shape[1])))
         weights = np.concatenate([x.ravel() for x in work[5:] if x is not None])
         if not weights.any():
             return 0.0

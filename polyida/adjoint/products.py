@@ -41,8 +41,8 @@ def arrays_of(model):
     return model.arrays._replace(compact=compact._replace(block=compact.block - compact.block[0]))
 
 
-def scratch(model):
-    """Scratch of a scene's size."""
+def scratch(model, tied=False):
+    """Scratch of a scene's size; tied: True if there are multipliers of the rates of the rows, which add to C^T w."""
     nodes, few = (model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
     coupled = (len(model.arrays.links.coupling.columns), 2, 2)
     return Scratch(
@@ -54,7 +54,7 @@ def scratch(model):
         np.zeros(few if model.damped else (0, 2, 2)),
         np.zeros(nodes),
         np.zeros(nodes),
-        np.zeros(nodes if model.needs.velocity_forces else (0, 2)),
+        np.zeros(nodes if tied or model.needs.velocity_forces else (0, 2)),
         np.zeros(model.m),
     )
 

@@ -1,22 +1,25 @@
-"""A run of Radau IIA backward: step by step, each by the transposed equations of its stages, with what comes before and behind on a tape."""
+"""A run of Radau IIA backward: stretches of equal steps by a compiled sweep (radau_sweep.py), what is between and before them on a tape."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint import radau_equations
-from polyida.adjoint.history import StepHistory, StepSegment, every_step, frame_reader, replayed_history
+from polyida.adjoint.history import SAME, StepHistory, StepSegment, every_step, frame_reader, replayed_history
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.radau_equations import SceneStageEquations, StageEquations
+from polyida.adjoint.radau_equations import StageEquations
+from polyida.adjoint.radau_sweep import Found, Slopes, Stages, States, Sweep, again, between, stretch
 from polyida.adjoint.run import RunAdjoint
+from polyida.adjoint.tables import DenseAdjoint, swept
 from polyida.adjoint.taped import Tape, TapedModel, add_to
-from polyida.errors import StepFailure
-from polyida.integrate.discontinuities import Grid, at_kink, inner_side
-from polyida.integrate.radau.loop import EXACT
+from polyida.errors import DONE, REASONS, StepFailure
+from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side
+from polyida.integrate.radau import loop
+from polyida.integrate.radau.loop import EXACT, Control
 from polyida.integrate.radau.matrices import NOTHING, lift
 from polyida.integrate.radau.radau_iia import restarted
-from polyida.integrate.radau.steps import Steps
+from polyida.integrate.radau.steps import Steps, at
+from polyida.integrate.radau.tables.python import DenseStages
+from polyida.integrate.radau.tables.scene import SceneMatrices
 from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
 from polyida.integrate.state import Counts, State
@@ -25,84 +28,11 @@ from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import dense
 from polyida.model.differences import beside, jacobian
 
-TOGETHER = 64  # steps whose multipliers are summed up at once, at most
-CHUNK = 4_000_000  # bytes of stages that are held at once
+CHUNK = 4_000_000  # bytes of one vector of all stages that are held at once
 MOST = 30  # Newton iterations
 NEAR = 1e-9  # of the model's size: a full Newton's correction behind which as good as nothing is left
 PARTED = 0.75  # of a step: one that ended with a shorter one was taken in parts
 LARGER = 4  # times as much as another's holds a State of this method, with its stages
-
-
-class Stages(NamedTuple):
-    """A step of h, s, and its stages: t (s,), e = q_i - q_0 - c_i h v_0, q, v, v' (s, n), lam (s, m), mu (s, m) or (s, 0) without."""
-
-    h: float
-    t: np.ndarray
-    e: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    mu: np.ndarray
-
-
-class SolvedStages:
-    """Of a model and the settings of its run, which began with a state.
-
-    lift (n,): the diagonal of D^-1, lifts: whether that is made of M; tied: whether there is mu; moves_v: whether the end's v is
-    moved onto its constraint.
-    """
-
-    def __init__(self, model, settings, first, t_end, counts):
-        self.model, self.engine = model, exact_steps(model, settings, first, t_end, counts)
-        self.tableau, self.tied, self.engine.guess = self.engine.tableau, self.engine.tied, self._between
-        bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
-        self.moves_v = bent and settings.form == "index3" and settings.project
-        self.lifts = self.engine.table.lifts and self.tied and not model.uniform_units
-        self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
-
-    def of(self, state, end):
-        """The Stages of the step from a state to another. Raises StepFailure."""
-        h = end.t - state.t
-        self.engine.limits = within(self.model, state.t, end.t)
-        self.end = end
-        try:
-            self.engine.step(state, h, end.t)
-        except StepFailure as failure:
-            return self._fully(state, h, failure)
-        return self._stages(state, h)
-
-    def _fully(self, state, h, failure):
-        """The same by Newton's full method, where the simplified one, from between the step's ends, does not get there as the run did."""
-        self._between(state, h)
-        x, full = self.engine.trial, StageEquations(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
-        for _ in range(MOST):
-            full.at(self._stages(state, h))
-            changes = full.newton()
-            for part, change in zip((x.e, x.lam, x.mu), changes):
-                part -= change[:, : part.shape[1]]
-            if np.abs(changes[0]).max() <= NEAR * extent(self.model, state.q):
-                return self._stages(state, h)
-        raise failure
-
-    def _between(self, state, h):
-        """Stages to begin with, between the two ends of a step, both of which are known: on the cubic through q and v of both, lam on lines."""
-        x, end, c = self.engine.trial, self.end, self.tableau.c[:, None]
-        way, turn = end.q - state.q - h * state.v, h * (end.v - state.v)
-        x.e[:] = c**2 * (3 * way - turn) + c**3 * (turn - 2 * way)
-        x.lam[:] = (1 - c) * state.lam + c * end.lam
-        x.mu[:] = 0.0
-
-    def _stages(self, state, h):
-        """Those of the unknowns that are on trial."""
-        x, W, model = self.engine.trial, self.tableau.W, self.model
-        e, lam, mu = x.e.copy(), x.lam.copy(), x.mu.copy()
-        t = np.array([self.engine.clamp(state.t + c * h) for c in self.tableau.c])
-        q = state.q + self.tableau.c[:, None] * h * state.v + e
-        dv = W @ e / h
-        if self.tied:
-            dv += [self.lift * (dense(model.phi_q(*at)).T @ more) for *at, more in zip(t, q, mu)]
-        return Stages(h, t, e, q, state.v + dv, W @ dv / h, lam, mu)
 
 
 def exact_steps(model, settings, first, t_end, counts):
@@ -125,14 +55,22 @@ def begun(model, state):
 
 
 def step_history(run, model, memory_limit=MEMORY_LIMIT):
-    """The StepHistory of a run, each step a StepSegment of its own. Raises InputError where frames are no states, or memory is short."""
+    """The StepHistory of a run, its segments between kinks. Raises InputError where frames are no states, or memory is short."""
     if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
-        segments = [StepSegment("on" if k else "begin", 0.0, h, k, 1) for k, h in enumerate(np.diff(run.t).tolist())]
-        return StepHistory(segments, frame_reader(run), np.arange(len(run)))
-    found = replayed_history(run, model, memory_limit / LARGER, _accepted, True)
-    return found._replace(
-        segments=[segment._replace(first=segment.first + k, count=1) for segment in found.segments for k in range(segment.count)]
-    )
+        found = StepHistory([], frame_reader(run), np.arange(len(run)))
+        steps = np.diff(run.t)
+    else:
+        found = replayed_history(run, model, memory_limit / LARGER, _accepted, True)
+        steps = np.repeat([segment.h for segment in found.segments], [segment.count for segment in found.segments])
+    kinks, t, segments = np.array(edges(model, float(run.t[0]), float(run.t[-1]))), float(run.t[0]), []
+    for k, h in enumerate(steps.tolist()):
+        last = segments[-1] if segments else None
+        if last and abs(last.h - h) <= SAME * h and np.abs(kinks - t).min() > 0.5 * h:
+            segments[-1] = last._replace(count=last.count + 1)
+        else:
+            segments.append(StepSegment("on" if k else "begin", 0.0, h, k, 1))
+        t += h
+    return found._replace(segments=segments)
 
 
 def _accepted(run, model, seen):
@@ -163,73 +101,192 @@ def _parts(settings, model, state, end):
 
 
 class RadauAdjoint(RunAdjoint):
-    """A run backward. multipliers, entries: of the steps that are not added up yet; lifted (n,): the bar of D^-1."""
+    """A run backward. noted, entries: multipliers and entries at times that are not added up yet; lifted (n,): the bar of D^-1.
+
+    lift (n,): the diagonal of D^-1, lifts: True if that is made of M; tied: True if there is mu; alone: True if each step is taken by itself, for v
+    leaves its constraint within it; moves_v: True if the end's v is moved onto it.
+    """
 
     history_of = staticmethod(step_history)
 
     def __init__(self, run, objective, names, memory_limit):
         super().__init__(run, objective, names, memory_limit)
-        self.first = self._states(0, 1)[0]
-        self.stages = stages = SolvedStages(self.model, self.settings, self.first, float(run.t[-1]), self.counts)
-        given = self.model, stages.tableau, stages.lift, stages.tied, self.counts
-        unknowns = self.settings.stages * (self.model.n + self.model.m * (1 + stages.tied))
-        dense_steps = self.model.compiled and self.model.small and unknowns <= radau_equations.DENSE
-        refined = self.model.compiled and self.settings.linear != "kkt" and not dense_steps  # with a scene's products
-        self.equations = SceneStageEquations(*given) if refined else StageEquations(*given)
-        self.multipliers, self.entries, self.lifted = [], [], np.zeros(self.model.n)
+        model, settings = self.model, self.settings
+        self.first = self._states(0, 1).state(0)
+        self.engine = engine = exact_steps(model, settings, self.first, float(run.t[-1]), self.counts)
+        self.tableau, self.tied = engine.tableau, engine.tied
+        self.alone = settings.form == "index3" and model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
+        self.moves_v = self.alone and settings.project
+        self.lifts = engine.table.lifts and self.tied and not model.uniform_units
+        self.lift = lift(model, engine.shares) if self.lifts else np.ones(model.n)
+        self.table, self.noted, self.entries, self.lifted = self._table(), ([], [], []), [], np.zeros(model.n)
+        n, m, s = model.n, model.m, settings.stages
+        self.sweep = Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), np.zeros((3, s, n)))
+
+    def _table(self):
+        model, W, tied = self.model, self.tableau.W.T, self.tied
+        if isinstance(self.engine.table, DenseStages):
+            return DenseAdjoint(self.engine.table, W, W @ W, self.counts, self.lift, tied)
+        if not model.compiled or self.settings.linear == "kkt":
+            return self._exact()
+        from polyida.adjoint.scene_table import EXACT, SceneAdjoint
+
+        def factor(t, q, v, a, lam, modes):
+            h = self.tableau.modes[0].value / modes[0][1]
+            made = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]), tied)
+            self.counts.backend = made.backend
+            return [x[1:] for x in (made.real, made.pair) if x]
+
+        modes = [(mode.value**2, mode.value, mode.row.copy(), mode.column.copy()) for mode in self.tableau.modes]
+        return SceneAdjoint(model, W, W @ W, modes, factor, EXACT, self.counts, tied)
+
+    def _exact(self):
+        """The table that factors the whole equations of each step."""
+        return StageEquations(self.model, self.tableau, self.lift, self.tied, self.counts)
 
     def _states(self, first, end):
         """States of the history, from number `first` to before `end`."""
-        return [State(float(t), *vectors) for t, *vectors in zip(*self.history.states(first, end))]
+        return States(*(np.ascontiguousarray(x, float) for x in self.history.states(first, end)))
 
     def through(self, progress):
         """The bars of q, v, a and lam of the run's first state."""
-        bars = np.zeros((2, self.model.n))
-        together = int(max(1, min(TOGETHER, CHUNK // (8 * self.model.n * self.settings.stages))))
-        for end in range(len(self.history.segments), 0, -together):
-            first = max(0, end - together)
-            bars = self._steps(first, self._states(first, end + 1), bars)
-            self._add_up()
-            progress(float(self.history.states(first, first + 1)[0][0]))
-        return *bars, np.zeros(self.model.n), np.zeros(self.model.m)
+        together = int(max(1, min(self.engine.most, CHUNK // (8 * self.model.n * self.settings.stages))))
+        longest = 1 if self.alone else together
+        for segment in reversed(self.history.segments):
+            for end in range(segment.first + segment.count, segment.first, -longest):
+                progress(self._steps(segment, max(segment.first, end - longest), end))
+                if sum(len(x.t) for x in self.noted[0]) >= together:
+                    self._add_up()
+        self._add_up()
+        return *self.sweep.bars, np.zeros(self.model.n), np.zeros(self.model.m)
 
-    def _steps(self, first, states, bars):
-        """Bars of q and v of the first of some states, number `first` of the history, from those of the last without the objective's own."""
-        ready = [begun(self.model, state) for state in states[:-1]]
-        steps = [self.stages.of(*ends) for ends in zip(ready, states[1:])]
-        own = self.own.of(first + 1, first + len(states))
-        if self.events.speeds and (by_time := own.by_time()) is not None:
-            self.events.at(np.array([state.t for state in states[1:]]), by_time)
-        for k in reversed(range(len(steps))):
-            slopes = [None if x is None else x[k] for x in (own.q, own.v, own.a, own.lam)]
-            bars = [bar if slope is None else bar + slope for bar, slope in zip(bars, slopes)]
-            if slopes[2] is not None or slopes[3] is not None:  # a and lam of a frame follow from its q and v
-                at = inner_side(self.model, states[k + 1].t, steps[k].h)
-                bars = self._taped(states[k + 1], lambda model, q, v, at=at: consistent_acceleration(model, at, q, v), slopes[2:], bars)
-            if self.stages.moves_v:  # in form "index3" the last stage's v is moved onto its constraint
-                x = steps[k]
-                last = State(states[k + 1].t, x.q[-1], x.v[-1], x.a[-1], x.lam[-1])
-                bars = self._on_velocity(last, x.t[-1], bars)
-            bars = self._step(self.history.segments[first + k], ready[k], steps[k], bars)
-            if at_kink(self.model, states[k].t):
-                bars = self._on_velocity(states[k], beside(states[k].t, 1), bars)
-        return bars
-
-    def _step(self, segment, state, x, bars):
-        """Bars of what a step with stages x began with, from those of its end."""
-        W, c, h, tied = self.stages.tableau.W, self.stages.tableau.c, x.h, self.stages.tied
-        self.equations.at(x)
-        found = self.equations.back(*bars)
-        self.multipliers.append(AdjointMultipliers(x.t, x.q, x.v, x.a, x.lam, found.w, found.mu, found.kappa if tied else None))
-        if tied:
-            still, none, pushed = np.zeros_like(x.q), np.zeros_like(x.lam), self.stages.lift * found.v
-            for v, mu in ((pushed, x.mu), (still, -x.mu)):
-                self.multipliers.append(AdjointMultipliers(x.t, x.q, v, still, none, still, none, mu))
-            self.lifted += self.equations.pushed(x.mu, found.v)
+    def _steps(self, segment, first, end):
+        """Take the steps from state number `first` to number `end` backward. Returns the time of the first."""
+        model, h, bars, b = self.model, segment.h, self.sweep.bars, self._states(first, end + 1)
+        kink = first == segment.first and at_kink(model, float(b.t[0]))
+        begin, b = b.state(0), self._begun(b) if kink else b
+        x = self._solved(b, h)
+        slopes = self._own_slopes(b, first, end, h)
+        q, v = self._stage_states(b, x, h)
+        if self.moves_v:  # in form "index3" the last stage's v is moved onto its constraint
+            bars[:] = bars[0] + slopes.q.sum(axis=0), bars[1] + slopes.v.sum(axis=0)
+            slopes = Slopes(*np.zeros((2, 0, model.n)))
+            last = State(float(b.t[-1]), q[-1, -1], v[-1, -1], x.a[-1, -1], x.lam[-1, -1])
+            bars[:] = self._on_velocity(last, float(x.t[-1, -1]), bars)
+        out = self._swept(h, slopes, b, x, q, v)
+        self._note(b, x, q, v, h, out)
         if self.events.speeds:
-            slope = (c @ found.q) @ state.v - np.sum((W @ x.e) * found.v) / h**2 - np.sum(x.a * found.a) / h
-            self.events.stretch(segment, slope)
-        return found.q.sum(axis=0), (c * h) @ found.q + found.v.sum(axis=0) - W.sum(axis=1) @ found.a / h
+            self.events.stretch(segment, float(out.slopes.sum()))
+        if kink:
+            bars[:] = self._on_velocity(begin, beside(begin.t, 1), bars)
+        return begin.t
+
+    def _begun(self, b):
+        """The States, the first one that of the far side of its kink."""
+        first, parts = begun(self.model, b.state(0)), [x.copy() for x in b]
+        for part, value in zip(parts[1:], (first.q, first.v, first.a, first.lam)):
+            part[0] = value
+        return States(*parts)
+
+    def _own_slopes(self, b, first, end, h):
+        """The objective's own Slopes at the ends of steps, those in a and lam taken to q and v, from which these follow."""
+        own = self.own.of(first + 1, end + 1)
+        if self.events.speeds and (by_time := own.by_time()) is not None:
+            self.events.at(b.t[1:], by_time)
+        q, v = (np.zeros((0, self.model.n)) if x is None else np.array(x, float) for x in (own.q, own.v))
+        if own.a is not None or own.lam is not None or self.moves_v:
+            q, v = (x if len(x) else np.zeros((end - first, self.model.n)) for x in (q, v))
+        for k in range(end - first):
+            bars = [None if x is None or not x[k].any() else x[k] for x in (own.a, own.lam)]
+            if any(bar is not None for bar in bars):
+                state, t = b.state(k + 1), inner_side(self.model, float(b.t[k + 1]), h)
+                made = lambda model, q, v, t=t: consistent_acceleration(model, t, q, v)  # noqa: E731
+                q[k], v[k] = self._taped(state, made, bars, (q[k], v[k]))
+        return Slopes(q, v)
+
+    def _solved(self, b, h):
+        """The Stages of steps of h between states. Raises StepFailure."""
+        engine, count, s, n, m = self.engine, len(b.t) - 1, self.settings.stages, self.model.n, self.model.m
+        engine.limits = within(self.model, float(b.t[0]), float(b.t[-1]))
+        control, first = Control(False, h, h, np.inf, np.inf, np.inf, at(float(b.t[0]))), b.state(0)
+        engine.take(first)
+        method = engine.method()._replace(moves_v=False, guessed=True)
+        number, done, fresh = engine.table.begin(engine, first, control, b.t[1:]), 0, False
+        sizes = (), (n,), (n,), (n,), (m,), (m if self.tied else 0,)
+        out, held = Stages(*(np.empty((count, s, *size)) for size in sizes)), (engine.memory, engine.trial, engine.room, engine.done)
+        while done < count:
+            engine.done[:], before = 0, replace(self.counts)
+            at_work = engine.table.functions, engine.table.workspace, number, method, engine.way, h, control.now, engine.kept
+            done, ended = again(*at_work, fresh, b, done, *held, out)
+            engine.table.raise_left()
+            vars(self.counts).update(engine.work(before, engine.done[None], 0))
+            fresh, failure = ended == loop.MAKE, None
+            try:
+                if ended in (loop.MAKE, loop.AGAIN):
+                    engine.make(control, fresh)
+                elif ended != DONE:
+                    failure = StepFailure(*REASONS[ended], float(b.t[done + 1]))
+            except StepFailure as singular:
+                failure = singular
+            if failure:
+                self._solve_fully(b, done, h, out, failure)
+                done += 1
+        return out
+
+    def _solve_fully(self, b, k, h, out, failure):
+        """The stages of step k by Newton's full method, where the simplified one, from between the step's ends, does not get there as the run did."""
+        x, full, W = self.engine.trial, self._exact(), self.tableau.W
+        full.scale(h)
+        between(self.tableau.c, h, b, k, x)
+        out.t[k] = [self.engine.clamp(float(b.t[k]) + c * h) for c in self.tableau.c]
+        changes = None
+        for _ in range(MOST):
+            q, dv = b.q[k] + self.tableau.c[:, None] * h * b.v[k] + x.e, W @ x.e / h
+            if self.tied:
+                dv += [self.lift * (dense(self.model.phi_q(*state)).T @ mu) for *state, mu in zip(out.t[k].tolist(), q, x.mu)]
+            for part, value in zip(out[1:], (x.e, dv, W @ dv / h, x.lam, x.mu)):
+                part[k] = value
+            if changes is not None and np.abs(changes[0]).max() <= NEAR * extent(self.model, b.q[k]):
+                return
+            changes = full.newton(out.t[k], q, b.v[k] + dv, out.a[k], x.lam, x.mu)
+            for part, change in zip((x.e, x.lam, x.mu), changes):
+                part -= change
+        raise failure
+
+    def _stage_states(self, b, x, h):
+        """q and v of stages, (count, s, n) each."""
+        q0, v0 = b.q[:-1, None], b.v[:-1, None]
+        return q0 + self.tableau.c[:, None] * h * v0 + x.e, v0 + x.dv
+
+    def _swept(self, h, slopes, b, x, q, v):
+        """What the sweep over the steps leaves; the bars go to the first state."""
+        count, s, _ = q.shape
+        out = Found(np.zeros(q.shape), np.empty(q.shape), np.zeros((count, 1 + self.tied, s, self.model.m)), np.empty(count))
+        states, given = (x.t, q, v, x.a, x.lam, x.mu), (self.tableau.c, self.tableau.W, h, slopes, b, x, self.sweep, out)
+
+        def exact():
+            made = self._exact()
+            made.scale(h)
+            made.take(*states)
+            return made
+
+        self.table.scale(h)
+        self.table.take(*states)
+        swept(self.table, exact, count, lambda f, w, first, last: stretch(f, w, first, last, *given))
+        return out
+
+    def _note(self, b, x, q, v, h, out):
+        """Note what the steps' multipliers say of parameters, and of D^-1."""
+        flat = lambda *arrays: [each.reshape(x.t.size, each.shape[-1]) for each in arrays]  # noqa: E731
+        mu, *kappa = np.moveaxis(out.multipliers, 1, 0)
+        at = x.t.ravel(), *flat(q, v, x.a, x.lam)
+        self.noted[0].append(AdjointMultipliers(*at, *flat(out.w, mu, *kappa)))
+        if self.tied:
+            still, none, (pushed, factors) = np.zeros_like(at[1]), np.zeros_like(at[4]), flat(self.lift * out.v, x.mu)
+            self.noted[1].append(AdjointMultipliers(*at[:2], pushed, still, none, still, None, factors))
+            if self.model.needs.driven:
+                self.noted[2].append(AdjointMultipliers(*at[:2], still, still, none, still, None, -factors))
+            self.lifted += np.sum((x.dv - self.tableau.W @ x.e / h) / self.lift * out.v, axis=(0, 1))
 
     def _on_velocity(self, state, t, bars):
         """Bars of q and v of a state, from those of the same with v moved onto the constraint of time t."""
@@ -248,19 +305,20 @@ class RadauAdjoint(RunAdjoint):
 
     def of_first_state(self):
         """The bar of the first q by D, which is made there; its entries are added up."""
-        if not self.stages.lifts or not self.lifted.any():
+        if not self.lifts or not self.lifted.any():
             return 0.0
-        bar, entries = lift_bars(self.model, self.first, self.stages.lift, self.lifted)
+        bar, entries = lift_bars(self.model, self.first, self.lift, self.lifted)
         self.entries += [(entry.t, entry) for entry in entries]
         self._add_up()
         return bar
 
     def _add_up(self):
-        """Add what is left for parameters to the sums."""
-        if self.multipliers:
-            self.add(AdjointMultipliers(*(None if parts[0] is None else np.concatenate(parts) for parts in zip(*self.multipliers))))
+        """Add what was noted to the sums."""
+        for parts in self.noted:
+            if parts:
+                self.add(AdjointMultipliers(*(None if x[0] is None else np.concatenate(x) for x in zip(*parts))))
         self.add(stacked([entry for _, entry in self.entries]), np.array([t for t, _ in self.entries]))
-        self.multipliers, self.entries = [], []
+        self.noted, self.entries = ([], [], []), []
 
 
 def lift_bars(model, state, lift, bar):

@@ -1,146 +1,351 @@
-"""The adjoint of a step of a scene: one stale co-rotated factor, refined with the exact products (products.py)."""
+"""The adjoint of a step of a scene with s stages: one stale co-rotated factor for each mode, refined with the exact products (products.py).
 
-from contextlib import contextmanager
-from typing import NamedTuple
+The step's system is, with B, C, H, K and M of each stage (system/table.py, radau_sweep.py; generalized-alpha has one stage),
+
+    K_i^T w_i + B_i^T mu_i + sum_j to_v_ij (C_j^T w_j + B_j^T kappa_j) + to_a_ij M w_j + H_i^T kappa_i + (B_i^T mu_i)_q^T v*_i = right_i
+    B_i w_i = below_i,    B_i v*_i = 0,    v*_i = C_i^T w_i + B_i^T kappa_i + sum_j to_v_ij M w_j + [bar]
+
+and the terms of kappa and mu_i are there where the step has mu. With `to_v = sum c row column^T`, to_a = to_v^2, it falls into one system for each
+eigenvalue c, of K, M and C as old as the factor, in the frames of the nodes, each stage turned from its own to the middle one's, and B and H
+of the middle stage:
+
+    | S                   B^T   (c B + H)^T |  |w    |     S = K + c C + c^2 M
+    | B                                     |  |mu   |
+    | B (c M + C)^T              B B^T      |  |kappa|     the last row and column where there is mu in the step
+"""
+
+from contextlib import contextmanager, nullcontext
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import carray, typeof
 
 from polyida.adjoint import products
-from polyida.adjoint.products import DZ, Scratch, arrays_of, scratch
+from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch
 from polyida.adjoint.tables import AdjointTable
-from polyida.assembly import corotated, joints
+from polyida.assembly import corotated, joints, stabilised_border
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import Laws
+from polyida.assembly.stabilised_border import StabilisedRoom
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
+from polyida.linear.dense import magnitude
+from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
 from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import scene as forward
 
 # constants of compiled code
 CONTRACTION, AGE, SOLVES, LARGEST = range(4)  # of SceneAdjointWork.marks
-R, DW = range(2)  # of SceneAdjointWork.now
-DMU, PHI = range(2)  # of SceneAdjointWork.rows
+MU, KAPPA = range(2)  # of multipliers and of rows
 FRESHEN = 30  # steps after which the contraction is measured again
 ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
 NOTHING = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which the factor solves, ends at 1e-38
-SHARE = 1e-2  # of Newton's tolerance that refinement leaves of w
-EXACT = 1e-11  # of |w|: it leaves no less
-MOST = 12  # corrections of a step with one factor
+EXACT = 1e-11  # of |w|: refinement leaves no less
+MOST = 20  # corrections of a step with one factor
+
+
+@pack
+class Mode(NamedTuple):
+    """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch: r, dw (nodes, 2), rows, multipliers (1 or 2, m).
+
+    massive, before, border: the factor with the columns of `c M + C`, the rooms of the border forward and backward; None without mu.
+    """
+
+    c: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+    factored: corotated.Corotated
+    room: corotated.Room
+    massive: corotated.Corotated | None
+    before: StabilisedRoom | None
+    border: StabilisedRoom | None
+    r: np.ndarray
+    dw: np.ndarray
+    rows: np.ndarray
+    multipliers: np.ndarray
+
+
+@pack
+class Tied(NamedTuple):
+    """Of steps with mu: mu (count, s, m), blocks of (B^T mu)_q on the coupled points (s, ., 2, 2), slopes of the rates of the rows (s, .),
+    v* (s, nodes, 2), values and forces at points (2, points, 2).
+    """
+
+    mu: np.ndarray
+    curvature: np.ndarray
+    rates: np.ndarray
+    v: np.ndarray
+    points: np.ndarray
 
 
 @pack
 class SceneAdjointWork(NamedTuple):
     """The workspace of a scene.
 
-    viscosity, laws: None where there is nothing of the kind, which is not compiled then. drives (count, profiles, 3), q, v, lam: of the
-    states. enough: the error of w, over |w|, that is left. products: of the state and w. now (2, nodes, 2), rows (2, m): scratch. marks:
+    viscosity, laws, real, pair, tied: None where there is nothing of the kind, which is not compiled then. drives (count, s, profiles, 3),
+    q, v, lam (count, s, .): of the stages. enough: the error of w, over |w|, that is left. first, second, third: products of the stages and w.
+    slopes (s, .): phi_z; turn (s, nodes, 2): from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): what is left of the
+    equations, and corrections of w and of the multipliers. marks:
     CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| so far that no constraint held.
     """
 
     scene: tuple
     viscosity: np.ndarray | None
     laws: Laws | None
-    factored: corotated.Corotated
-    room: corotated.Room
+    real: Mode | None
+    pair: Mode | None
+    tied: Tied | None
     drives: np.ndarray
     q: np.ndarray
     v: np.ndarray
     lam: np.ndarray
-    to_a: float
-    to_v: float
+    to_v: np.ndarray
+    to_a: np.ndarray
     enough: float
-    products: Scratch
-    now: np.ndarray
+    first: Scratch
+    second: Scratch
+    third: Scratch
+    slopes: np.ndarray
+    turn: np.ndarray
+    r: np.ndarray
+    dw: np.ndarray
     rows: np.ndarray
+    change: np.ndarray
     marks: np.ndarray
+
+
+@part
+def stage(w, i):
+    """The Scratch of stage i."""
+    x = w.first
+    if i == 1:
+        x = w.second
+    if i == 2:
+        x = w.third
+    return x
 
 
 @part
 def pairs(w, x):
     """A vector (n,) as (nodes, 2)."""
-    return x.reshape(w.now.shape[1:])
+    return x.reshape(w.r.shape[1:])
 
 
 @part
-def pairs_at(w, at):
-    """The coordinates at an address as (nodes, 2)."""
-    return carray(pointer(at), w.now.shape[1:])
+def hold_ties(w, t, k, i):
+    """What stage i of a step with mu has besides. What is None is not compiled."""
+    if t is not None:
+        s, x, drives = w.scene.links, stage(w, i), w.drives[k, i]
+        joints.point_values(s, pairs(w, w.v[k, i]), x.points[VZ])
+        joints.joint_rate_jacobian(s, drives, x.points[DZ], x.points[VZ], t.rates[i])
+        t.curvature[i] = 0.0
+        joints.joint_curvature(s, drives, t.mu[k, i], t.curvature[i])
 
 
 @part
-def hold(w, k, x):
-    """The factor's frames, the border's rows and their curvature, `S^T` on the points included. The rotations must be there."""
-    s, c, room = w.scene.links, w.factored, w.room
-    corotated.turn_frames(s, c, room, x.rotation)
-    corotated.hold_border(s, c, room, w.drives[k], x.points[DZ])
-    curvature, mirror = room.border.curvature, s.coupling.mirror
+def hold_mode(w, mode, i):
+    """The frames of a mode's factor, and its border, at stage i, whose products are held."""
+    if mode is not None:
+        corotated.turn_frames(w.scene.links, mode.factored, mode.room, stage(w, i).rotation)
+        hold_border(w, mode, mode.massive, mode.before, mode.border, w.tied, i)
+
+
+@part
+def hold_border(w, mode, massive, before, border, tied, i):
+    """What is None is not compiled."""
+    s, c, room = w.scene.links, mode.factored, mode.room
+    if massive is None:
+        corotated.points_matrix(s, c, room, c.border, room.border.blocks, 0)
+        fill(w, mode, i, room.border.slopes, room.border.curvature)
+        return
+    y, z = before.room, border.room
+    corotated.points_matrix(s, c, room, before.border, y.blocks, 0)
+    corotated.points_matrix(s, massive, room, before.border, y.blocks, 1)
+    stabilised_border.add_masses(s, before.border, mode.c[1], y.blocks)
+    stabilised_border.transpose_blocks(border.border, y.blocks, z.blocks)
+    fill(w, mode, i, z.slopes, z.curvature)
+    z.rates[:] = tied.rates[i]
+
+
+@part
+def fill(w, mode, i, slopes, curvature):
+    """phi_z of stage i, and the curvature on the points, transposed, `S^T` of the point masses included."""
+    mirror, x = w.scene.links.coupling.mirror, stage(w, i)
+    slopes[:] = w.slopes[i]
     for e in range(mirror.shape[0]):
-        for i in range(2):
-            for j in range(2):
-                curvature[e, i, j] = x.curvature[mirror[e], j, i]
+        for j in range(2):
+            for o in range(2):
+                curvature[e, j, o] = x.curvature[mirror[e], o, j]
                 if x.slack.shape[0]:
-                    curvature[e, i, j] += w.to_v * x.slack[mirror[e], j, i]
-    corotated.add_masses(s, w.to_a, curvature)
+                    curvature[e, j, o] += mode.c[1] * x.slack[mirror[e], o, j]
+    corotated.add_masses(w.scene.links, mode.c[0], curvature)
 
 
 @part
-def correct(s, c, room, r, phi, dw, dmu):
-    """Fill dw (nodes, 2) and dmu of `S dw + B^T dmu = -r`, `B dw = -phi`: the sum of |S^-1 r|, below zero if it is singular. r is lost."""
-    size, free = LEAST, 0.0
-    for i in range(r.shape[0]):
-        size = max(size, abs(r[i, 0]), abs(r[i, 1]))
-    for i in range(r.shape[0]):
-        r[i, 0], r[i, 1] = r[i, 0] / size, r[i, 1] / size
-    corotated.solve_turned(c, room, r, dw)
-    for i in range(r.shape[0]):
-        dw[i, 0], dw[i, 1] = -size * dw[i, 0], -size * dw[i, 1]
-        free += abs(dw[i, 0]) + abs(dw[i, 1])
-    if room.border.x.shape[0]:
-        joints.point_values(s, dw, room.moved)
-        if not corotated.close(s, c, room, phi, dmu):
-            return -1.0
-        corotated.pull_points(s, c, room, dw)
-    return free
-
-
-@fast
-def residual(w, right, below, x):
-    """r = S^T w + B^T mu - right and phi = B w - below."""
-    r = w.now[R]
-    for i in range(r.shape[0]):
+def correct(w, mode):
+    """Correct w and the multipliers by a mode for what is left of the equations: the sum of |S^-1 r|, below zero if it is singular."""
+    if mode is None:
+        return 0.0
+    r, dw, rows, size, free = mode.r, mode.dw, mode.rows, LEAST, 0.0
+    for a in range(r.shape[0]):
         for e in range(2):
-            r[i, e] = x.stiff[i, e] + w.to_a * x.heavy[i, e] - right[i, e]
-    if x.slowing.shape[0]:
-        for i in range(r.shape[0]):
+            r[a, e] = 0.0
+            for i in range(w.r.shape[0]):
+                r[a, e] += mode.column[i] * w.r[i, a, e]
+            size = max(size, magnitude(r[a, e]))
+    for f in range(rows.shape[0]):
+        for e in range(rows.shape[1]):
+            rows[f, e] = 0.0
+            for i in range(w.r.shape[0]):
+                rows[f, e] += mode.column[i] * w.rows[f, i, e]
+    for a in range(r.shape[0]):
+        r[a, 0], r[a, 1] = r[a, 0] / size, r[a, 1] / size
+    corotated.solve_turned(mode.factored, mode.room, r, dw)
+    for a in range(r.shape[0]):
+        for e in range(2):
+            r[a, e], dw[a, e] = -size * r[a, e], -size * dw[a, e]
+            free += magnitude(dw[a, e])
+    return free if close(w, mode, mode.massive, mode.before, mode.border) else -1.0
+
+
+@part
+def close(w, mode, massive, before, border):
+    """The multipliers of a mode, and what their forces do to dw. False where its border is singular. What is None is not compiled."""
+    s, c, room = w.scene.links, mode.factored, mode.room
+    if massive is None:
+        if not room.border.x.shape[0]:
+            return True
+        joints.point_values(s, mode.dw, room.moved)
+        if not corotated.close(s, c, room, mode.rows[MU], mode.multipliers[MU]):
+            return False
+    elif not stabilised_border.transposed(s, c, massive, room, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers):
+        return False
+    corotated.pull_points(s, c, room, mode.dw)
+    return True
+
+
+@part
+def add_change(w, mode, twice):
+    """Add the part of a mode to the corrections of the stages."""
+    if mode is not None:
+        for i in range(w.dw.shape[0]):
+            share = twice * mode.row[i]
+            for a in range(w.dw.shape[1]):
+                for e in range(2):
+                    w.dw[i, a, e] += (share * mode.dw[a, e]).real
+            for f in range(w.change.shape[0]):
+                for e in range(w.change.shape[2]):
+                    w.change[f, i, e] += (share * mode.multipliers[f, e]).real
+
+
+@part
+def add_ties(w, t, now, multipliers, bar):
+    """Add what kappa and mu of the step give to the products; B v* into w.rows. What is None is not compiled."""
+    if t is None:
+        return
+    s, stages, values, forces = w.scene.links, w.r.shape[0], t.points[0], t.points[1]
+    for i in range(stages):
+        x = stage(w, i)
+        slide(s, w.slopes[i], multipliers[KAPPA, i], forces)
+        joints.spread(s, forces, x.slowing)
+        for a in range(x.slowing.shape[0]):
             for e in range(2):
-                r[i, e] += w.to_v * x.slowing[i, e]
-    for i in range(x.rows.shape[0]):
-        w.rows[PHI, i] = x.rows[i] - below[i]
+                t.v[i, a, e] = x.slowing[a, e] + (bar[a, e] if i == stages - 1 else 0.0)
+    for i in range(stages):
+        x = stage(w, i)
+        for j in range(stages):
+            heavy = stage(w, j).heavy
+            for a in range(heavy.shape[0]):
+                for e in range(2):
+                    t.v[i, a, e] += w.to_v[i, j] * heavy[a, e]
+        joints.point_values(s, t.v[i], values)
+        products.pull_back(s.coupling, t.curvature[i], values, forces)
+        for k in range(w.rows.shape[2]):
+            w.rows[KAPPA, i, k] = joints.along(s, w.slopes[i], k, values)
+            for e in range(s.row_start[k], s.row_start[k + 1]):
+                p = s.row_columns[e]
+                forces[p // 2, p % 2] += t.rates[i, e] * multipliers[KAPPA, i, k]
+        joints.spread(s, forces, x.stiff)
+
+
+@part
+def slide(s, slopes, factors, forces):
+    """forces = slopes^T factors at the points."""
+    for f in range(forces.shape[0]):
+        forces[f, 0] = forces[f, 1] = 0.0
+    for k in range(factors.shape[0]):
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            p = s.row_columns[e]
+            forces[p // 2, p % 2] += slopes[e] * factors[k]
+
+
+@part
+def multiply(w, k, now, multipliers, bar, anew):
+    """All products of w and the multipliers at the stages; anew: True if the bodies' rotations are not at hand."""
+    for i in range(w.r.shape[0]):
+        x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
+        products.body_products(w.scene, w.viscosity, u, v, now[i], x.rotation if anew else x.rotation[:0], x)
+        products.point_products(w.scene.links, w.laws, w.slopes[i], now[i], multipliers[MU, i], x)
+        for e in range(w.rows.shape[2]):
+            w.rows[MU, i, e] = x.rows[e]
+    add_ties(w, w.tied, now, multipliers, bar)
 
 
 @fast
-def add_correction(now, multipliers, dw, dmu):
-    """w += dw, mu += dmu; the sums of |dw| and |w|, whose squares may be too small for a number."""
+def take_left(w, right, below):
+    """r (s, nodes, 2) = what is left of the first equations, and rows, turned to the middle stage."""
+    stages = w.r.shape[0]
+    for i in range(stages):
+        x, r = stage(w, i), w.r[i]
+        for a in range(r.shape[0]):
+            for e in range(2):
+                r[a, e] = x.stiff[a, e] - right[i, a, e]
+        for j in range(stages):
+            y, to_v, to_a = stage(w, j), w.to_v[i, j], w.to_a[i, j]
+            for a in range(r.shape[0]):
+                for e in range(2):
+                    r[a, e] += to_a * y.heavy[a, e]
+            if y.slowing.shape[0]:
+                for a in range(r.shape[0]):
+                    for e in range(2):
+                        r[a, e] += to_v * y.slowing[a, e]
+        for e in range(below.shape[1]):
+            w.rows[MU, i, e] -= below[i, e]
+        if stages > 1:
+            for a in range(r.shape[0]):
+                c, n, p, q = w.turn[i, a, 0], w.turn[i, a, 1], r[a, 0], r[a, 1]
+                r[a, 0], r[a, 1] = c * p - n * q, n * p + c * q
+
+
+@fast
+def add_correction(w, now, multipliers):
+    """w += dw, turned back, and the multipliers: the sums of |dw| and |w|, whose squares may be too small for a number."""
     moved = size = 0.0
     for i in range(now.shape[0]):
-        for e in range(2):
-            now[i, e] += dw[i, e]
-            moved += abs(dw[i, e])
-            size += abs(now[i, e])
-    for i in range(multipliers.shape[0]):
-        multipliers[i] += dmu[i]
+        for a in range(now.shape[1]):
+            p, q = w.dw[i, a, 0], w.dw[i, a, 1]
+            if now.shape[0] > 1:
+                c, n = w.turn[i, a, 0], w.turn[i, a, 1]
+                p, q = c * p + n * q, c * q - n * p
+            now[i, a, 0] += p
+            now[i, a, 1] += q
+            moved += abs(p) + abs(q)
+            size += abs(now[i, a, 0]) + abs(now[i, a, 1])
+    for f in range(multipliers.shape[0]):
+        for i in range(multipliers.shape[1]):
+            for e in range(multipliers.shape[2]):
+                multipliers[f, i, e] += w.change[f, i, e]
     return moved, size
 
 
 @part
 def judge(w, moved, size, last, iteration):
-    """Whether the error behind a correction by `moved` after one by `last` is small enough, or round-off, and whether it will never be."""
+    """(True if the error behind a correction by `moved` after one by `last` is small enough or round-off, True if it will never be)."""
     marks, measured = w.marks, last > 0.0
     rate = marks[CONTRACTION]
     if measured:
@@ -154,31 +359,46 @@ def judge(w, moved, size, last, iteration):
 @entry
 def solve(w, k, right, below, bar, now, multipliers, found):
     """Solve step k by refinement. Returns how it ended."""
-    m, x, last = (w.rows.shape[1],), w.products, 0.0
-    right, below, now, multipliers = pairs_at(w, right), carray(pointer(below), m), pairs_at(w, now), carray(pointer(multipliers), m)
-    u, v, plates, links = pairs(w, w.q[k]), pairs(w, w.v[k]), w.scene, w.scene.links
-    products.hold_state(plates, w.laws, w.drives[k], u, v, w.lam[k], x)
-    products.body_products(plates, w.viscosity, u, v, now, x.rotation, x)
-    hold(w, k, x)
+    (kinds, stages, m), (_, nodes, _), last = w.rows.shape, w.r.shape, 0.0
+    middle, shape = stages // 2, (stages, nodes, 2)
+    given, bar, wanted = carray(pointer(right), shape), carray(pointer(bar), (nodes, 2)), carray(pointer(below), (stages, m))
+    now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), (kinds, stages, m))
+    for i in range(stages):
+        x, drives, speed = stage(w, i), w.drives[k, i], pairs(w, w.v[k, i])
+        products.hold_state(w.scene, w.laws, drives, pairs(w, w.q[k, i]), speed, w.lam[k, i], x)
+        joints.joint_jacobian(w.scene.links, drives, x.points[DZ], w.slopes[i])
+        hold_ties(w, w.tied, k, i)
+    multiply(w, k, now, multipliers, bar, True)
+    for i in range(stages if stages > 1 else 0):
+        own, mid = stage(w, i).rotation, stage(w, middle).rotation
+        for a in range(nodes):
+            size = 1.0 / np.sqrt((mid[a, 0] ** 2 + mid[a, 1] ** 2) * (own[a, 0] ** 2 + own[a, 1] ** 2))
+            w.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
+            w.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
+    hold_mode(w, w.real, middle)
+    hold_mode(w, w.pair, middle)
     for iteration in range(MOST):
-        products.point_products(links, w.laws, w.room.border.slopes, now, multipliers, x)
-        residual(w, right, below, x)
-        free = correct(links, w.factored, w.room, w.now[R], w.rows[PHI], w.now[DW], w.rows[DMU])
-        if free < 0.0:
+        take_left(w, given, wanted)
+        free, other = correct(w, w.real), correct(w, w.pair)
+        if free < 0.0 or other < 0.0:
             return SINGULAR
-        w.marks[LARGEST] = max(w.marks[LARGEST], free)
+        w.dw[:], w.change[:] = 0.0, 0.0
+        add_change(w, w.real, 1.0)
+        add_change(w, w.pair, 2.0)
+        w.marks[LARGEST] = max(w.marks[LARGEST], free + other)
         w.marks[SOLVES] += 1.0
-        moved, size = add_correction(now, multipliers, w.now[DW], w.rows[DMU])
-        products.body_products(plates, w.viscosity, u, v, now, x.rotation[:0], x)
+        moved, size = add_correction(w, now, multipliers)
+        multiply(w, k, now, multipliers, bar, False)
         small, hopeless = judge(w, moved, size, last, iteration)
         if small:
-            products.point_products(links, w.laws, w.room.border.slopes, now, multipliers, x)
-            n = x.stiff.shape[0]
-            lost = carray(pointer(found), (2 * n, 2))
-            for i in range(n):
-                for e in range(2):
-                    lost[i, e] = x.stiff[i, e]
-                    lost[n + i, e] = x.slowing[i, e] if x.slowing.shape[0] else 0.0
+            out = carray(pointer(found), (3, stages, nodes, 2))
+            for i in range(stages):
+                x = stage(w, i)
+                out[0, i], out[2, i] = x.stiff, x.heavy
+                if x.slowing.shape[0]:
+                    out[1, i] = x.slowing
+                else:
+                    out[1, i] = 0.0
             w.marks[AGE] += 1.0
             return DONE
         if hopeless:
@@ -188,52 +408,91 @@ def solve(w, k, right, below, bar, now, multipliers, found):
 
 
 class SceneAdjoint(AdjointTable):
-    """The table of a compiled scene for steps of h, its solves by several threads where the run's are. counts: what counts its work."""
+    """The table of a compiled scene.
 
-    def __init__(self, model, settings, h, counts):
-        (to_a, to_v), (_, most, _) = settings.coefficients.rates(h), settings.newton_tolerance(0.0)
-        self.model, self.settings, self.counts, self.system = model, settings, counts, None
-        self.functions, self.helpers = np.zeros(ENTRIES, np.int64), Helpers(threads() if model.n >= forward.SHARED else 1)
-        self.w = {
+    to_v, to_a (s, s): of steps with h = 1 that `scale` is of; modes: (c_m, c_v, row, column) of each mode at h = 1. factor: a function
+    (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, Room), and with mu the Corotated
+    with the columns of `c M + C` and the StabilisedRoom of the border.
+    enough: as of SceneAdjointWork. counts: what counts its work.
+    """
+
+    def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False):
+        self.model, self.modes, self.factor, self.counts, self.tied, self.h = model, modes, factor, counts, tied, 1.0
+        self.factors, self.kept, self.functions = (np.array(to_v, float), np.array(to_a, float)), FactorCache(), np.zeros(ENTRIES, np.int64)
+        s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
+        self.helpers = Helpers(threads() if s == 1 and model.n >= forward.SHARED else 1)
+        scratches = [scratch(model, tied) for _ in range(s)]
+        self.w: dict[str, Any] = {
             "scene": arrays_of(model),
             "viscosity": model.arrays.plates.body_viscosity if model.damped else None,
             "laws": model.laws,
-            "to_a": to_a,
-            "to_v": to_v,
-            "enough": max(EXACT, SHARE * most),
-            "products": scratch(model),
-            "now": np.zeros((2, model.n_nodes, 2)),
-            "rows": np.zeros((2, model.m)),
+            "enough": enough,
+            **dict(zip(("first", "second", "third"), scratches + scratches[-1:] * 2)),
+            "slopes": np.zeros((s, entries)),
+            "turn": np.zeros((s, *nodes)),
+            "r": np.zeros((s, *nodes)),
+            "dw": np.zeros((s, *nodes)),
+            "rows": np.zeros((kinds, s, model.m)),
+            "change": np.zeros((kinds, s, model.m)),
             "marks": np.zeros(4),
         }
+        self.ties = {}
+        if tied:
+            coupled, points = (s, len(model.arrays.links.coupling.columns), 2, 2), (2, model.n_points, 2)
+            self.ties = {
+                "curvature": np.zeros(coupled),
+                "rates": np.zeros((s, entries)),
+                "v": np.zeros((s, *nodes)),
+                "points": np.zeros(points),
+            }
+        self.scale(1.0)
 
-    def take(self, t, q, v, a, lam, slips=None):
-        """Take the states at the ends of some steps."""
-        self.states = t, *(np.ascontiguousarray(x, float) for x in (q, v, a, lam))
-        self.w |= dict(zip(("q", "v", "lam"), (self.states[1], self.states[2], self.states[4])))
-        self.w["drives"] = drive_table(self.model, t, (t[0], t[-1]))
+    def scale(self, h):
+        """Go on with steps of h times those that to_v and to_a are of."""
+        self.h = h
+        self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
+
+    def take(self, t, q, v, a, lam, mu=None):
+        """Take the states of the stages of some steps, (count, s, .) each, or (count, .) where there is one."""
+        count, s = len(t), len(self.factors[0])
+        self.states = [np.ascontiguousarray(x, float).reshape(count, s, *np.shape(x)[np.ndim(t) :]) for x in (t, q, v, a, lam)]
+        t, self.w["q"], self.w["v"], _, self.w["lam"] = self.states
+        self.w["drives"] = drive_table(self.model, t.ravel(), (t[0, 0], t[-1, -1])).reshape(count, s, -1, 3)
+        self.w["tied"] = Tied(np.ascontiguousarray(mu, float), **self.ties) if self.tied else None
 
     def refresh(self, k):
-        if self.system is not None:
+        key = f"{self.h:.9e}"
+        found = self.kept.take(key)
+        if found is not None:
+            self.w |= found
             return False
-        self.system = self.settings.step_matrix(self.model)
-        self.system.factor(*(x[k].copy() for x in self.states), self.w["to_a"], self.w["to_v"])
-        self.counts.factorizations += 1
-        self.counts.solves += self.system.solves
-        self.counts.backend = self.system.backend
+        middle = len(self.factors[0]) // 2
+        made = self.factor(*(x[k, middle].copy() for x in self.states), [(c_m / self.h**2, c_v / self.h) for c_m, c_v, *_ in self.modes])
+        self.counts.factorizations += len(made)
+        found = {"real": None, "pair": None}
+        for (c_m, c_v, row, column), parts in zip(self.modes, made):
+            found["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
+        self.kept.keep(key, found)
+        self.w |= found
         self.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
         return True
 
+    def _mode(self, c, row, column, factored, room, massive=None, before=None):
+        kind, nodes, rows = np.asarray(row).dtype, (self.model.n_nodes, 2), (1 + self.tied, self.model.m)
+        border = stabilised_border.stabilised_room(self.model, kind, transposed=True) if self.tied else None
+        scratch = np.zeros(nodes, kind), np.zeros(nodes, kind), np.zeros(rows, kind), np.zeros(rows, kind)
+        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, room, massive, before, border, *scratch)
+
     def drop(self):
-        self.system = None
+        self.kept.factors.pop(f"{self.h:.9e}", None)
 
     @contextmanager
     def at_work(self):
         """(addresses of the functions, address of the workspace)."""
-        marks = self.w["marks"]
+        marks, real = self.w["marks"], self.w["real"]
         marks[SOLVES] = 0.0
-        with self.helpers.at_work(self.system.corotated, self.system.room) as room:
-            work = SceneAdjointWork(factored=self.system.corotated, room=room, **self.w)
+        with self.helpers.at_work(real.factored, real.room) if real else nullcontext() as room:
+            work = SceneAdjointWork(**self.w | ({"real": real._replace(room=room)} if real else {}))
             self.functions[ADJOINT] = c_address(solve, typeof(work))
             yield self.functions, work.address
-        self.counts.solves += int(marks[SOLVES])
+        self.counts.solves += int(marks[SOLVES]) * len(self.modes)

@@ -1,6 +1,6 @@
-"""The tables for the backward sweep of generalized-alpha: the C functions that solve the adjoint of one step of any model, and of a small one."""
+"""Tables for the backward sweeps: the C functions that solve the adjoint of one step, of any model by generalized-alpha and of a small one."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -10,18 +10,17 @@ from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear import dense as compiled_lu
-from polyida.linear.lu import LU, dense
+from polyida.linear.lu import LU, SingularSystem, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
 from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import dense as small
-from polyida.system.dense import BENT, END, FORCE, FORCE_V, INNER, MASS, MASS_VARIES, PHI_Q, TANGENT, VELOCITY, Dense, vector
 from polyida.system.python import PythonTable
 
 ROUNDS = 8  # solves, at most, for what eta turns with q
 
 
 class AdjointTable:
-    """What `adjoint.alpha.Sweep` asks of a table; one that keeps no factor needs no more of it than this.
+    """What a backward sweep asks of a table; one that keeps no factor needs no more of it than this.
 
     kappa, slips: of the stabilised form, which PythonAdjoint alone has.
     """
@@ -37,6 +36,28 @@ class AdjointTable:
 
     def raise_left(self):
         """Raise what a function of Python has raised."""
+
+
+def swept(table, exact, count, steps):
+    """Take `count` steps backward with a table, and with that of `exact()` each one that its solution does not converge for.
+
+    steps: a function (addresses, workspace, first, last) -> (the first step that is done, how the one before ended).
+    """
+    done = count
+    while done:
+        last, ended, fresh = done, SINGULAR, True
+        with suppress(SingularSystem):
+            fresh = table.refresh(done - 1)
+            with table.at_work() as at:
+                done, ended = steps(*at, 0, done)
+            table.raise_left()
+        if ended != DONE:
+            if fresh and done == last:
+                other = exact()
+                with other.at_work() as at:
+                    done, _ = steps(*at, done - 1, done)
+                other.raise_left()
+            table.drop()
 
 
 class PythonAdjoint(PythonTable, AdjointTable):
@@ -68,7 +89,7 @@ class PythonAdjoint(PythonTable, AdjointTable):
 
     def _solve(self, k, right, below, bar, w, mu, found):
         n, m, saddle = self.model.n, self.model.m, self.saddle
-        w, mu, found = self._array(w, n), self._array(mu, m), self._array(found, 2 * n).reshape(2, n)
+        w, mu, found = self._array(w, n), self._array(mu, m), self._array(found, 3 * n).reshape(3, n)
         right, below = self._array(right, n).copy(), self._array(below, m).copy()
         saddle.at(*(x[k] for x in self.states))
         damped = lambda: 0.0 if saddle.C is None else saddle.C.T @ w  # noqa: E731
@@ -120,97 +141,224 @@ class PythonAdjoint(PythonTable, AdjointTable):
 
 @pack
 class DenseAdjointWork(NamedTuple):
-    """The workspace of a model; t (count,), q, v, a, lam: its states; K, C (n, n): scratch; solved (1,): the number of steps."""
+    """The workspace of a model and steps of s stages; t (count, s), q, v, a (count, s, n), lam, mu (count, s, m): their states.
 
-    model: Dense
+    mu is (count, s, 0) if the steps have none. to_v, to_a (s, s), lift (n,): of `solve`. K, C, M, T (s, n, n), B, H (s, m, n): matrices of the
+    stages. matrix, pivots, x: the system of a step; solved (1,): the number of steps.
+    """
+
+    model: small.Dense
     t: np.ndarray
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     lam: np.ndarray
-    to_a: float
-    to_v: float
+    mu: np.ndarray
+    to_v: np.ndarray
+    to_a: np.ndarray
+    lift: np.ndarray
     K: np.ndarray
     C: np.ndarray
+    M: np.ndarray
+    T: np.ndarray
+    B: np.ndarray
+    H: np.ndarray
+    matrix: np.ndarray
+    pivots: np.ndarray
+    x: np.ndarray
     solved: np.ndarray
 
 
 @part
-def evaluate(w, k):
-    """K, C, and the model's B and M at state k. Returns how it ended."""
+def evaluate(w, k, i):
+    """K, C, M, T, B and H of stage i of step k. Returns how it ended."""
     d = w.model
-    d.t[INNER] = d.t[END] = w.t[k]
-    d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k], w.v[k], w.a[k], w.lam[k], 0.0, DONE
-    if d.functions[TANGENT]:
-        small.ask(d, TANGENT, INNER, d.S)
+    d.t[small.INNER] = d.t[small.END] = w.t[k, i]
+    d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k, i], w.v[k, i], w.a[k, i], w.lam[k, i], 0.0, DONE
+    if d.functions[small.TANGENT]:
+        small.ask(d, small.TANGENT, small.INNER, d.S)
     else:
         small.add_slopes(d)
-    w.K[:] = d.S
-    if d.flags[VELOCITY]:
+    w.K[i] = d.S
+    if d.flags[small.VELOCITY]:
         d.S[:] = 0.0
-        small.add_slope(d, FORCE_V, FORCE, d.v, 1.0)
-        w.C[:] = d.S
-    if d.lam.shape[0] and d.flags[BENT]:
-        small.ask(d, PHI_Q, INNER, d.B)
-    if d.flags[MASS_VARIES]:
-        small.ask(d, MASS, INNER, d.M)
+        small.add_slope(d, small.FORCE_V, small.FORCE, d.v, 1.0)
+        w.C[i] = d.S
+    if d.flags[small.MASS_VARIES]:
+        small.ask(d, small.MASS, small.INNER, d.M)
+    w.M[i] = d.M
+    if w.mu.shape[2] and d.flags[small.BENT]:
+        bend(w, d, w.mu[k, i], w.H[i], w.T[i])
+    if d.lam.shape[0] and d.flags[small.BENT]:
+        small.ask(d, small.PHI_Q, small.INNER, d.B)
+    w.B[i] = d.B
     return d.flags[small.ENDED]
+
+
+@part
+def bend(w, d, mu, H, T):
+    """`H = d(B v + phi_t)/dq` and `T = (B^T mu)_q D^-1` by differences of fourth order (model/differences.py)."""
+    H[:], T[:] = 0.0, 0.0
+    for j in range(d.q.shape[0]):
+        at = d.q[j]
+        step = small.REACH * max(1.0, abs(at))
+        for e in range(4):
+            d.q[j], weight = at + (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
+            small.ask(d, small.PHI_Q, small.INNER, d.B)
+            if d.flags[small.DRIVEN]:
+                small.ask(d, small.PHI_T, small.INNER, d.phi_t)
+            for k in range(mu.shape[0]):
+                H[k, j] += weight * d.phi_t[k]
+                for i in range(d.q.shape[0]):
+                    H[k, j] += weight * d.B[k, i] * d.v[i]
+                    T[i, j] += weight * d.B[k, i] * mu[k] * w.lift[j]
+        d.q[j] = at
+
+
+@part
+def assemble(w, size, unit):
+    """The matrix of a step, columns of w in units of 1/size, of kappa in `unit`."""
+    A, (s, m, n), tied = w.matrix, w.B.shape, w.mu.shape[2] > 0
+    A[:] = 0.0
+    for i in range(s):
+        lam, mu = s * n + i * m, s * (n + m) + i * m
+        for j in range(s):
+            to_v, to_a, same = w.to_v[i, j], w.to_a[i, j], i == j
+            for p in range(n):
+                for r in range(n):
+                    total = to_a * w.M[j, r, p] + to_v * w.C[j, r, p]
+                    if same:
+                        total += w.K[i, r, p]
+                    if tied:
+                        for o in range(n):
+                            total += w.T[i, p, o] * (to_v * w.M[j, r, o] + (w.C[i, r, o] if same else 0.0))
+                    A[i * n + p, j * n + r] = total / size
+            for e in range(m if tied else 0):
+                for p in range(n):
+                    total = to_v * w.B[j, e, p]
+                    if same:
+                        total += w.H[i, e, p]
+                        for o in range(n):
+                            total += w.T[i, p, o] * w.B[i, e, o]
+                    A[i * n + p, s * (n + m) + j * m + e] = total * unit
+                for r in range(n):
+                    total = 0.0
+                    for o in range(n):
+                        total += w.B[i, e, o] * w.lift[o] * (to_v * w.M[j, r, o] + (w.C[i, r, o] if same else 0.0))
+                    A[mu + e, j * n + r] = total / (unit * size)
+        for e in range(m):
+            for p in range(n):
+                A[i * n + p, lam + e] = A[lam + e, i * n + p] = w.B[i, e, p]
+            for o in range(m if tied else 0):
+                total = 0.0
+                for p in range(n):
+                    total += w.B[i, e, p] * w.lift[p] * w.B[i, o, p]
+                A[mu + e, mu + o] = total
 
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, found):
     """Solve step k. Returns how it ended."""
-    d, n, m = w.model, w.model.q.shape[0], w.model.lam.shape[0]
-    ended = evaluate(w, k)
-    if ended != DONE:
-        return ended
-    for i in range(n):
-        for j in range(n):
-            d.S[i, j] = w.K[j, i] + w.to_a * d.M[j, i] + w.to_v * w.C[j, i]
-    size = small.typical(d.S)
-    small.bordered(d.lu, d, d.S, size)
-    if not compiled_lu.factor(d.lu, d.pivots):
+    (s, m, n), kinds = w.B.shape, 1 + (w.mu.shape[2] > 0)
+    for i in range(s):
+        ended = evaluate(w, k, i)
+        if ended != DONE:
+            return ended
+    size, unit = 0.0, 1.0 / abs(w.to_v[s - 1, s - 1])
+    for p in range(n):
+        size += abs(w.K[s - 1, p, p] + w.to_a[s - 1, s - 1] * w.M[s - 1, p, p]) / n
+    size = size if size > 0.0 else 1.0
+    assemble(w, size, unit)
+    if not compiled_lu.factor(w.matrix, w.pivots):
         return SINGULAR
-    compiled_lu.put(1.0, vector(right, n), d.x)
-    compiled_lu.put(1.0, vector(below, m), d.x[n:])
-    small.solve_bordered(d, d.lu, d.pivots, size)
-    if not small.finite(d.x):
+    x, given = w.x, small.vector(bar, n)
+    compiled_lu.put(1.0, small.vector(right, s * n), x)
+    compiled_lu.put(size, small.vector(below, s * m), x[s * n :])
+    for e in range((kinds - 1) * s * m):
+        x[s * (n + m) + e] = 0.0
+    if kinds == 2:
+        for p in range(n):
+            for o in range(n):
+                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * given[o]
+        for e in range(m):
+            for p in range(n):
+                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * given[p] / unit
+    compiled_lu.solve(w.matrix, w.pivots, x)
+    if not small.finite(x):
         return NOT_FINITE
-    x, mu, lost = vector(now, n), vector(multipliers, m), carray(pointer(found), (2, n))
-    compiled_lu.put(1.0, d.x[:n], x)
-    compiled_lu.put(1.0, d.x[n:], mu)
-    for j in range(n):
-        stiff = damped = 0.0
-        for i in range(n):
-            stiff += w.K[i, j] * x[i]
-            damped += w.C[i, j] * x[i]
-        for i in range(m):
-            stiff += d.B[i, j] * mu[i]
-        lost[0, j], lost[1, j] = stiff, damped
+    shape = carray(pointer(now), (s, n)), carray(pointer(multipliers), (kinds, s, m)), carray(pointer(found), (3, s, n))
+    for i in range(s):
+        for p in range(n):
+            shape[0][i, p] = x[i * n + p] / size
+        for e in range(m):
+            shape[1][0, i, e] = x[s * n + i * m + e]
+            if kinds == 2:
+                shape[1][1, i, e] = unit * x[s * (n + m) + i * m + e]
+    products(w, shape[0], shape[1], given, shape[2])
     w.solved[0] += 1
     return DONE
 
 
-class DenseAdjoint(AdjointTable):
-    """The table of a small model for steps of h; table: that of its functions. counts: what counts its work."""
+@part
+def products(w, now, multipliers, bar, found):
+    """What the multipliers add to q*, v* and a*."""
+    (s, m, n), stiff, damped, heavy = w.B.shape, found[0], found[1], found[2]
+    for i in range(s):
+        for p in range(n):
+            stiff[i, p] = damped[i, p] = heavy[i, p] = 0.0
+            for r in range(n):
+                stiff[i, p] += w.K[i, r, p] * now[i, r]
+                damped[i, p] += w.C[i, r, p] * now[i, r]
+                heavy[i, p] += w.M[i, r, p] * now[i, r]
+            for e in range(m):
+                stiff[i, p] += w.B[i, e, p] * multipliers[0, i, e]
+                if multipliers.shape[0] == 2:
+                    stiff[i, p] += w.H[i, e, p] * multipliers[1, i, e]
+                    damped[i, p] += w.B[i, e, p] * multipliers[1, i, e]
+    for i in range(s if multipliers.shape[0] == 2 else 0):
+        for o in range(n):
+            rate = damped[i, o] + (bar[o] if i == s - 1 else 0.0)
+            for j in range(s):
+                rate += w.to_v[i, j] * heavy[j, o]
+            for p in range(n):
+                stiff[i, p] += w.T[i, p, o] * rate
 
-    def __init__(self, table, settings, h, counts):
-        n, (to_a, to_v) = table.model.n, settings.coefficients.rates(h)
+
+class DenseAdjoint(AdjointTable):
+    """The table of a small model for steps of s stages; table: that of its functions; to_v, to_a (s, s), lift: of the system that is solved.
+
+    tied: True if the steps have mu. counts: what counts its work.
+    """
+
+    def __init__(self, table, to_v, to_a, counts, lift=None, tied=False):
+        n, m, s = table.model.n, table.model.m, len(to_v)
+        size = s * (n + m * (1 + tied))
         self.table, self.counts, self.functions = table, counts, np.zeros(ENTRIES, np.int64)
+        self.factors = np.array(to_v, float), np.array(to_a, float)
         self.w = {
             "model": table.w,
-            "to_a": to_a,
-            "to_v": to_v,
-            "K": np.zeros((n, n)),
-            "C": np.zeros((n, n)),
+            "lift": np.ones(n) if lift is None else lift,
+            **{name: np.zeros((s, n, n)) for name in "KCMT"},
+            **{name: np.zeros((s, m, n)) for name in "BH"},
+            "matrix": np.zeros((size, size)),
+            "pivots": np.zeros(size, np.int64),
+            "x": np.zeros(size),
             "solved": np.zeros(1, np.int64),
         }
         self.raise_left = table.raise_left
 
-    def take(self, t, q, v, a, lam, slips=None):
-        """Take the states at the ends of some steps."""
-        self.w |= {name: np.ascontiguousarray(x, float) for name, x in (("t", t), ("q", q), ("v", v), ("a", a), ("lam", lam))}
-        self.table.hold_constant(float(t[0]), self.w["q"][0])
+        self.scale(1.0)
+
+    def scale(self, h):
+        """Go on with steps of h times those that to_v and to_a are of."""
+        self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
+
+    def take(self, t, q, v, a, lam, mu=None):
+        """Take the states of the stages of some steps, (count, s, .) each, or (count, .) where there is one."""
+        given = {"t": t, "q": q, "v": v, "a": a, "lam": lam, "mu": np.zeros((*np.shape(t), 0)) if mu is None else mu}
+        s = len(self.factors[0])
+        self.w |= {k: np.ascontiguousarray(x, float).reshape(len(t), s, *([] if k == "t" else np.shape(x)[-1:])) for k, x in given.items()}
+        self.table.hold_constant(float(self.w["t"][0, 0]), self.w["q"][0, 0])
 
     @contextmanager
     def at_work(self):

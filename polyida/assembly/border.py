@@ -7,7 +7,8 @@ matrix on them, and rows of F those of the curvature), lam of the rows of phi, a
     E   of w: a unit; of lam: its row of Bz = phi_z; of mu: the same in a second layer of components
     F   of w: a row of C; of lam: its row of Bz; of mu: its row of Hz, and that of Bz in the second layer
 
-In the second layer a body's matrix is ((G, H), (0, -A A^T)). Every number of E and F has a slot: Bz, then 1, C, and Hz.
+In the second layer a body's matrix is ((G, H), (0, -A A^T)). Every number of E and F has a slot: Bz, then 1, C, and Hz. In the transposed
+system Hz belongs to E, and the second layer comes first: ((-A A^T, H^T), (0, G)).
 """
 
 from typing import NamedTuple
@@ -77,8 +78,8 @@ class BorderRoom(NamedTuple):
     terms: np.ndarray
 
 
-def border(model, active=True, rows=True, rates=False):
-    """The Border of a scene with unknowns w, lam and mu, or without."""
+def border(model, active=True, rows=True, rates=False, transposed=False):
+    """The Border of a scene with unknowns w, lam and mu, or without; transposed: that of the backward sweep, with rates."""
     s, bodies = model.arrays.links, body_of_points(model)
     number, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
     points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
@@ -92,7 +93,7 @@ def border(model, active=True, rows=True, rates=False):
 
     def note(table, unknown, component, slot, layer=0):
         body = number[component // 2]
-        place = 2 * local[component // 2] + component % 2 + layer * wide[body]
+        place = 2 * local[component // 2] + component % 2 + (layer != transposed) * wide[body]
         table[body].setdefault(unknown, []).append((place, slot))
 
     for unknown, component in enumerate(components.tolist()):
@@ -115,7 +116,7 @@ def border(model, active=True, rows=True, rates=False):
                 note(pulls, unknown, component, e, layer)
                 note(looks, unknown, component, e, layer)
             if layer and turning[e]:
-                note(looks, unknown, component, behind + e)
+                note(pulls if transposed else looks, unknown, component, behind + e)
     groups = [sorted({*pull, *look}) for pull, look in zip(pulls, looks)]
     order = elimination(first + layers * m, groups)
     into = [_grid(order, list(look), list(pull)) for pull, look in zip(pulls, looks)]
@@ -128,7 +129,7 @@ def border(model, active=True, rows=True, rates=False):
         np.concatenate([[0], np.cumsum([(layers * size) ** 2 for size in wide])]).astype(np.int64),
         *_listed(looks),
         *_listed(pulls),
-        np.array([sum(unknown < first + m for unknown in pull) for pull in pulls], np.int64),
+        np.array([0 if transposed else sum(unknown < first + m for unknown in pull) for pull in pulls], np.int64),
         starts(into),
         np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
     )
@@ -187,8 +188,8 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def look(b, w, moved):
-    """right = F moved, moved (points, 2) = A y, in the first layer."""
+def look(b, w, moved, behind):
+    """right = F moved, moved (points, 2) the values of the components that come first, behind of the others, or (0, 2) if these are zero."""
     for u in range(w.right.shape[0]):
         w.right[u] = 0.0
     for n in range(b.block.shape[0] - 1):
@@ -198,6 +199,9 @@ def look(b, w, moved):
                 at = b.row_component[e]
                 if at < layer:
                     w.right[b.rows[r]] += w.slots[b.row_slot[e]] * moved[b.points[b.point_start[n] + at // 2], at % 2]
+                elif behind.shape[0]:
+                    at -= layer
+                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * behind[b.points[b.point_start[n] + at // 2], at % 2]
 
 
 @part

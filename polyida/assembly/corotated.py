@@ -263,7 +263,7 @@ def close(s, c, w, phi, dlam):
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    look(c.border, w.border, w.moved)
+    look(c.border, w.border, w.moved, w.moved[:0])
     count = c.border.active.shape[0]
     for k in range(phi.shape[0]):
         w.border.right[count + k] += phi[k]

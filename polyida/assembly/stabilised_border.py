@@ -28,15 +28,14 @@ class StabilisedRoom(NamedTuple):
     moved: np.ndarray
 
 
-def stabilised_room(model, dtype=float):
-    """Scratch for the borders of a model's step matrices, float or complex."""
-    pattern, points = model.once(border_with_rates, of_shape=True), (model.n_points, 2)
-    numbers, flat = border_room(model, pattern, dtype), model.once(overlaps, of_shape=True)
-    at = 0
+def stabilised_room(model, dtype=float, transposed=False):
+    """Scratch for the borders of a model's step matrices, float or complex; transposed: for those of the backward sweep."""
+    pattern = model.once(transposed_border if transposed else border_with_rates, of_shape=True)
+    numbers, flat, at, points = border_room(model, pattern, dtype), model.once(overlaps, of_shape=True), 0, (model.n_points, 2)
     for begin, end in zip(pattern.block, pattern.block[1:]):
         size = int(np.sqrt(end - begin)) // 2
-        block = numbers.blocks[begin:end].reshape(2 * size, 2 * size)
-        block[size:, size:] = -flat[at : at + size * size].reshape(size, size)
+        block, place = numbers.blocks[begin:end].reshape(2 * size, 2 * size), slice(0, size) if transposed else slice(size, None)
+        block[place, place] = -flat[at : at + size * size].reshape(size, size)
         at += size * size
     return StabilisedRoom(pattern, numbers, np.zeros(points, dtype), np.empty(points, dtype))
 
@@ -44,6 +43,11 @@ def stabilised_room(model, dtype=float):
 def border_with_rates(model):
     """The Border of a scene with the multipliers of the rows' rates."""
     return border(model, rates=True)
+
+
+def transposed_border(model):
+    """The same of the transposed system."""
+    return border(model, rates=True, transposed=True)
 
 
 def overlaps(model):
@@ -92,7 +96,7 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r
         joints.joint_rate_jacobian(s, drives, dz, vz, y.rates)
         corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
     joints.point_values(s, dq, w.moved)
-    look(b, y, w.moved)
+    look(b, y, w.moved, w.moved[:0])
     count = b.active.shape[0]
     for k in range(m):
         y.right[count + k] -= r3[k]
@@ -144,3 +148,65 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
     for p in range(cr.pull.shape[0]):
         cr.pull[p] = c_v * w.swing[p // 2, p % 2]
     corotated.pull_points(s, cm, cr, dq)
+
+
+@part
+def transpose_blocks(b, blocks, out):
+    """The blocks of the transposed border from those of the border, ((G, H), (0, -A A^T)): ((-A A^T, H^T), (0, G))."""
+    for n in range(b.block.shape[0] - 1):
+        wide, at = width(b, n), b.block[n]
+        size = wide // 2
+        for p in range(size):
+            for q in range(size):
+                out[at + p * wide + size + q] = blocks[at + q * wide + size + p]
+                out[at + (size + p) * wide + size + q] = blocks[at + p * wide + q]
+
+
+@part
+def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
+    """Fill the multipliers (2, m) of the transposed system, and cr.pull; dw (nodes, 2) = S^-1 r of the plates, r (nodes, 2) and rows (2, m):
+
+    `S dw + A^T (C A dw + Bz^T dmu + (Hz + c Bz)^T dkappa) = r`, `Bz A dw = -rows_0`, `B (c M + C) dw + B B^T dkappa = -rows_1`. w: the room of
+    the border, whose blocks those of z, the room of the transposed one, are made of. False where the border is singular.
+    """
+    b, y, m = z.border, z.room, rows.shape[1]
+    joints.point_values(s, dw, z.moved)
+    momenta_at_points(c, cm, cr, c_v, r, z.swing)
+    for n in range(w.border.block.shape[0] - 1):  # c A A^T m A dw
+        wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
+        size = wide // 2
+        for q in range(size):
+            mass = s.point_mass[points[q // 2]]
+            if mass != 0.0:
+                for p in range(size):
+                    across = -y.blocks[b.block[n] + p * wide + q]
+                    z.swing[points[p // 2], p % 2] += c_v * mass * across * z.moved[points[q // 2], q % 2]
+    look(b, y, z.swing, z.moved)
+    count = b.active.shape[0]
+    for k in range(m):
+        y.right[count + k] += rows[0, k]
+        y.right[count + m + k] += rows[1, k]
+    if not solve_border(b, y):
+        return False
+    corotated.pull_of(s, b, y, cr.pull, multipliers[0])
+    for k in range(m):
+        multipliers[1, k] = y.x[count + m + k]
+        multipliers[0, k] -= c_v * multipliers[1, k]
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            cr.pull[s.row_columns[e]] += y.rates[e] * multipliers[1, k]
+    return True
+
+
+@part
+def momenta_at_points(c, cm, cr, c_v, r, moved):
+    """moved = A (c M + C) S^-1 r of the plates, from the columns of `massive`."""
+    for f in range(moved.shape[0]):
+        first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
+        size, p, q = end - first, 0.0 * c_v, 0.0 * c_v
+        for i in range(size):
+            co, si, x, y = cr.turn[first + i, 0], cr.turn[first + i, 1], r[first + i, 0], r[first + i, 1]
+            x, y = co * x + si * y, co * y - si * x
+            p += cm.reach[at + i, 0] * x + cm.reach[at + i, 1] * y
+            q += cm.reach[at + size + i, 0] * x + cm.reach[at + size + i, 1] * y
+        co, si = cr.spin[f, 0], cr.spin[f, 1]
+        moved[f, 0], moved[f, 1] = c_v * (co * p - si * q), c_v * (si * p + co * q)

@@ -36,11 +36,11 @@ IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in so
 |---|---|---|
 | BIAS | q, v, a, out | `phi_q a + phi_bias`, the second derivative of phi; B is that of the last REACTION |
 
-The backward sweep of generalized-alpha has its own tables (adjoint/tables.py) with one entry.
+The backward sweeps of generalized-alpha and Radau IIA have their own tables (adjoint/tables.py) with one entry.
 
 | entry | arguments | action |
 |---|---|---|
-| ADJOINT | right, below, bar, w, mu, out | solve the adjoint of the step that ends at this instant (adjoint/alpha.py) |
+| ADJOINT | right, below, bar, w, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
 """
 
 from numba import types

@@ -414,14 +414,18 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 @entry
 def values(d, t, q, v, a, lam, r, phi, rates, biases):
-    """Fill r, phi, phi's rate and bias of states (k, .); of the last three each may be (0, m). Returns how it ended."""
-    n, ended = d.q.shape[0], DONE
+    """Fill r, phi, phi's rate and bias of states (k, .); each may be empty, (0, .). Returns how it ended."""
+    ended = DONE
     for k in range(t.shape[0]):
         d.times[0, INNER] = d.times[0, END] = t[k]
         given = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
-        ended = residual(d, 0, given[0], given[1], given[2], given[3], address(r[k]), address(d.x[n:]))
+        if r.shape[0]:
+            ended = residual(d, 0, given[0], given[1], given[2], given[3], address(r[k]), address(d.phi))
+        elif phi.shape[0]:
+            take(d, 0, given[0], given[1])
+            ended = ask(d, PHI, END, d.phi)
         if phi.shape[0]:
-            phi[k] = d.x[n:]
+            phi[k] = d.phi
         if ended == DONE and rates.shape[0]:
             ended = rate(d, 0, given[0], given[1], address(rates[k]), 0, 0, 0)
         if ended == DONE and biases.shape[0]:

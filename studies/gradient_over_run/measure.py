@@ -70,9 +70,9 @@ def _products(count, s, u, v, w, x):
 
 
 @entry
-def _solves(count, s, c, room, r, phi, dq, dlam):
+def _solves(count, work):
     for _ in range(count):
-        scene.correct(s, c, room, r, phi, dq, dlam)
+        scene.correct(work, work.real)
 
 
 def sweep_us(model, settings, run, objective, repeats):
@@ -82,9 +82,8 @@ def sweep_us(model, settings, run, objective, repeats):
     slopes, none = objective.slopes(run)(slice(1, len(run))), AdjointState(*np.zeros((4, model.n)))
     swept = partial(sweep.back, t, *frames, slopes, none)
     u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
-    work, system, rows = sweep.table.w, sweep.table.system, np.zeros(model.m)
-    solved = system.corotated, system.room, w, rows, np.empty_like(w), rows.copy()
-    loops = {"product": (_products, (work["scene"], u, v, w, work["products"])), "solve": (_solves, (work["scene"].links, *solved))}
+    work = scene.SceneAdjointWork(**sweep.table.w)
+    loops = {"product": (_products, (work.scene, u, v, w, work.first)), "solve": (_solves, (work,))}
     result = {"sweep": cpu(swept)[0] / len(t)}
     for name, (loop, arguments) in loops.items():
         loop(1, *arguments)

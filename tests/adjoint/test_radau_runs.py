@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.adjoint import radau_equations as equations
+from polyida.adjoint import radau
 from polyida.adjoint.radau import step_history
-from polyida.errors import StepFailure
-from polyida.integrate.radau.steps import Steps
+from polyida.errors import REFACTOR
 from polyida.problems import andrews
 from polyida.problems.pendulum import Pendulum
 
@@ -61,27 +60,29 @@ def test_a_damped_scene():
     assert max(errors.values()) < CLOSE, errors
 
 
-def test_refined_and_factored_equations_agree(monkeypatch):
-    run = pi.solve(MODEL, 0.03, pi.RadauIIA(h=4e-3))
-    small = pi.gradient(run, ALL, parameters=NAMES)
-    monkeypatch.setattr(equations, "DENSE", 0)
+def same(found, wanted):
+    return all(np.allclose(found[name], wanted[name], rtol=1e-7, atol=1e-9 * np.abs(wanted[name]).max()) for name in NAMES)
+
+
+@pytest.mark.parametrize("form", ["ggl", "index3"])
+def test_refined_and_factored_equations_agree(form, monkeypatch):
+    run = pi.solve(MODEL, 0.03, pi.RadauIIA(h=4e-3, form=form))
     refined = pi.gradient(run, ALL, parameters=NAMES)
     assert refined.counts.factorizations < 5 * run.counts.factorizations
-    monkeypatch.setattr(equations, "MOST", 1)
+    compiled, calls = radau.stretch, iter(range(99))
+    monkeypatch.setattr(radau, "stretch", lambda *given: (given[3], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
+    partly = pi.gradient(run, ALL, parameters=NAMES)
+    monkeypatch.setattr(radau.RadauAdjoint, "_table", radau.RadauAdjoint._exact)
     factored = pi.gradient(run, ALL, parameters=NAMES)
-    for found in (small, refined):
-        assert all(np.allclose(found[name], factored[name], rtol=1e-7, atol=1e-9 * np.abs(factored[name]).max()) for name in NAMES)
+    assert same(refined, factored) and same(partly, factored)
 
 
 def test_stages_that_the_simplified_newton_does_not_find(monkeypatch):
-    def fail(engine, state, h, t, allowed=np.inf):
-        raise StepFailure("newton", "it does not converge", t)
-
     run = pi.solve(MODEL, 0.02, pi.RadauIIA(h=4e-3, tolerance=TIGHT))
     found = pi.gradient(run, ALL, parameters=NAMES)
-    monkeypatch.setattr(Steps, "step", fail)
+    monkeypatch.setattr(radau, "again", lambda *given: (given[10], REFACTOR))
     again = pi.gradient(run, ALL, parameters=NAMES)
-    assert all(np.allclose(found[name], again[name], rtol=1e-7, atol=1e-9 * np.abs(found[name]).max()) for name in NAMES)
+    assert same(again, found)
 
 
 def test_models_of_ones_own():
@@ -92,7 +93,12 @@ def test_models_of_ones_own():
         lambda run: sum(float(np.sum(size * getattr(run, name)[1:] ** 2)) for name, size in sizes.items()),
         lambda run: {name: 2 * size * getattr(run, name) * (np.arange(len(run)) > 0)[:, None] for name, size in sizes.items()},
     )
-    for model, t_end, h, begin in ((Pendulum(), 0.5, 0.05, {}), (problem.model, 0.004, 5e-4, {"q0": problem.q0, "v0": problem.v0})):
+    compiled = pi.compiled(type("CompiledPendulum", (Pendulum,), {}))()
+    for model, t_end, h, begin in (
+        (Pendulum(), 0.5, 0.05, {}),
+        (compiled, 0.5, 0.05, {}),
+        (problem.model, 0.004, 5e-4, {"q0": problem.q0, "v0": problem.v0}),
+    ):
         begin = begin or {"q0": [1.0, 0.0]}
         run = pi.solve(model, t_end, pi.RadauIIA(h=h, tolerance=1e-14), **begin)
         errors = pi.check_gradient(run, read)

@@ -80,12 +80,12 @@ class Steps:
     """`begin` takes a state up, `step`, `equal` and `adaptive` go on from one; `limits`: the model's times are held to them, beside a kink.
 
     sizes: the model's (length, speed), of which tolerances are a share; run: as the memory of states has it. looks: whether the local error is
-    asked for; guess: a function (state, h) that fills `trial` with the stages to begin with, or None: by the last step's polynomial.
+    asked for.
     """
 
     def __init__(self, settings, model, counts, sizes, run=None):
         self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
-        self.tableau, self.limits, self.guess = radau(settings.stages), (-np.inf, np.inf), None
+        self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
         needs, form = model.needs, settings.form
         bent = model.m > 0 and (needs.phi_q_varies or needs.driven)
         self.tied = form == "ggl" and bent
@@ -128,7 +128,7 @@ class Steps:
         """t held to `limits`."""
         return float(min(max(t, self.limits[0]), self.limits[1]))
 
-    def _take(self, state):
+    def take(self, state):
         """Go on from a state, where it is not the one that was reached last."""
         if state is self.at:
             return
@@ -148,7 +148,7 @@ class Steps:
             y.closed[:] = start_values(model, state, self.clamp(state.t))
         self.at = state
 
-    def _method(self):
+    def method(self):
         s, model, sizes = self.settings, self.model, self.sizes
         rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
         return Method(
@@ -156,7 +156,7 @@ class Steps:
             carries=bool(model.has_constraint_increments),
             moves_v=self.moves_v,
             looks=self.looks,
-            guessed=self.guess is not None,
+            guessed=False,
             max_iterations=s.max_iterations,
             low=float(self.limits[0]),
             high=float(self.limits[1]),
@@ -201,10 +201,8 @@ class Steps:
 
     def _stretches(self, state, control, ends, place=_nowhere):
         """The states that the table takes at once, in one stretch or in several between which factors are made. Raises StepFailure."""
-        p, y, fresh, taken = self._method(), self.memory, False, 0
-        self._take(state)
-        if self.guess is not None:
-            self.guess(state, control.h)
+        p, y, fresh, taken = self.method(), self.memory, False, 0
+        self.take(state)
         count = len(ends) or self.longest
         first = self.table.begin(self, state, control, ends)
         while True:
@@ -220,7 +218,7 @@ class Steps:
             if found:
                 self.made = self.kept.made.copy() if self.made is None else self.made
                 memory = self._shared(), partial(place, taken), self._motion()
-                work = partial(self._work, before, o.counts)
+                work = partial(self.work, before, o.counts)
                 made = Ends(
                     Common(
                         o,
@@ -236,13 +234,13 @@ class Steps:
                 )
                 self.at = state = made.last
                 yield made
-            vars(self.counts).update(self._work(before, self.done[None], 0))
+            vars(self.counts).update(self.work(before, self.done[None], 0))
             self.at = self.at or state
             taken, count, first = taken + found, count - found, first + found * (self.settings.stages + 1) * self.table.prepared
             self.table.raise_left()
             if ended in (loop.MAKE, loop.AGAIN):
                 fresh = ended == loop.MAKE
-                self._make(control, fresh)
+                self.make(control, fresh)
             elif ended == loop.PAUSE:
                 fresh = False
             elif ended != DONE:
@@ -250,7 +248,7 @@ class Steps:
             elif not count or control.adaptive:
                 return
 
-    def _work(self, before, done, k):
+    def work(self, before, done, k):
         """The counts at step k but for the steps, of those of the work done since a stretch began."""
         residuals, iterations, solves, factors, rejected = map(int, done[k])
         more = residuals, iterations, solves, rejected, factors, factors * len(self.tableau.modes)
@@ -268,7 +266,7 @@ class Steps:
         """What makes a and lam of the states, or None where the loop has."""
         return None if self.table.functions[ACCELERATION] else (self.model, self.clamp)
 
-    def _make(self, control, new):
+    def make(self, control, new):
         """Make factors for the step that is tried: new ones, or those that are kept of it again."""
         h, t, table, y = float(control.now[STEP]), self.clamp(control.now[TIME]), self.kept.table, self.memory
         slot = int(np.argmax(table[H] == h))

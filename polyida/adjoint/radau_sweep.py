@@ -1,0 +1,200 @@
+"""Steps of Radau IIA solved once more and swept backward, in compiled code.
+
+`again` solves the stages of steps between stored states to round-off, with the tables of the run. `stretch` is the driver of the backward
+sweep. With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and
+`v_i' = sum_j W_ij (v_j - v_0) / h` the equations of a step are `r_i = 0`, `phi_i = 0` and, if there is mu, `B_i v_i + phi_t = 0`; their
+multipliers are w_i, mu*_i and kappa_i. b_q and b_v are the bars of the step's end, which is the last stage:
+
+    a*_i = M_i^T w_i
+    v*_i = C_i^T w_i + B_i^T kappa_i + sum_j W_ji a*_j / h + [b_v]
+    q*_i = K_i^T w_i + B_i^T mu*_i + H_i^T kappa_i + (B_i^T mu_i)_q^T D^-1 v*_i + [b_q]
+
+and `q*_j + sum_i W_ij v*_i / h = 0`, `B_i w_i = 0`, `B_i D^-1 v*_i = 0` are the transposed system. To the step before go
+
+    q*_0 = sum_i q*_i,    v*_0 = sum_i c_i h q*_i + v*_i - sum_ij W_ij a*_i / h
+
+K, C and H are dr/dq, dr/dv and d(B v + phi_t)/dq. The entry ADJOINT of a table (system/table.py) solves the transposed system; it gets
+right (s, n), the terms of b_q and b_v in the first equation, bar = b_v, and fills w (s, n), multipliers (mu*, and kappa if there is mu) and
+found (3, s, n): q*, v* and a* without the terms [b_q], [b_v] and W.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.errors import DONE
+from polyida.integrate.radau.loop import GOES, MAKE, STEP, TIME, attempt, keep, made
+from polyida.integrate.radau.step import A, Q, V
+from polyida.integrate.state import State
+from polyida.jit import entry, fast, pack, part
+from polyida.jit.intrinsics import address, call
+from polyida.system import ADJOINT, MATRICES, PREPARE
+
+
+@pack
+class States(NamedTuple):
+    """States at the ends of steps, the beginning of the first one included: t (count + 1,), q, v, a (count + 1, n), lam (count + 1, m)."""
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+
+    def state(self, k):
+        """The State number k."""
+        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k])
+
+
+@pack
+class Stages(NamedTuple):
+    """The stages of steps: t (count, s), e, `v - v_0`, v' (count, s, n), lam (count, s, m), mu (count, s, m) or (count, s, 0) without."""
+
+    t: np.ndarray
+    e: np.ndarray
+    dv: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    mu: np.ndarray
+
+
+@entry
+def between(c, h, b, k, x):
+    """Stages to begin with: on the cubic through q and v of both ends of step k, lam on a line."""
+    for j in range(c.shape[0]):
+        s = c[j]
+        for i in range(b.q.shape[1]):
+            way, turn = b.q[k + 1, i] - b.q[k, i] - h * b.v[k, i], h * (b.v[k + 1, i] - b.v[k, i])
+            x.e[j, i] = s * s * (3.0 * way - turn) + s * s * s * (turn - 2.0 * way)
+        for i in range(b.lam.shape[1]):
+            x.lam[j, i] = (1.0 - s) * b.lam[k, i] + s * b.lam[k + 1, i]
+        for i in range(x.mu.shape[1]):
+            x.mu[j, i] = 0.0
+
+
+@entry
+def again(f, w, at, p, t, h, now, kept, fresh, b, done, y, x, z, counts, out):
+    """The stages of steps of h from number `done` on: (steps that are done, how the next one ended).
+
+    f, w, p, t, y, x, z, kept, fresh, counts: as of `loop.stretch`; at: number of the instant where the first step begins; b: the States.
+    """
+    apart = t.c.shape[0] + 1
+    for k in range(done, out.e.shape[0]):
+        for i in range(b.q.shape[1]):
+            y.past[Q, i], y.past[V, i], y.past[A, i] = b.q[k, i], b.v[k, i], b.a[k, i]
+        for i in range(b.lam.shape[1]):
+            y.lam[i] = b.lam[k, i]
+        between(t.c, h, b, k, x)
+        now[STEP], now[TIME], now[GOES] = h, b.t[k], b.t[k + 1]
+        first = at if f[PREPARE] else at + k * apart
+        ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], kept, fresh, y, x, z, counts)
+        if ended == MAKE and f[MATRICES]:
+            slot = keep(kept, h, b.t[k], y)
+            ended, counts[3] = made(f, w, first, y, slot), counts[3] + 1
+            if ended == DONE:
+                between(t.c, h, b, k, x)
+                ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], kept, True, y, x, z, counts)
+        if ended != DONE:
+            return k, ended
+        fresh = False
+        write(t.c, z, k, y, x, out)
+    return out.e.shape[0], DONE
+
+
+@part
+def write(c, z, k, y, x, out):
+    """Note the stages of step k."""
+    for j in range(c.shape[0]):
+        out.t[k, j] = z.times[3 + j]
+        for i in range(x.e.shape[1]):
+            out.e[k, j, i], out.dv[k, j, i], out.a[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i]
+        for i in range(x.lam.shape[1]):
+            out.lam[k, j, i] = x.lam[j, i]
+        for i in range(x.mu.shape[1]):
+            out.mu[k, j, i] = x.mu[j, i]
+    for i in range(y.closed.shape[1]):  # the next step begins on its constraints
+        y.closed[0, i] = y.closed[1, i] = 0.0
+
+
+@pack
+class Slopes(NamedTuple):
+    """The objective's slopes at the steps' ends, (count, n), or (0, n) where they are zero."""
+
+    q: np.ndarray
+    v: np.ndarray
+
+
+@pack
+class Sweep(NamedTuple):
+    """What goes from step to step, and scratch of one: bars (2, n) of q and v, their trial values, right (s, n), below (s, m), found (3, s, n)."""
+
+    bars: np.ndarray
+    trial: np.ndarray
+    right: np.ndarray
+    below: np.ndarray
+    found: np.ndarray
+
+
+@pack
+class Found(NamedTuple):
+    """What the steps leave: w, v* (count, s, n), multipliers (count, 1 or 2, s, m), mu* and kappa; the slopes in h (count,)."""
+
+    w: np.ndarray
+    v: np.ndarray
+    multipliers: np.ndarray
+    slopes: np.ndarray
+
+
+@fast
+def begin(W, h, j, k, y, out):
+    """The bars of the end of step k, with the objective's own, and the right-hand side; its multipliers are zero to begin with."""
+    out.w[k], out.multipliers[k] = 0.0, 0.0
+    for i in range(y.bars.shape[1]):
+        y.trial[0, i], y.trial[1, i] = y.bars[0, i], y.bars[1, i]
+        if j.q.shape[0]:
+            y.trial[0, i] += j.q[k, i]
+        if j.v.shape[0]:
+            y.trial[1, i] += j.v[k, i]
+    last = W.shape[0] - 1
+    for s in range(last + 1):
+        for i in range(y.bars.shape[1]):
+            y.right[s, i] = -W[last, s] / h * y.trial[1, i]
+    for i in range(y.bars.shape[1]):
+        y.right[last, i] -= y.trial[0, i]
+
+
+@fast
+def finish(c, W, h, b, x, k, y, out):
+    """The bars for the step before, v* and the slope in h."""
+    q, v, a, last, slope = y.found[0], y.found[1], y.found[2], W.shape[0] - 1, 0.0
+    for i in range(y.bars.shape[1]):
+        q[last, i] += y.trial[0, i]
+        v[last, i] += y.trial[1, i]
+        of_q = of_v = 0.0
+        for s in range(last + 1):
+            for j in range(last + 1):
+                v[s, i] += W[j, s] / h * a[j, i]
+        for s in range(last + 1):
+            rate = total = 0.0
+            for j in range(last + 1):
+                rate += W[s, j] * x.e[k, j, i]
+                total += W[s, j]
+            of_q += q[s, i]
+            of_v += c[s] * h * q[s, i] + v[s, i] - total * a[s, i] / h
+            slope += c[s] * q[s, i] * b.v[k, i] - rate * v[s, i] / (h * h) - x.a[k, s, i] * a[s, i] / h
+            out.v[k, s, i] = v[s, i]
+        y.bars[0, i], y.bars[1, i] = of_q, of_v
+    out.slopes[k] = slope
+
+
+@entry
+def stretch(f, workspace, first, last, c, W, h, j, b, x, y, out):
+    """Steps backward from the one before `last` to `first`, into out: (the first step that is done, how the one before ended)."""
+    right, below, bar, found = address(y.right), address(y.below), address(y.trial[1]), address(y.found)
+    for k in range(last - 1, first - 1, -1):
+        begin(W, h, j, k, y, out)
+        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.multipliers[k]), found)
+        if ended != DONE:
+            return k + 1, ended
+        finish(c, W, h, b, x, k, y, out)
+    return first, DONE
