@@ -5,7 +5,7 @@ Thread k has the fronts cuts[k]:cuts[k + 1] without those on the path from a cut
 for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait actively: a solve takes some thousandths of a second.
 """
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from threading import Thread
 from typing import NamedTuple
@@ -161,8 +161,8 @@ def solve_together(s, panels, x, t):
 
 
 @contextmanager
-def at_work(t, factor, x):
-    """Context in which the other threads take part in solves of x with the factor."""
+def at_work(t, factor, x, workspace=None):
+    """Context in which the other threads take part in solves of x with the factor; gives `workspace`."""
     t.signals[:] = 0
     args = factor.fronts, factor.panels, x, t
     serving = bound(serve, *args, 1)
@@ -172,7 +172,7 @@ def at_work(t, factor, x):
         for other in others:
             other.start()
             started.append(other)
-        yield
+        yield workspace
     finally:
         t.signals[CALLED :: 2 * LINE] = GONE
         for other in started:
@@ -185,12 +185,9 @@ class Helpers:
     def __init__(self, count):
         self.count, self.team = count, None
 
-    @contextmanager
-    def at_work(self, factor, room):
+    def at_work(self, factor, workspace):
         """Context in which threads share solves with the factor; gives the workspace of the solves."""
         if self.count == 1:
-            yield room
-            return
+            return nullcontext(workspace)
         self.team = self.team or team(factor.fronts, self.count, factor.panels.dtype)
-        with at_work(self.team, factor, room.x):
-            yield room._replace(team=self.team)
+        return at_work(self.team, factor, workspace.x, workspace._replace(team=self.team))
