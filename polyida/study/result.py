@@ -144,23 +144,23 @@ class Result:
         self.write(folder, command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"))
         return folder
 
-    def write(self, folder, command, writer=None):
+    def write(self, folder: Path, command: str, writer: Any = None) -> dict:
         """Write figures.json and the page into an existing folder; returns the data of figures.json. writer: a FigureWriter."""
         data = finite(json.loads(json.dumps(self.as_dict() | {"command": command}, default=to_json)))
         write_atomically(folder / "figures.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
         html.write(folder, self.title, self.page(), command, data["machine"], self.lead, writer)
         return data
 
-    def page(self):
+    def page(self) -> list:
         """The blocks of the report's page."""
         pictures = self.report_pictures()
         numbers = [{"name": name, "value": value} for name, value in self.figures.items()]
-        blocks = [html.Notes(self.notes)]
+        blocks: list = [html.Notes(self.notes)]
         blocks += [html.Heading("Figures"), *pictures] if pictures else []
         blocks += [html.Heading("Numbers"), html.Table(NUMBERS, numbers)] if numbers else []
         return [*blocks, html.Heading("Rows"), *self.report_tables()]
 
-    def report_pictures(self):
+    def report_pictures(self) -> list:
         """The pictures as blocks of the page."""
         blocks = []
         for name, (caption, draw) in self.pictures().items():
@@ -170,7 +170,7 @@ class Result:
             blocks.append(html.Picture(name, caption, new))
         return blocks
 
-    def report_tables(self):
+    def report_tables(self) -> list:
         """The rows as blocks of the page; of lists and dictionaries, which figures.json holds, only the size."""
         return [html.Table(self.shown_columns(), [without_lists(row) for row in self.rows])]
 
@@ -197,7 +197,7 @@ class Result:
         shown = {name: column for name, column in self.columns.items() if name in present and (failed or name not in ONLY_FAILED)}
         return shown or {name: (name, "{}") for name in self._names()}
 
-    def text_table(self):
+    def text_table(self) -> tuple[list[str], list[list[str]]]:
         """(headings, rows of text) of the table."""
         columns = self.shown_columns()
         rows = [[" ".join(html.format_value(row.get(name), form, "-").split()) for name, (_, form) in columns.items()] for row in self.rows]
@@ -277,21 +277,21 @@ class StudyResult(Result):
         return {name: (name, "{}" if all(isinstance(x, int) for x in found) else "{:.4g}") for name, found in values.items() if found}
 
     @property
-    def figures(self):
+    def figures(self) -> dict[str, float]:
         return self._figures
 
-    def shown_columns(self):
+    def shown_columns(self) -> dict:
         return self.columns
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         return super().as_dict() | {"study": self.study.name}
 
-    def report_pictures(self):
+    def report_pictures(self) -> list:
         return self._pictures
 
-    def report_tables(self):
+    def report_tables(self) -> list:
         """A table for each kind of task, with the columns that it has; values that all its tasks share are in the caption."""
-        kinds = {}
+        kinds: dict[tuple, list] = {}
         for row in self.rows:
             names = list(row)
             kinds.setdefault(tuple(names[: names.index("error")] if "error" in names else names), []).append(without_lists(row))

@@ -1,1 +1,1 @@
-"""Modules of studies/against_peers.py: other solvers."""
+"""Modules of studies/against_peers.py: solvers of other packages."""

@@ -1,4 +1,6 @@
-"""The gains of Radau IIA over generalized-alpha of an earlier commit, in rounds with this package's own: a slower one is no gain."""
+"""Gains of Radau IIA over generalized-alpha of an earlier commit, measured alternately with the present version: a slower generalized-alpha
+is no gain of Radau IIA.
+"""
 
 from pathlib import Path
 
@@ -9,7 +11,7 @@ from step_cost.side import cells_for
 
 
 def against(commit):
-    """The study of a commit's gains. InputError if this is no clone that has it."""
+    """The study of the gains against a commit. Raises InputError if this is no clone that contains it."""
     whole = whole_name(commit)
     return Study(
         "against_peers",
@@ -38,6 +40,6 @@ def measured(scene, dof, rounds, commit):
 
 
 def figures(rows):
-    """The gains over this package's generalized-alpha, and over the earlier one's: "..._before"."""
+    """Gains over the present generalized-alpha, and over the earlier one: "..._before"."""
     before = gain.gains(rows, gain.BEFORE)
     return gain.gains(rows) | {f"{name}_before": before[name] for name in gain.TARGETS if name in before}

@@ -1,8 +1,8 @@
-"""Generalized-alpha's CPU time over Radau IIA's at equal errors of the tip: all points of both, and of an earlier commit's
-generalized-alpha, once a round, so that what the machine does meanwhile meets them alike.
+"""CPU time of generalized-alpha relative to Radau IIA at equal errors of the tip. Each round runs all points of both, and of an earlier
+commit's generalized-alpha, so that disturbances of the machine affect all of them equally.
 
-The reference is DOP853 on the index-1 equations, or the energy-momentum method, with the accuracy to which Radau IIA at a tight tolerance agrees;
-for plates too stiff for these it is Radau IIA with short steps, with the accuracy to which generalized-alpha agrees.
+The reference is DOP853 on the index-1 equations, or the energy-momentum method; its accuracy is the distance to Radau IIA with a small
+tolerance. For very stiff plates it is Radau IIA with short steps; its accuracy is the distance to generalized-alpha.
 """
 
 import json
@@ -43,7 +43,7 @@ STIFF, STIFF_STEP = 2e11, 1 / 80  # Pa, s
 
 
 def settings(scene):
-    """[(solver, setting)] of a round: scene 2 is not asked for as small errors."""
+    """[(solver, setting)] of a round; errors on scene 2 are larger."""
     few = 0 if scene == "scene 1" else 3
     ladders = {"alpha": STEPS, "radau": TOLERANCES, "radau fixed": RADAU_STEPS, "radau lean": LEAN_STEPS}
     ladders |= {"radau lean, index 3": LEAN_STEPS} if scene == "scene 2" else {}  # the same where nothing drives phi
@@ -52,7 +52,7 @@ def settings(scene):
 
 @lru_cache(maxsize=2)
 def reference(scene, dof, fine=0.0):
-    """(tip at TIMES (101, 2), how far Radau IIA at a tight tolerance is from it). fine: see `in_rounds`."""
+    """(tip at TIMES (101, 2), distance of Radau IIA with a small tolerance). fine: see `in_rounds`."""
     model = model_of(scene, dof)
     exact = extrapolated(model, EnergyMomentum, fine) if fine else _explicit(model)
     return exact, off(seen(model, RadauIIA(rtol=TIGHT))[1], exact)
@@ -64,15 +64,15 @@ def _explicit(model):
 
 
 def off(tip, exact):
-    """The largest distance over twenty of TIMES, m."""
+    """Largest distance over twenty of TIMES, m."""
     return largest(tip[::EVERY], exact[::EVERY])
 
 
 def in_rounds(scene, dof, rounds, before=None, fine=0.0):
-    """The row of a scene: "points", for each solver and setting its error and the CPU seconds of each round.
+    """The row of a scene: "points" with the error and the CPU seconds of each round for each solver and setting.
 
-    before: a process that answers for generalized-alpha of an earlier commit, or None. fine: 0 where the reference is DOP853, else it is
-    the energy-momentum method with this step, s, and half of it, extrapolated: quicker, and enough for a short selection.
+    before: a process that runs generalized-alpha of an earlier commit, or None. fine: 0: the reference is DOP853; otherwise the energy-
+    momentum method with this step, s, and half of it, extrapolated: faster, and accurate enough for the quick selection.
     """
     model, (exact, doubt) = model_of(scene, dof), reference(scene, dof, fine)
     points = [{"solver": solver, "setting": x} for solver, x in settings(scene)]
@@ -88,12 +88,12 @@ def in_rounds(scene, dof, rounds, before=None, fine=0.0):
 
 
 def integrator(point):
-    """The integrator of a point of ours."""
+    """The integrator of a point of this package."""
     return OWN[point["solver"]][1](point["setting"])
 
 
 def at_error(row, solvers, error):
-    """CPU seconds at an error in each round, straight in logarithms on the front of these solvers' points."""
+    """CPU seconds at an error in each round, interpolated linearly in logarithms on the Pareto front of these solvers' points."""
     points = [point for point in row["points"] if point["solver"] in solvers]
     rounds = zip(*(point["cpu_s"] for point in points))
     errors = [point["error_max"] for point in points]
@@ -101,8 +101,8 @@ def at_error(row, solvers, error):
 
 
 def gains(rows, alpha="alpha"):
-    """{figure: median over the rounds of generalized-alpha's seconds over Radau's; "..._s" and "..._alpha_s": both}; and of Radau's with
-    steps by rtol over the best of its equal steps and tolerances.
+    """{figure: median over the rounds of the ratio of generalized-alpha's seconds to Radau's; "..._s" and "..._alpha_s": both}; and the
+    ratio of Radau IIA with error control to its best equal steps.
     """
     result = {}
     for name, (scene, error) in TARGETS.items():
@@ -118,8 +118,8 @@ def gains(rows, alpha="alpha"):
 
 
 def stiff_row(dof):
-    """Error of Radau IIA's tip at 80 steps a second on scene 1 with E = 200 GPa against an eighth of the step; how far
-    generalized-alpha is from that, whose errors no longer fall with its step there: extrapolated it is farther.
+    """Error of Radau IIA's tip at 80 steps per second on scene 1 with E = 200 GPa against an eighth of the step, and the distance of
+    generalized-alpha. There the error of generalized-alpha does not decrease with its step, so extrapolation increases it.
     """
     rubber = plates.RUBBER
     model = plates.double_plate(cells_for(dof), material=plates.Material(E=STIFF, nu=rubber.nu, rho=rubber.rho)).build()
@@ -129,7 +129,7 @@ def stiff_row(dof):
 
 
 def notes(rows):
-    """The seconds behind each gain, and how sure the references are."""
+    """The seconds of each gain, and the accuracy of the references."""
     lines, result = [], gains(rows)
     for name, (scene, error) in TARGETS.items():
         if np.isfinite(result.get(name, np.nan)):
@@ -146,7 +146,7 @@ def notes(rows):
 
 @study_figure
 def figure(rows):
-    """Work-precision of generalized-alpha and Radau IIA alone."""
+    """CPU time of generalized-alpha and Radau IIA against the error of the tip."""
     result, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
     fig, axes = panels(len(result))
     for axis, row in zip(axes, result):

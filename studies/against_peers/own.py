@@ -1,4 +1,4 @@
-"""Our integrators on the scenes: where the tip is at given times, and the CPU seconds of that."""
+"""The integrators of this package on the scenes: position of the tip at fixed times, and CPU seconds."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def tip_of(model):
 
 
 def seen(model, integrator):
-    """(counts, tip at TIMES (101, 2)) of a run. RuntimeError if it does not come to its end."""
+    """(counts, tip at TIMES (101, 2)) of a run. Raises RuntimeError if it fails."""
     run = solve(model, TIMES[-1], integrator, output=TIMES)
     if not run.success:
         raise RuntimeError(run.message)
@@ -37,23 +37,23 @@ def seen(model, integrator):
 
 
 def seconds(model, integrator):
-    """CPU seconds of a run that keeps no frames."""
+    """CPU seconds of a run without frames."""
     return solve(model, TIMES[-1], integrator, every=10**9).cpu_seconds
 
 
 def ours(model, integrator, repeats):
-    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of `repeats` runs."""
+    """(row, tip at TIMES) of an integrator of this package; CPU seconds are the median of `repeats` runs."""
     counts, tip = seen(model, integrator)
     again = [seconds(model, integrator) for _ in range(repeats)]
     return counts | {"cpu_s": float(np.median(again)) if again else np.nan}, tip
 
 
 def largest(tip, exact):
-    """The largest distance over TIMES, m."""
+    """Largest distance over TIMES, m."""
     return float(np.linalg.norm(tip - exact, axis=1).max())
 
 
 def extrapolated(model, method, h):
-    """Tip at TIMES by a method of second order with steps h and h / 2, extrapolated."""
+    """Tip at TIMES by a method of second order with steps h and h / 2 and extrapolation."""
     coarse, half = (seen(model, method(h=step))[1] for step in (h, h / 2))
     return half + (half - coarse) / 3

@@ -1,6 +1,6 @@
-"""Other solvers on our models: factorizations, SUNDIALS' sparse direct solver, Radau of solve_dae, exudyn.
+"""Solvers of other packages on the models of this package: factorizations, SUNDIALS' sparse direct solver, Radau of solve_dae, exudyn.
 
-All of them get our compiled elements. Optional packages raise Missing if they are not installed.
+All of them use the compiled elements of this package. Optional packages raise Missing if they are not installed.
 """
 
 import ctypes
@@ -24,11 +24,11 @@ WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the que
 
 
 class Missing(InputError):
-    """An optional package is not installed, or a solver is not for this case: that part of a study is left out."""
+    """An optional package is not installed, or a solver does not support this case: this part of a study is omitted."""
 
 
 def superlu(model, blocks):
-    """(factor, solve) of SuperLU in symmetric mode, minimum degree on A + A^T; its ordering is made anew each time."""
+    """(factor, solve) of SuperLU in symmetric mode with minimum degree on A + A^T; each factorization computes the ordering again."""
     from scipy.sparse.linalg import splu
 
     matrix, kept, b = matrix_of(model, blocks), {}, np.ones(model.n, blocks.dtype)
@@ -48,7 +48,7 @@ def matrix_of(model, blocks):
 
 
 def band(model, blocks):
-    """(factor, solve) of LAPACK's band Cholesky in the mesh's own numbering."""
+    """(factor, solve) of LAPACK's band Cholesky in the numbering of the mesh."""
     from scipy.linalg.lapack import dpbtrf, dpbtrs
     from scipy.sparse import tril
 
@@ -67,7 +67,7 @@ def band(model, blocks):
 
 
 def pardiso(model, blocks, dtype=np.float64):
-    """(factor, solve) of MKL PARDISO, positive definite (mtype 2), one thread: phases 22 and 33; 11 is done here."""
+    """(factor, solve) of MKL PARDISO, positive definite (mtype 2), one thread: phases 22 and 33; phase 11 is executed here."""
     try:
         from pypardiso.pardiso_wrapper import PyPardisoSolver
     except ImportError:
@@ -112,9 +112,9 @@ def pardiso(model, blocks, dtype=np.float64):
 
 
 class WholeJacobian:
-    """J = dF/dy + cj dF/dy' of form ggl2 on a scene with linear joints alone, in CSC order, for IDA.
+    """J = dF/dy + cj dF/dy' of form ggl2 on a scene with linear joints, in CSC order, for IDA.
 
-    pattern: its sparse matrix with int32 indices. Called by IDA with (t, y, y', res, cj, JJ), it fills JJ.
+    pattern: its sparse matrix with int32 indices. IDA calls it with (t, y, y', res, cj, JJ), and it fills JJ.
     """
 
     def __init__(self, model):
@@ -159,7 +159,7 @@ class WholeJacobian:
 def sparse_ida(model, t_end, settings=None):
     """IDA with SuperLU_MT on the whole 2n + 2m matrix to t_end: {"cpu_s", "steps", "setups"}, start included.
 
-    Settings' tolerances and order; our fused residual. It can abort the process: call it in one of its own.
+    Tolerances and order of the settings; the residual of this package. It can abort the process, so call it in a separate one.
     """
     from scipy.sparse import csc_matrix
     from sksundae.ida import IDA as Solver
@@ -221,9 +221,9 @@ class FirstOrder:
 
 
 def radau(model, times, rtol, watch):
-    """solve_dae's Radau IIA of order 5 on form ggl1: (row of CPU seconds and counts, look(q) at `times`).
+    """solve_dae's Radau IIA of order 5 on form ggl1: (row of CPU seconds and counts, watched quantity at `times`).
 
-    Absolute tolerances: those of IDA, ten times that of v for the integrated multipliers.
+    Absolute tolerances are those of IDA, and ten times that of v for the integrated multipliers.
     """
     try:
         from solve_dae.integrate import solve_dae
@@ -243,7 +243,7 @@ def radau(model, times, rtol, watch):
 
 
 class ExudynScene:
-    """A scene's forces, Jacobian and constraints as user functions of exudyn: a generic body, a vector constraint."""
+    """Forces, Jacobian and constraints of a scene as user functions of exudyn: a generic body and a vector constraint."""
 
     def __init__(self, model, watch):
         try:
@@ -309,7 +309,7 @@ class ExudynScene:
         return list(self.look(np.array(system.systemData.GetODE2Coordinates())))
 
     def run(self, times, h, modified):
-        """Generalized-alpha (rho_inf 0.9, Eigen's sparse LU) to times[-1], evenly spaced: (row, look(q) at `times`)."""
+        """Generalized-alpha (rho_inf 0.9, Eigen's sparse LU) to times[-1], evenly spaced: (row, watched quantity at `times`)."""
         exu, s = self.exu, self.exu.SimulationSettings()
         s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = math.ceil(times[-1] / h - 1e-9), float(times[-1])
         s.timeIntegration.generalizedAlpha.spectralRadius = 0.9

@@ -1,8 +1,8 @@
-"""The other side of the gains over an earlier commit: a process that runs its own generalized-alpha whenever it is asked.
+"""A process that runs generalized-alpha of an earlier commit on request: `python side.py CELLS SCENE` with that version first on
+PYTHONPATH.
 
-`python side.py CELLS SCENE`, with the package to be measured in front on PYTHONPATH. It says where that is and how large the model,
-then the CPU seconds of a run and its tip at the times of `own.py` for every line {"setting": step} that comes. It takes from the
-package only what all states of it have in these places.
+It prints its location and the size of the model, then for every line {"setting": step} the CPU seconds of a run and its tip at the times of
+`own.py`. It uses only names that all versions of the package have.
 """
 
 import json
@@ -15,7 +15,7 @@ from polyida.problems import plates
 
 
 def main(cells, scene):
-    """Answer until nobody asks any more."""
+    """Answer requests until the input ends."""
     make = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}[scene]
     model, times = make(int(cells)).build(), np.linspace(0.0, 1.0, 101)
     print(json.dumps({"package": polyida.__file__, "n": model.n}), flush=True)

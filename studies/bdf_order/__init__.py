@@ -1,1 +1,1 @@
-"""Modules of studies/bdf_order.py: runs of bounded order."""
+"""Modules of studies/bdf_order.py: runs with a bounded order."""

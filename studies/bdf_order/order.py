@@ -1,4 +1,4 @@
-"""What IDA's order and its error test cost on flexible plates, damped or stiff: steps, work and the error of the tip."""
+"""Effect of IDA's order and error test on flexible plates, damped or stiff: steps, work and error of the tip."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -19,8 +19,8 @@ from polyida.study.ivp import InitialValueProblem
 
 @lru_cache(maxsize=8)
 def damped(cells, time, viscosity):
-    """(Job, tip at the end) of the double plate with a Kelvin-Voigt time in s; the tip from generalized-alpha at 1e-4 s
-    and half, extrapolated.
+    """(problem, tip at the end) of the double plate with a Kelvin-Voigt time in s; the tip is from generalized-alpha at 1e-4 s and half of
+    it, extrapolated.
     """
     rubber = plates.RUBBER
     material = Material(E=rubber.E, nu=rubber.nu, rho=rubber.rho, viscosity=viscosity)
@@ -30,7 +30,7 @@ def damped(cells, time, viscosity):
 
 
 def run_order(cells, time, viscosity, max_order, rtol=1e-5, cap=60_000):
-    """One run of IDA with a highest order: counts, CPU seconds, error of the tip, and its steps over time."""
+    """One run of IDA with a largest order: counts, CPU seconds, error of the tip, and its steps over time."""
     job, tip = damped(cells, time, viscosity)
     run = solve(job.model, time, IDA(rtol=rtol, max_order=max_order, max_num_steps=cap), every=10)
     steps = np.diff(run.t) / 10
@@ -40,14 +40,14 @@ def run_order(cells, time, viscosity, max_order, rtol=1e-5, cap=60_000):
 
 @lru_cache(maxsize=8)
 def stiff(cells, time, modulus):
-    """(Job, tip at the end) of the double plate with Young's modulus in Pa; the tip from Radau IIA."""
+    """(problem, tip at the end) of the double plate with Young's modulus in Pa; the tip is from Radau IIA."""
     material = replace(plates.RUBBER, E=modulus)
     job = InitialValueProblem("double plate", plates.double_plate(cells, material=material).build(), t_end=time, point="tip")
     return job, watched_quantity(job)(solve(job.model, time, RadauIIA(rtol=1e-8), every=10**9).q[-1])
 
 
 def run_tested(cells, time, modulus, tested, rtol, cap):
-    """One run of IDA of order 2 whose error test looks at "q sharply", the default, or at "q and v alike", rtol of their sizes both."""
+    """One run of IDA of order 2 with the weights "q sharply" (default) or "q and v alike" (rtol of the sizes of both)."""
     job, tip = stiff(cells, time, modulus)
     length, speed = typical_sizes(job.model, consistent_state(job.model, 0.0, None, None), time)
     atol = None if tested == "q sharply" else (rtol * length, rtol * speed)
@@ -55,7 +55,7 @@ def run_tested(cells, time, modulus, tested, rtol, cap):
 
 
 def _row(job, tip, run):
-    """What a run took, and the error of its tip is at the end, m."""
+    """Work of a run, and the error of its tip at the end, m."""
     return {
         "dof": job.model.n,
         "outcome": "done" if run.success else run.message,

@@ -1,1 +1,1 @@
-"""Modules of studies/conditioning.py: the errors of solves."""
+"""Modules of studies/conditioning.py: errors of linear solves."""

@@ -1,4 +1,4 @@
-"""How well linear back-ends solve generalized-alpha's saddle-point system and IDA's whole one, unscaled and scaled."""
+"""Accuracy of linear back-ends for the saddle-point system of generalized-alpha and the whole system of IDA, unscaled and scaled."""
 
 import numpy as np
 
@@ -43,12 +43,12 @@ def _superlu(A, b, symmetric):
 
 
 def sparse_pivoting(A, b):
-    """SuperLU with partial pivoting in the columns' order of least fill (COLAMD), which may put multipliers first."""
+    """SuperLU with partial pivoting and the column order of smallest fill (COLAMD), which may put multipliers first."""
     return _superlu(A, b, False)
 
 
 def sparse_symmetric(A, b):
-    """SuperLU in symmetric mode: it pivots on the diagonal wherever that is not zero."""
+    """SuperLU in symmetric mode: it pivots on the diagonal unless the entry is zero."""
     return _superlu(A, b, True)
 
 
@@ -86,14 +86,14 @@ WHOLE = tuple(name for name, solve in BACKENDS.items() if solve not in (regulari
 
 
 def alpha_errors(model, state, h, backend, scaling):
-    """(largest relative error of dq, of dlam) of generalized-alpha's system."""
+    """(largest relative error of dq, of dlam) of the system of generalized-alpha."""
     tangent, B, step_square = alpha_blocks(model, state, h)
     factors = alpha_factors(scaling, step_square, tangent, model.m)
     return solve_errors(dense(assemble(tangent, B)), *factors, _unknowns(model, state, h)[::2], backend)
 
 
 def ida_errors(model, state, h, form, backend, scaling):
-    """(largest relative error of dq, dv, dlam and, where the form has it, dmu) of IDA's whole system, cj = 1/h."""
+    """(largest relative errors of dq, dv, dlam and, if the form has it, dmu) of IDA's whole system, cj = 1/h."""
     system, cj = System(model, form, IDA().baumgarte_rate), 1 / h
     matrix, s = whole_matrix(system, state.t, *system.pack(state), cj)
     rows, columns = sizes(scaling, system.form, model.n, model.m, cj, s)
@@ -104,14 +104,14 @@ def ida_errors(model, state, h, form, backend, scaling):
 
 
 def _unknowns(model, state, h):
-    """(number, size) of dq, dv and dlam in one step: motions of the accelerations' size, multipliers of their own."""
+    """(number, size) of dq, dv and dlam in one step: motions of the size of the accelerations, multipliers of their own size."""
     a = np.abs(state.a).max()
     return (model.n, h * h * a), (model.n, h * a), (model.m, np.abs(state.lam).max())
 
 
 def solve_errors(matrix, rows, columns, unknowns, backend, trials=3, seed=0):
-    """|x - x*| / |x*|, in the largest entry, of each kind of unknown: the largest over random x* of the sizes in `unknowns`,
-    (number, size) a kind. A back-end solves diag(rows) A diag(columns); the right-hand side is formed in extended precision.
+    """|x - x*| / |x*| in the largest entry for each kind of unknown: the maximum over random x* with the (number, size) of each kind in
+    `unknowns`. A back-end solves diag(rows) A diag(columns); the right-hand side is computed in extended precision.
     """
     from scipy.sparse import csc_array
 

@@ -1,4 +1,4 @@
-"""Condition numbers of the iteration matrices of generalized-alpha, IDA and Radau IIA on soft and stiff plates, and their theory."""
+"""Condition numbers of the iteration matrices of generalized-alpha, IDA and Radau IIA on soft and stiff plates, and theoretical values."""
 
 from functools import lru_cache
 
@@ -24,10 +24,9 @@ MODULI = {"soft": 5e7, "steel": 2e11, "stiffest": 1e12}  # Pa; 10 mm thick: up t
 
 
 class Springs(Model):
-    """Two point masses of 1 kg on a rod each, the second hanging from the first; every coordinate on a spring of
-    `stiffness`, N/m.
+    """Two point masses of 1 kg on rods, the second below the first; every coordinate has a spring of `stiffness`, N/m.
 
-    A model whose stiffness has one size: what the physical scaling divides by is all there is.
+    The stiffness has a single size, so that the physical scaling removes all of it.
     """
 
     n, m = 4, 2
@@ -66,7 +65,7 @@ def state_of(plates, cells):
 
 
 def moving(modulus, cells, time=0.3):
-    """(model, State) of the driven double plate of Young's modulus `modulus`, Pa, in motion at `time`."""
+    """(model, State) of the driven double plate with Young's modulus `modulus`, Pa, at `time`."""
     rubber = plates.RUBBER
     material = plates.Material(E=modulus, nu=rubber.nu, rho=rubber.rho)
     model = plates.double_plate_motors(cells=cells, material=material).build()
@@ -75,13 +74,13 @@ def moving(modulus, cells, time=0.3):
 
 
 def freed(model, t, q, v):
-    """The consistent State nearest to (q, v) at t: generalized-alpha leaves phi' of the size of its error."""
+    """The consistent State nearest to (q, v) at t: phi' of generalized-alpha has the size of its error."""
     rate = model.phi_q(t, q) @ v + model.phi_t(t, q)
     return consistent_state(model, t, q, v + model.mass_system(t, q).solve(np.zeros(model.n), rate)[0])
 
 
 def fastest(model, state):
-    """Largest angular frequency at a state, 1/s: h far below its inverse is the limit of small steps."""
+    """Largest angular frequency at a state, 1/s; small steps are much shorter than its inverse."""
     from scipy.linalg import eigh
 
     s = state
@@ -127,9 +126,7 @@ def radau_condition(model, state, h, form, mode, scaling="none"):
 
 
 def inherent_condition(model, state, h):
-    """cond of S on the motions that the constraints leave free: what the plates have of their own, in any coordinates
-    of index 1.
-    """
+    """Condition number of S on the motions that satisfy the constraints: that of the plates, in any coordinates of index 1."""
     from scipy.linalg import null_space
 
     tangent, B, _ = alpha_blocks(model, state, h)

@@ -1,1 +1,1 @@
-"""Modules of studies/defaults.py: runs with the settings that integrators choose and with given ones, and their errors."""
+"""Modules of studies/defaults.py: runs with default and explicit settings, and their errors."""

@@ -1,4 +1,4 @@
-"""Runs of the named problems with default and given settings: largest errors of q over the time, over the problem's size."""
+"""Runs of the named problems with default and explicit settings: largest errors of q over time relative to the problem's size."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -33,7 +33,7 @@ def problem(name):
 
 @lru_cache(maxsize=2)
 def case(name):
-    """The problem, its size (the scene's extent, or the largest |q|), q at TIMES times by a refined run, and its accuracy."""
+    """The problem, its size (extent of the scene, or largest |q|), q at TIMES times by a refined run, and the accuracy of that."""
     p, times = problem(name), np.linspace(0.0, problem(name).t_end, TIMES)
     run = solve(p.model, p.t_end, RadauIIA(rtol=REFINED), q0=p.q0, v0=p.v0, output=times)
     if not run.success:
@@ -43,9 +43,9 @@ def case(name):
 
 
 def measure(problem, integrator, x=None):
-    """Errors, CPU seconds and counts of a run with a given setting x, or the integrator's own where x is None.
+    """Errors, CPU seconds and counts of a run with setting x, or with the default settings if x is None.
 
-    x: of generalized-alpha h over the problem's time, of the others rtol.
+    x: h relative to the problem's time for generalized-alpha, rtol for the others.
     """
     c, (default, explicit) = case(problem), MAKERS[integrator]
     chosen = default() if x is None else explicit(x, c.p.t_end)

@@ -1,1 +1,1 @@
-"""Modules of studies/designed_in_motion.py: the machines, the densities, the optimiser, the analysis of solid designs, the pictures."""
+"""Modules of studies/designed_in_motion.py: machines, densities, optimiser, analysis of solid designs, pictures."""

@@ -1,4 +1,4 @@
-"""From the variables of a design to a model: filter, projection, factors of stiffness and mass; and the slopes back."""
+"""From the design variables to a model: filter, projection, stiffness and mass factors; and the slopes of all of them."""
 
 import numpy as np
 from scipy.sparse import block_diag
@@ -10,9 +10,9 @@ VOID = 1e-3  # factor of what has no density
 
 
 class Densities:
-    """The densities of all plates of a machine, plate after plate: `rho = projection(filter @ x)`, and 1 in the cells along kept sections.
+    """Densities of all plates of a machine, plate by plate: `rho = projection(filter @ x)`, and 1 in the cells along fixed sections.
 
-    share (cells,): the part of each cell in the area of all. free (cells,): whether a cell's density is to be found.
+    share (cells,): part of each cell in the total area. free (cells,): True if the cell's density is a design variable.
     """
 
     def __init__(self, names, meshes, radius):
@@ -24,7 +24,7 @@ class Densities:
         self.parts = {name: slice(*pair) for name, pair in zip(names, zip(ends, ends[1:]))}
 
     def of(self, x, beta):
-        """(rho, its slope in the filtered variables); beta: of the projection, None for none."""
+        """(rho, its slope in the filtered variables). beta: of the projection, None for none."""
         blurred = self.blur @ x
         rho, rate = (blurred, 1.0) if beta is None else pi.design.project(blurred, beta)
         return np.where(self.free, rho, 1.0), np.where(self.free, rate, 0.0)
@@ -38,7 +38,7 @@ class Densities:
 
 
 def along(mesh, sections):
-    """Mask of the cells that have an edge on one of these sections."""
+    """Mask of the cells with an edge on one of these sections."""
     cells = np.repeat(np.arange(mesh.n_cells), np.diff(mesh.offsets))
     on = [np.bincount(cells, np.isin(mesh.nodes, mesh.sections[name]), mesh.n_cells) for name in sections]
     return (np.array(on) > 1).any(axis=0)

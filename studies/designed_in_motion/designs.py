@@ -1,4 +1,4 @@
-"""The designs of a machine: in motion, by statics, and none; each of the same mass, made solid and moved."""
+"""The designs of a machine: in motion, by statics, and without optimisation; of equal mass, thresholded and simulated."""
 
 import time
 from functools import partial
@@ -17,10 +17,10 @@ LOADS = {  # the motors held; N, m/s2
 
 
 def design(machine, design, cells, effort):
-    """The row of a design: how it was found, its densities, and how it moves as solid plates.
+    """The row of a design: its optimisation, its densities, and its motion as solid plates.
 
-    design: "in motion", one of LOADS, "uniform" (plates of full size that are thinner) or "bar" (of full thickness that are narrower). cells: of
-    a plate; effort: a name of optimiser.MOTION.
+    design: "in motion", one of LOADS, "uniform" (thinner plates of full size) or "bar" (narrower plates of full thickness). cells: of a
+    plate; effort: a name of optimiser.MOTION.
     """
     which, volume = MACHINES[machine], optimiser.VOLUME
     meshes = [which.mesh(cells, which.height * (volume if design == "bar" else 1.0))] * len(which.names)
@@ -53,7 +53,7 @@ def optimised(which, design, meshes, stages):
 
 
 def found_at_rest(which, meshes, densities, load, stages, spent):
-    """What the optimiser gives for the least compliance under a load, from uniform grey."""
+    """Result of the optimiser for the least compliance under a load, from uniform grey."""
     x = np.full(len(densities.share), optimiser.VOLUME)
     value = compiled(densities, x, *at_rest(which, meshes, load))
     with spent:
@@ -61,9 +61,10 @@ def found_at_rest(which, meshes, densities, load, stages, spent):
 
 
 def found_in_motion(which, meshes, densities, stages, spent):
-    """The same for the least deviation in motion, in place of the last stage at rest: from grey it gets stuck in grey.
+    """Result for the least deviation in motion, instead of the last stage at rest: from uniform grey the optimiser stays in a grey local
+    minimum.
 
-    The first stage begins with what comes of each load, the others with the better of these.
+    The first stage starts from the designs of each load, the others from the better result.
     """
     rest = [found_at_rest(which, meshes, densities, load, optimiser.REST[:-1], spent) for load in LOADS.values()]
     ways = [(x, stages_of, [], reached) for x, stages_of, _, reached in rest]
@@ -76,19 +77,19 @@ def found_in_motion(which, meshes, densities, stages, spent):
 
 
 def joined(before, after):
-    """Two searches one after the other as one."""
+    """Two successive searches as one."""
     return after[0], before[1] + after[1], before[2] + after[2], after[3]
 
 
 def compiled(densities, x, model, judge):
-    """Function of rho and q: what is minimised, with its slopes; its kernels are compiled before a clock starts."""
+    """Function of rho and q: objective and slopes; its kernels are compiled before time is measured."""
     value = partial(densities.evaluated, model, judge)
     value(densities.of(x, None)[0], optimiser.REST[0][0])
     return value
 
 
 class Spent:
-    """Wall and CPU seconds within `with`, in all."""
+    """Total wall and CPU seconds within `with`."""
 
     def __init__(self):
         self.wall = self.cpu = 0.0
@@ -127,5 +128,5 @@ def at_rest(which, meshes, load):
 
 
 def factors(which):
-    """Names of the parameters that a design has."""
+    """Names of the parameters of a design."""
     return [f"{name}.{what}" for name in which.names for what in ("stiffness", "mass")]

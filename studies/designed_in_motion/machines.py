@@ -1,6 +1,6 @@
-"""The machines whose plates are designed: a slewing arm, and the two arms of scene 2 in glass fibre, turned twice as fast.
+"""The machines whose plates are designed: a slewing arm, and the two arms of scene 2 in glass fibre at twice the speed.
 
-A machine's tip is to follow the path that it has with rigid plates. What is minimised is the mean square of its distance from there.
+The tip is to follow the path of the machine with rigid plates. The objective is the mean square of its distance from this path.
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ class Machine:
         return _mesh(cells, self.height if height is None else height, self.end)
 
     def path(self, t):
-        """Where the tip is at time t with rigid plates, (2,), m."""
+        """Position of the tip at time t with rigid plates, (2,), m."""
         angles = self.turn.at(t)[0] * np.arange(1, len(self.names) + 1)
         return np.array([np.cos(angles).sum(), np.sin(angles).sum()])
 

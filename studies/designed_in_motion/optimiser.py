@@ -1,4 +1,4 @@
-"""The method of moving asymptotes of nlopt, in stages of a harder and harder projection."""
+"""The method of moving asymptotes of nlopt in stages of increasingly sharp projection."""
 
 import math
 
@@ -17,10 +17,10 @@ STOPPED = 1e3  # times the first value: what a design counts as whose run stops,
 
 
 def minimised(densities, value, stages, x, volume=VOLUME):
-    """(variables, densities at the end of each stage, values of all evaluations, value in the end), beginning with the variables x.
+    """(variables, densities at the end of each stage, values of all evaluations, final value) from the start x.
 
-    value(rho, q): (a positive value, its slopes in rho); ArithmeticError if a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
-    the most of the mean of rho over the area.
+    value(rho, q): (a positive value, its slopes in rho); ArithmeticError if a run stops. The logarithm of the value is minimised, so that
+    steps do not depend on its unit. volume: upper bound of the mean of rho over the area.
     """
     nlopt, history, kept = _nlopt(), [], []
     for q, beta, evaluations in stages:

@@ -1,4 +1,4 @@
-"""Pictures of designs: densities in grey, solid meshes, and several machines moving beside each other."""
+"""Pictures of designs: densities in grey, solid meshes, and several machines in motion side by side."""
 
 from functools import lru_cache
 
@@ -57,7 +57,7 @@ def _solids(machine, cells, rho, at):
 
 
 def beside_each_other(rows):
-    """A Trajectory of the solid designs of several rows of one machine, one beside the other."""
+    """A Trajectory of the solid designs of several rows of one machine, side by side."""
     machine, scene = MACHINES[rows[0]["machine"]], pi.Scene(MACHINES[rows[0]["machine"]].gravity)
     for k, row in enumerate(rows):
         machine.add_to(scene, solids_of(row), row["thickness"], f"{row['design']}: ", k * APART * len(machine.names))

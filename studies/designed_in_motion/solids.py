@@ -1,4 +1,4 @@
-"""Designs as solid plates of equal mass, and how they move: members thinner than a cell stay grey, so that several levels are tried."""
+"""Designs as solid plates of equal mass, and their motion. Members thinner than a cell stay grey, so several thresholds are tried."""
 
 import warnings
 
@@ -12,13 +12,13 @@ LEVELS = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # densities from which a cell 
 
 
 def solid(machine, meshes, rho, volume):
-    """(meshes of what is solid of each plate, the least density that is, what is judged of its run): of LEVELS the one that moves best."""
+    """(meshes of the solid part of each plate, threshold, measures of the run): the one of LEVELS with the smallest objective."""
     result = [_solid(machine, meshes, rho, volume, at) for at in LEVELS]
     return min((one for one in result if one), key=lambda one: one[-1]["J"])
 
 
 def _solid(machine, meshes, rho, volume, at):
-    """The same with this least density; None if a plate's end is not held to its hinge, or too weakly for the motion."""
+    """The same for this threshold; None if a plate's end is not connected to its hinge, or too weakly."""
     made = solid_meshes(meshes, rho, at)
     try:
         return made and (made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume))))
@@ -27,7 +27,7 @@ def _solid(machine, meshes, rho, volume, at):
 
 
 def solid_meshes(meshes, rho, at):
-    """The mesh of the largest piece of each plate; None if one has not both of the kept sections."""
+    """The mesh of the largest connected part of each plate; None if one lacks one of the fixed sections."""
     parts = np.split(np.asarray(rho), np.cumsum([mesh.n_cells for mesh in meshes])[:-1])
     with warnings.catch_warnings(action="ignore", category=pi.mesh.MeshWarning):
         try:
@@ -52,7 +52,7 @@ def moved(machine, meshes, thickness):
 
 
 def judged(machine, run):
-    """How far the tip is from its path, and the torque of the motors: means, peaks and histories."""
+    """Distance of the tip from its path, and torques of the motors: means, peaks and histories."""
     off = np.linalg.norm(run.position("tip") - [machine.path(t) for t in run.t], axis=1)
     torque = np.array([run.reaction(name)[:, 0] for name in machine.motors])
     return {

@@ -1,4 +1,4 @@
-"""Energy and momentum over long times: the double plate swinging, and thrown free of ground and gravity."""
+"""Energy and momentum over long times: the double plate swings, or flies free of ground and gravity."""
 
 from functools import lru_cache
 
@@ -39,7 +39,7 @@ def thrown(cells):
 
 
 def balance(scene, member, x, time, cells, frames=400):
-    """One run: how far energy (of its scale) and, thrown, momenta (of their size) go from where they began."""
+    """One run: change of energy relative to its scale and, for the free flight, of the momenta relative to their size."""
     model, v0 = (thrown if scene == "thrown" else swinging)(cells)
     every = max(1, int((2000 if by_tolerance(member) else time / x) / frames))
     study = energy(model, time, v0=v0, integrators={member: integrator(member, x)}, frames=frames, every=every)

@@ -1,1 +1,1 @@
-"""Modules of studies/gradient_errors.py: scenes, objectives, and gradients beside differences of runs."""
+"""Modules of studies/gradient_errors.py: scenes, objectives, and comparison of gradients with differences of runs."""

@@ -1,4 +1,4 @@
-"""Gradients of runs at a Newton's tolerance beside differences of the same steps at a tight one, by kinds of parameters."""
+"""Gradients of runs at one Newton tolerance compared with finite differences of the same steps at a small one, by kinds of parameters."""
 
 from functools import lru_cache
 
@@ -90,7 +90,9 @@ def kind_of(name):
 
 
 def error_row(scene, objective, tolerance, cells, t_end):
-    """The largest relative error of the slopes of each kind: over the difference, or J over a thousand parameters where that is larger."""
+    """Largest relative error of the slopes of each kind, relative to the difference or to J over a thousand parameters, whichever is
+    larger.
+    """
     run, (_, objectives) = run_at(scene, cells, t_end, tolerance), setting(scene, cells)
     result, errors = pi.gradient(run, objectives[objective]), {}
     for name, (way, change) in differences(scene, cells, t_end).items():

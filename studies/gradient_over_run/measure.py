@@ -1,4 +1,4 @@
-"""What a gradient costs beside its run, what its sweep back is made of, and how far Newton's tolerance leaves it from the exact one."""
+"""Cost of a gradient relative to its run, parts of its backward sweep, and its error from Newton's tolerance."""
 
 from functools import lru_cache, partial
 
@@ -31,9 +31,10 @@ def model_of(scene, dof):
 
 
 def ratio_row(scene, dof, objective, t_end, repeats):
-    """Medians over `repeats` turns of the CPU microseconds of a step, all frames kept, in a run and in its gradient, and of their ratio.
+    """Medians over `repeats` alternations of the CPU microseconds of a step in a run with all frames and in its gradient, and of their
+    ratio.
 
-    A short turn before loads the kernels.
+    A short alternation before loads the kernels.
     """
     model, settings, own = model_of(scene, dof), pi.GeneralizedAlpha(h=H), OBJECTIVES[objective]()
     pi.gradient(pi.solve(model, 0.02, settings), own)

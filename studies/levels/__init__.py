@@ -1,1 +1,1 @@
-"""The three levels of a plate: scenes with other bodies in place of their plates, and what their runs and steps cost."""
+"""Modules of studies/levels.py: scenes with reduced or rigid bodies instead of plates, and the cost of their runs and steps."""

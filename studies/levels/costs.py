@@ -21,7 +21,7 @@ def plates(cells):
 
 
 def step(cells, level):
-    """CPU seconds of a step of generalized-alpha in the midst of a run of the double plate, no frames kept: the median of runs."""
+    """CPU seconds of a step of generalized-alpha within a run of the double plate without frames: the median of runs."""
     model, method = at_level(plates(cells), level).build(), GeneralizedAlpha(h=H)
     long = LONG.get(level, OF_FEW)
     between(model, method, SHORT, long)  # compiles or loads the kernels

@@ -1,4 +1,4 @@
-"""Runs of problems at every level: how far from the full plates, at which CPU time."""
+"""Runs of problems at every level: distance from full plates, and CPU time."""
 
 from functools import lru_cache
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ SHORT = 1.0  # CPU s: of runs that take less, the least time of three counts
 
 @lru_cache(maxsize=1)
 def case(name):
-    """The problem, the times, and where its joints, masses and loads are then by a refined run of full plates."""
+    """The problem, the times, and the positions of its joints, masses and loads by a refined run of full plates."""
     p = problem_of(name)
     times = np.linspace(0.0, p.t_end, TIMES)
     points = [name for name, part in p.model.parts.items() if isinstance(part, (Joint, PointMass, PointLoad))]
@@ -43,9 +43,10 @@ def model_at(name, level):
 
 
 def measure(problem, level, x=None):
-    """Largest distance of the tip, if there is one, and of any joint, mass or load from where it is with full plates, m; CPU seconds.
+    """Largest distance of the tip, if there is one, and of any joint, mass or load from its position with full plates, m; CPU seconds.
 
-    x: step of generalized-alpha over the problem's time; None: Radau IIA, refined, whose distance is that of the level itself.
+    x: step of generalized-alpha relative to the problem's time; None: Radau IIA with a small tolerance, whose distance is that of the level
+    itself.
     """
     c, model = case(problem), model_at(problem, level)
     method = RadauIIA(rtol=REFINED) if x is None else GeneralizedAlpha(h=x * c.p.t_end)

@@ -1,4 +1,4 @@
-"""Any scene at another level: rigid or reduced bodies in the place of its plates."""
+"""A scene at another level: with rigid or reduced bodies instead of plates."""
 
 import inspect
 from dataclasses import fields, replace
@@ -28,7 +28,7 @@ def at_level(model, level):
 
 
 def _held(name, part, stand_for):
-    """A part under its name, its sides on the bodies that stand for their plates."""
+    """A part with its name and its sides on the bodies that replace their plates."""
     sides = {entry.name: getattr(part, entry.name) for entry in fields(part)}
     sides = {key: side for key, side in sides.items() if isinstance(side, Attachment)}
     return replace(

@@ -51,7 +51,7 @@ def compliance_of(mesh, element):
 
 
 def bilinear(mesh, places=GAUSS):
-    """The same of bilinear squares, assembled and solved on their own: with GAUSS what the published codes have, with FAN Wachspress squares."""
+    """The same with bilinear squares, assembled and solved here: with GAUSS those of the published codes, with FAN Wachspress squares."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 

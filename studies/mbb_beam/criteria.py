@@ -1,4 +1,4 @@
-"""Least compliance by optimality criteria: SIMP with a filter of the densities, as in the published codes.
+"""Minimum compliance by optimality criteria: SIMP with a filter of the densities, as in the published codes.
 
 Source: Andreassen, Clausen, Schevenels, Lazarov, Sigmund, Struct. Multidisc. Optim. 43 (2011).
 """

@@ -1,1 +1,1 @@
-"""Modules of studies/peers_table.py: a file of checks for each peer, small calls that show a thing or show that it is not there."""
+"""Modules of studies/peers_table.py: for each peer a file of small calls that confirm a feature or its absence."""

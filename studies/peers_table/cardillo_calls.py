@@ -26,7 +26,7 @@ def pendulum(mass=None):
 
 
 def swings(solver, bound=1e-3):
-    """What is said of the pendulum's end; the solver is made of the system."""
+    """Description of the pendulum's end; the solver is created from the system."""
     run = solver(pendulum()).solve()
     return swung(run.q[np.argmin(np.abs(run.t - T_END))][[0, 2]], bound)
 
@@ -109,7 +109,7 @@ def stops():
 
 
 class Point:
-    """A point mass written anew: what a system asks of a part of a user."""
+    """A user-defined point mass with all methods that a system requires."""
 
     def __init__(self):
         self.nq = self.nu = 3

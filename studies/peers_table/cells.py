@@ -1,4 +1,4 @@
-"""A cell of the table: its check is called, silently."""
+"""A cell of the table: its check is called without output."""
 
 import contextlib
 import importlib
@@ -13,12 +13,12 @@ FOUND = ("seen", "not seen", "not installed")
 
 
 def checks_of(peer):
-    """{row: check}: a check returns what it saw, or raises NotThere."""
+    """{row: check}: a check returns its observation, or raises NotThere."""
     return importlib.import_module(f"peers_table.{PEERS[peer].checks}").CHECKS
 
 
 def run(peer, row):
-    """{"found": one of FOUND, "version", "says"} of a cell. What a check does not expect is raised."""
+    """{"found": one of FOUND, "version", "says"} of a cell. Unexpected exceptions are raised."""
     about = PEERS[peer]
     if find_spec(about.imported) is None:
         return {"found": "not installed", "version": "", "says": about.install}
@@ -40,7 +40,7 @@ def version_of(about):
 
 @contextlib.contextmanager
 def silent():
-    """What the process prints meanwhile, in compiled code too, is dropped."""
+    """Discard the output of the process, that of compiled code included."""
     sys.stdout.flush(), sys.stderr.flush()
     saved, nowhere = [os.dup(number) for number in (1, 2)], os.open(os.devnull, os.O_WRONLY)
     try:

@@ -39,7 +39,7 @@ def pendulum(axis=1):
 
 
 def position(exudyn, system, body):
-    """Where a body is now, (3,)."""
+    """Current position of a body, (3,)."""
     return np.array(system.GetObjectOutputBody(body, exudyn.OutputVariableType.Position, localPosition=[0.0, 0.0, 0.0]))
 
 
@@ -159,7 +159,7 @@ def own_step():
 
 
 def acceleration(solver, system):
-    """Acceleration of an unconstrained system where it is."""
+    """Acceleration of an unconstrained system in its current state."""
     solver.ComputeMassMatrix(system)
     solver.ComputeODE2RHS(system)
     return np.linalg.solve(solver.GetSystemMassMatrix(), solver.GetSystemResidual())
@@ -240,7 +240,7 @@ def restarted():
 
 
 def bodies():
-    """The names of what exudyn has as objects."""
+    """Names of exudyn's objects."""
     import exudyn.itemInterface as items
 
     return [name for name in dir(items) if name.startswith("Object") and "UserFunction" not in name]

@@ -106,7 +106,7 @@ def strategy(kratos, made, scheme):
 
 
 def vibrated(scheme, bound):
-    """How far the mass is from where it should be after half a second, m; and the strategy."""
+    """(distance of the mass from the exact position after half a second, m; strategy)."""
     kratos, structural, model, made = oscillator()
     newton = strategy(kratos, made, scheme(kratos))
     for _ in range(STEPS):

@@ -102,7 +102,7 @@ def joints():
 
 
 def friction():
-    """What a contact takes."""
+    """The arguments of a contact."""
     from dataclasses import fields
 
     names = [field.name for field in fields(pi.Contact)]

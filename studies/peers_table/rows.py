@@ -1,4 +1,4 @@
-"""The rows of the table, what a check says, and the pendulum that most of them swing."""
+"""The rows of the table, the answer of a check, and the pendulum of most checks."""
 
 from typing import NamedTuple
 
@@ -42,13 +42,13 @@ class NotThere(Exception):
 
 
 def require(condition, text):
-    """AssertionError with this text where a check does not come out as it should: neither seen nor absent."""
+    """Raise AssertionError with this text if a check gives an unexpected result: neither present nor absent."""
     if not condition:
         raise AssertionError(text)
 
 
 def only(names, wanted):
-    """NotThere with all the names where none of them holds one of the wanted words."""
+    """Raise NotThere with all names if none of them contains one of the wanted words."""
     names = sorted(names)
     if not any(word.lower() in name.lower() for name in names for word in wanted):
         raise NotThere(f"none of: {', '.join(names)}")
@@ -64,7 +64,7 @@ def pendulum_end():
 
 
 def swung(end, bound):
-    """What is said of a pendulum that ended here, (2,). AssertionError where that is further than the bound, m, from where it should be."""
+    """Description of a pendulum that ended here, (2,). Raises AssertionError if this is farther than the bound, m, from the exact position."""
     away = float(np.linalg.norm(np.asarray(end)[:2] - pendulum_end()))
     require(away < bound, f"the pendulum ends {away:.1e} m from where it should")
     return f"a pendulum ends {away:.1e} m from where it should"

@@ -92,7 +92,7 @@ def schemes():
 
 
 def own_scheme():
-    """A class of a user, registered by its name, takes the example's steps."""
+    """A user-defined class, registered by its name, takes the steps of the example."""
     from sfepy.solvers import register_solver
     from sfepy.solvers.ts_solvers import NewmarkTS
 

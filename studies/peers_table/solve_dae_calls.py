@@ -14,7 +14,7 @@ def by_solve_dae(method):
 
 
 def solve_dae_methods():
-    """The methods that solve_dae takes by name."""
+    """The methods that solve_dae accepts by name."""
     from solve_dae.integrate._dae.dae import METHODS
 
     return list(METHODS)

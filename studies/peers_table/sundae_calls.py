@@ -23,7 +23,7 @@ def sundae_order():
 
 
 def sundae_solvers():
-    """What scikit-sundae has: its modules of solvers."""
+    """The solver modules of scikit-sundae."""
     import pkgutil
 
     import sksundae

@@ -1,1 +1,1 @@
-"""Modules of studies/skip.py: the savings."""
+"""Modules of studies/skip.py: the optimisations."""

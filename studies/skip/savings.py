@@ -1,7 +1,7 @@
-"""What each saving is worth: the same run with it and without it, its counts and CPU seconds.
+"""Effect of each optimisation: the same run with and without it, its counts and CPU seconds.
 
-A saving is switched off by a model that does the work again, by a setting, or by an engine of the same code with a switch turned.
-Both sides of a row differ in that one thing.
+An optimisation is switched off by a model that repeats the work, by a setting, or by an engine of the same code with a switch. Both sides
+of a row differ only in this.
 """
 
 from collections import Counter
@@ -76,7 +76,7 @@ class Wasteful(SceneModel):
 
 
 def again(what, integrator):
-    """A saving of the general path: a model that evaluates `what` once or never, against one that always does."""
+    """An optimisation of the general path: a model that evaluates `what` once or never, against one that always evaluates it."""
 
     def measure(cells, t_end, repeats):
         def side(name):
@@ -185,7 +185,7 @@ def shared_operator(cells, t_end, repeats):
 
 
 def single_precision(cells, t_end, repeats):
-    """Ten solves with the factor kept in single precision, against in double; counted: bytes of the factor."""
+    """Ten solves with the factor in single precision, against double precision; counted: bytes of the factor."""
     model = plates.double_plate(cells).build()
     known, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
     equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), None, 4.0 / H**2, 0.0, 1.0, blocks)
@@ -220,7 +220,7 @@ def only_what_is_asked(cells, t_end, repeats):
 
 
 def no_frames(cells, t_end, repeats):
-    """First and last frame alone, against every frame kept."""
+    """Only the first and the last frame, against every frame."""
     model = plates.double_plate(cells).build()
 
     def keeping(every):

@@ -1,4 +1,4 @@
-"""The two sides of a saving, measured in turn, and what both are made of."""
+"""The two sides of an optimisation, measured alternately, and their parts."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def sides(on, off, repeats):
 
 
 def done(run):
-    """The run, or an exception where it did not come to its end."""
+    """The run; raises an exception if it failed."""
     if not run.success:
         raise RuntimeError(run.message)
     return run

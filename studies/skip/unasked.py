@@ -1,4 +1,4 @@
-"""What nobody asks for: solves of a scene at rest, velocities and accelerations of frames that are not kept."""
+"""Unused results: solves of a scene at rest, velocities and accelerations of frames that are not stored."""
 
 import numpy as np
 

@@ -1,1 +1,1 @@
-"""Modules of studies/small_systems.py: the peer and the times of steps."""
+"""Modules of studies/small_systems.py: the peers and the times of steps."""

@@ -1,4 +1,4 @@
-"""Scenes of rigid bodies and pins in exudyn, made of its own bodies and joints."""
+"""Scenes of rigid bodies and pins in exudyn, with its own bodies and joints."""
 
 import time
 import warnings
@@ -13,7 +13,7 @@ SPARSE = SETTINGS[:2]
 
 
 class Bodies:
-    """The rigid bodies and revolute joints of a Scene as a system of exudyn. Raises ImportError where that is not installed."""
+    """The rigid bodies and revolute joints of a Scene as a system of exudyn. Raises ImportError if it is not installed."""
 
     def __init__(self, scene):
         import exudyn

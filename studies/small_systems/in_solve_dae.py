@@ -1,4 +1,7 @@
-"""The rigid double pendulum by Radau IIA here and by the Radau of solve_dae: CPU seconds at an error of the tip. Same equations, each in its form."""
+"""The rigid double pendulum by Radau IIA of this package and by the Radau of solve_dae: CPU seconds at an error of the tip.
+
+Both solve the same equations, each in its form.
+"""
 
 from functools import partial
 
@@ -30,7 +33,7 @@ def residual(t, y, yp):
 
 
 def theirs(rtol):
-    """(CPU seconds, tip) of solve_dae. Raises ImportError where that is not installed."""
+    """(CPU seconds, tip) of solve_dae. Raises ImportError if it is not installed."""
     from solve_dae.integrate import solve_dae
 
     y, yp, B = np.zeros(20), np.zeros(20), rows(Q0)[1]

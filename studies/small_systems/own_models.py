@@ -1,4 +1,4 @@
-"""User-defined models: what a run takes beside their functions, with these in Python and compiled; a step beside a loop in numba."""
+"""User-defined models: cost of a run relative to their functions, in Python and compiled; cost of a step relative to a loop in numba."""
 
 import inspect
 import time
@@ -25,7 +25,7 @@ def compiled(model):
 
 
 def cpu(call):
-    """(CPU seconds of this process that a call takes, what it returns)."""
+    """(CPU seconds of a call in this process, its result)."""
     begin = time.process_time()
     result = call()
     return time.process_time() - begin, result

@@ -1,4 +1,4 @@
-"""Steps of this package over those of an earlier commit, measured in turn: what the machine does meanwhile meets both."""
+"""Steps of this version relative to those of an earlier commit, measured alternately, so that disturbances of the machine affect both."""
 
 import json
 import os
@@ -75,7 +75,7 @@ def whole_name(commit):
 
 @lru_cache(maxsize=1)
 def exported(commit):
-    """A temporary folder, removed when this process ends, with the package as it was; its kernels are kept there."""
+    """A temporary folder with the package of a commit and its kernels; it is removed when this process ends."""
     folder = tempfile.TemporaryDirectory(prefix="polyida-before-")
     packed = subprocess.run(["git", "-C", str(CLONE), "archive", commit, "polyida"], capture_output=True, check=True).stdout
     with tarfile.open(fileobj=BytesIO(packed)) as files:

@@ -1,4 +1,4 @@
-"""A step of IDA over one of generalized-alpha, in the midst of a run each, measured in turn."""
+"""A step of IDA relative to one of generalized-alpha, within runs, measured alternately."""
 
 import numpy as np
 
@@ -13,9 +13,9 @@ SPANS = {  # s: (IDA, generalized-alpha), IDA behind the growth of its first ste
 
 
 def ratio_row(dof, repeats):
-    """Medians over `repeats` turns of the CPU milliseconds of both steps and of their ratio, no frames kept; what IDA's steps did.
+    """Medians over `repeats` alternations of the CPU milliseconds of both steps and of their ratio, without frames; counts of IDA's steps.
 
-    A turn before loads the kernels; large models need none, where a step is the difference of two times of one run.
+    An alternation before loads the kernels; large models need none, because a step is the difference of two times of one run.
     """
     model, turns = model_of("scene 1", dof), []
     first = int(model.n < LARGE)
@@ -32,14 +32,14 @@ def ratio_row(dof, repeats):
 
 
 def _step(model, name, short, long):
-    """{"ms"} of a step, and what IDA or generalized-alpha counts in it."""
+    """{"ms"} of a step, and its counts."""
     (begin, first), (end, last) = (two_runs if model.n < LARGE else one_run)(model, MEMBERS[name], short, long)
     steps, kinds = last.steps - first.steps, ("residuals", "solves", "factorizations")
     return {"ms": 1e3 * (end - begin) / steps} | {kind: (getattr(last, kind) - getattr(first, kind)) / steps for kind in kinds}
 
 
 def notes(rows):
-    """A step of IDA beside one of generalized-alpha, and what it did."""
+    """A step of IDA compared with one of generalized-alpha, and its counts."""
     return [
         f"{row['n']} coordinates: a step of IDA {row['ida_ms']:.3g} ms, of generalized-alpha {row['alpha_ms']:.3g}, in turn {row['ratio']:.2f}; "
         f"IDA's takes {row['residuals_per_step']:.2f} residuals, {row['factorizations_per_step']:.3f} factorizations and "

@@ -1,4 +1,4 @@
-"""What keeping every frame costs: runs that keep all of them, in memory or in an HDF5 file, beside runs that keep two, in turn."""
+"""Cost of storing every frame, in memory or in an HDF5 file, relative to runs with two frames, measured alternately."""
 
 import tempfile
 from functools import partial
@@ -31,10 +31,9 @@ def tasks(quick):
 
 
 def frames_row(figure, dof, steps, pairs, streams):
-    """CPU time of a run with every frame over one with two: the median of the ratios of pairs; of the first pair apart.
+    """CPU time of a run with every frame relative to one with two: the median of the ratios of pairs; the first pair separately.
 
-    In the first pair memory for the frames is new, later ones use it again; new_memory_us: what the machine takes to fill a
-    frame's part of new memory, by itself.
+    In the first pair the memory for the frames is new, later pairs reuse it. new_memory_us: time to fill a frame's part of new memory.
     """
     model = model_of("scene 1", dof)
     with tempfile.TemporaryDirectory(prefix="polyida-frames-") as folder:
@@ -54,7 +53,7 @@ def frames_row(figure, dof, steps, pairs, streams):
 
 
 def _pair(run_to, steps, file):
-    """CPU seconds of a run with two frames and of one with all; an error where they are not the same work."""
+    """CPU seconds of a run with two frames and of one with all. Raises an error if they differ in their work."""
     none, (counts, few) = _timed(run_to, steps * H, every=NO_FRAMES)
     every, (same, many) = _timed(run_to, steps * H, **file)
     if (counts, few, many) != (same, 2, steps + 1):
@@ -79,7 +78,7 @@ def figures(rows):
 
 
 def notes(rows):
-    """What a frame costs, and what it costs in memory that the process has not used before."""
+    """Cost of a frame, and its cost in memory that the process has not used before."""
     return [
         f"{row['figure']}: {row['ratio']:.3f}; {row['extra_us']:.3g} us a frame beside a step of {row['none_ms']:.3g} ms "
         f"({row['first_ratio']:.2f} the first time, in new memory, of which a frame's costs {row['new_memory_us']:.3g} us by itself)"

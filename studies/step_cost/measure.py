@@ -1,4 +1,4 @@
-"""What a step costs: both integrators, its parts, the machine's floor, memory, start-up, IDA's sparse solver."""
+"""Cost of a step: integrators, its parts, the lower bound of the machine, memory, start-up, IDA's sparse solver."""
 
 import json
 import os
@@ -44,9 +44,9 @@ def median_cpu(call, repeats):
 
 
 def step_row(scene, dof, integrator, short, long, repeats):
-    """Cost of a step in the midst of a run, between the times `short` and `long`, s, no frames kept: medians of runs.
+    """Cost of a step within a run without frames, between the times `short` and `long`, s: medians of runs.
 
-    start_ms is what a run costs before, beyond its steps there: consistent start, first factor.
+    start_ms is the cost of a run before its steps: consistent initial values and the first factorization.
     """
     model, member = model_of(scene, dof), MEMBERS[integrator]
     solve(model, short, member)  # compiles or loads the kernels
@@ -87,7 +87,7 @@ def _solves(count, links, c, room, drives, rotation, dz, lam, r, phi, c_m, dq, d
 
 
 def moved(model, steps=5):
-    """(State, c_m) of a short generalized-alpha run: where the kernels are measured."""
+    """(State, c_m) of a short run of generalized-alpha at which the kernels are measured."""
     method, state = GeneralizedAlpha(h=H), consistent_state(model, 0.0, None, None)
     c = method.coefficients
     *_, state = method.steps(model, state, steps * H, Counts())
@@ -148,7 +148,7 @@ def parts_of_a_step(model, row):
 
 
 def fronts(model, blocks):
-    """(factor, solve) of our own multifrontal factor: in double, kept and solved with in single."""
+    """(factor, solve) of this package's multifrontal factor: computed in double, stored and solved in single precision."""
     known, factors, b, x = model.once(symbolic_of), {}, np.ones(model.n, np.float32), np.empty(model.n, np.float32)
 
     def factor():
@@ -166,9 +166,9 @@ BACKENDS = {"fronts": fronts} | peers.BACKENDS
 
 
 def floor_row(dof, backend, repeats):
-    """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python.
+    """One factorization and 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python.
 
-    The analysis is apart where it can be. Raises peers.Missing if the back-end is not installed.
+    The symbolic analysis is not included if the back-end separates it. Raises peers.Missing if the back-end is not installed.
     """
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)
@@ -191,7 +191,7 @@ def floor_row(dof, backend, repeats):
 
 
 def sparse_row(dof, t_end, repeats):
-    """IDA to t_end, s, on scene 1: ours against SUNDIALS' sparse solver, in processes of its own."""
+    """IDA to t_end, s, on scene 1: this package against SUNDIALS' sparse solver, in separate processes."""
     model, settings = model_of("scene 1", dof), IDA(rtol=1e-5)
     solve(model, min(t_end, 1e-3), settings)
     runs = [cpu(lambda: solve(model, t_end, settings, every=NO_FRAMES)) for _ in range(repeats)]
@@ -206,14 +206,14 @@ def sparse_row(dof, t_end, repeats):
 
 
 def sparse_alone(dof, t_end):
-    """The other side of `sparse_row`, for a process of its own."""
+    """The other side of `sparse_row`, for a separate process."""
     model = model_of("scene 1", dof)
     peers.sparse_ida(model, min(t_end, 1e-3))
     return peers.sparse_ida(model, t_end)
 
 
 def memory_row(dof, integrator, steps):
-    """Peak memory of a process that imports, meshes, builds and runs equal steps on scene 1, every frame kept."""
+    """Peak memory of a process that imports, meshes, builds and runs equal steps on scene 1 with every frame."""
     return run_isolated(memory_alone, {"dof": dof, "integrator": integrator, "steps": steps}, 900.0)
 
 
@@ -239,7 +239,7 @@ def memory_alone(dof, integrator, steps):
 
 
 def peak_bytes():
-    """Largest resident memory of this process so far; from the kernel where it tells, as getrusage's is inherited."""
+    """Peak resident memory of this process so far, from the kernel if possible, because getrusage inherits that of the parent."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
         return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))

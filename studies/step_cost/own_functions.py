@@ -1,4 +1,4 @@
-"""A step with functions of a user's own: in Python, compiled by `polyida.compiled`, and ready-made. `python own_functions.py` prints it alone."""
+"""A step with user-defined functions: in Python, compiled by `polyida.compiled`, and built in. `python own_functions.py` prints it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -133,7 +133,7 @@ def tasks(quick):
 
 
 def own_row(function, method, rounds):
-    """{variant: microseconds of CPU of a step}, medians of rounds in which all take turns."""
+    """{variant: CPU microseconds of a step}, medians of rounds in which all variants alternate."""
     made = {name: (make(), options) for name, (make, options) in CASES[function].items()}
     result: dict = {name: [] for name in made}
     short, long = STEPS[method]

@@ -1,4 +1,4 @@
-"""The floor of a step of Radau IIA with three stages: a real and a complex factorization, three solves with each."""
+"""Lower bound of a step of Radau IIA with three stages: a real and a complex factorization and three solves with each."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ SOLVES = 3  # with each factor, one an iteration
 
 
 def fronts(model, blocks):
-    """(factor, solve) of our own multifrontal factor, kept and solved with in single precision."""
+    """(factor, solve) of this package's multifrontal factor, stored and solved in single precision."""
     known, factors, b = model.once(symbolic_of), {}, np.ones(model.n, single(blocks))
     x = b.copy()
 

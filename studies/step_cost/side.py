@@ -1,8 +1,8 @@
-"""One side of a comparison of two states of the package: a process that times the steps of its own, whenever it is asked.
+"""A process that times steps of another version of the package on request: `python side.py CELLS INTEGRATOR SHORT LONG` with that version
+first on PYTHONPATH.
 
-`python side.py CELLS INTEGRATOR SHORT LONG`, with the package to be measured in front on PYTHONPATH. It says where that
-is and how large the model, then a row of times and counts for every line that comes. It takes from the package only
-what all states of it have in these places; who starts it sets the threads.
+It prints its location and the size of the model, then a row of times and counts for every line of input. It uses only names that all
+versions of the package have; its parent sets the threads.
 """
 
 import json
@@ -31,7 +31,7 @@ def cells_for(dof):
 
 
 def cpu(call):
-    """(CPU seconds of this process that call() takes, what it returns)."""
+    """(CPU seconds of a call in this process, its result)."""
     begin = time.process_time()
     result = call()
     return time.process_time() - begin, result
@@ -67,7 +67,7 @@ def step(model, member, short, long):
 
 
 def main(cells, integrator, short, long):
-    """Answer until nobody asks any more."""
+    """Answer requests until the input ends."""
     model, member = double_plate(int(cells)).build(), MEMBERS[integrator]()
     print(json.dumps({"package": polyida.__file__, "n": model.n}), flush=True)
     solve(model, float(short), member, every=NO_FRAMES)  # compiles or loads the kernels

@@ -1,7 +1,8 @@
-"""What a second thread brings to a step of generalized-alpha, beside what the memory gives to two threads, and two halves of a model make of it.
+"""Speed-up of a step of generalized-alpha by a second thread, compared with the memory bandwidth of two threads and with two independent
+halves of a model.
 
-A step streams the factor, twice a solve. Two models of half the size, which share nothing and wait for nothing, are the best that a step in
-two threads could be. All results are the same bit by bit.
+A step reads the factor twice for each solve. Two models of half the size, which share nothing, are the upper bound of a step in two
+threads. All results are equal bit by bit.
 """
 
 import time
@@ -48,7 +49,7 @@ class Run:
 
 
 def wall(call):
-    """Seconds that call() takes."""
+    """Wall seconds of a call."""
     begin = time.perf_counter()
     call()
     return time.perf_counter() - begin
@@ -102,7 +103,7 @@ def figures(rows):
 
 
 def notes(rows):
-    """What was measured, and what the memory would allow."""
+    """The measurements, and the upper bound by the memory."""
     return [
         f"{row['n']} coordinates, wall time of a step: {row['one_thread_ms']:.3g} ms in one thread, {row['two_threads_ms']:.3g} ms in two, which "
         f"share the solves, {row['speedup']:.2f} times as fast ({row['lowest']:.2f} to {row['highest']:.2f}), bit by bit the same. Two "

@@ -1,4 +1,6 @@
-"""IDA with its solve as preconditioner, which is told cj, over IDA as it is, whose residual holds the solve at a guessed cj: runs in turn."""
+"""IDA with its solve as preconditioner, which receives cj, relative to IDA with a residual that contains the solve at a predicted cj:
+alternating runs.
+"""
 
 from functools import partial
 
@@ -25,7 +27,7 @@ def chain(bars):
 
 
 def own(name, by_numba=False):
-    """A problem with equations of its own: (model, t_end, start)."""
+    """A problem with user-defined equations: (model, t_end, start)."""
     problem = get(name)
     if by_numba:
         kind = type(problem.model)
@@ -51,7 +53,7 @@ def tasks(quick):
 
 
 class Handed:
-    """In place of `Predicted`: the cj that IDA told last."""
+    """Replacement of `Predicted`: the last cj that IDA gave."""
 
     def begin(self, t, q):
         """Nothing."""
@@ -104,7 +106,9 @@ class Told(integrator._Run):
 
 
 def told_row(case, pairs):
-    """Medians over pairs of runs: CPU seconds as it is and told, and told over as it is; what both did, and how far apart they end."""
+    """Medians over pairs of runs: CPU seconds with the predicted cj, and the ratio with the received one; counts of both, and the distance
+    of their ends.
+    """
     make, rtol = CASES[case]
     model, t_end, start = make()
     kinds, row, times = {"": integrator._Run, "told_": Told}, {"n": model.n}, {"": [], "told_": []}

@@ -1,4 +1,4 @@
-"""What a user waits for: a whole comparison, an animation, the largest figure of a study."""
+"""Waiting times of a user: a whole comparison, an animation, the largest figure of a study."""
 
 import os
 import subprocess
@@ -21,8 +21,8 @@ PANELS = 14  # of the largest figure of all studies, work-counts-alpha
 
 
 def wait_row(what, repeats):
-    """{"wall_s", "cpu_s"} of what a user waits for: medians, after one time that fills caches; that time itself where there are no repeats,
-    whose kernels the parts before have compiled.
+    """{"wall_s", "cpu_s"}: medians after a first run that fills caches; without repeats the first run itself, whose kernels the parts
+    before have compiled.
     """
     with TemporaryDirectory(prefix="polyida-waits-") as folder:
         again = WAITS[what](Path(folder))
@@ -64,7 +64,7 @@ def panels_written(folder):
 
 
 def command(*arguments):
-    """(wall s, CPU s with those of its own processes) of a command of polyida in a new process; RuntimeError if it fails."""
+    """(wall s, CPU s including child processes) of a command of polyida in a new process. Raises RuntimeError if it fails."""
     paths = os.pathsep.join([str(Path(polyida.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
     given, settings = [sys.executable, "-c", COMMAND, *map(str, arguments)], os.environ | {"PYTHONPATH": paths}
     return clocked(partial(_ended, given, settings))
@@ -97,7 +97,7 @@ def figures(rows):
 
 
 def notes(rows):
-    """What the seconds are of."""
+    """Descriptions of the times."""
     if not figures(rows):
         return []
     return [

@@ -1,7 +1,6 @@
-"""What the step does to an integrator: order on smooth motion from the first step on, and round-off at tiny steps.
+"""Effect of the step on an integrator: order on smooth motion from the first step on, and round-off at tiny steps.
 
-The reference is DOP853 on the index-1 equations (references.explicit), which shares no formula of a step with the
-integrator.
+The reference is DOP853 on the index-1 equations (references.explicit), which shares no formula of a step with the integrator.
 """
 
 from functools import lru_cache, partial
@@ -52,7 +51,7 @@ def smooth_reference(kind, cells, coarsest, time):
 
 @lru_cache(maxsize=4)
 def reference_floor(kind, cells, coarsest, time):
-    """{part: how far Radau IIA in steps of the finest grid is from the reference, relative to the largest value}."""
+    """{part: distance of Radau IIA in steps of the finest grid from the reference, relative to the largest value}."""
     model, start, exact = smooth_reference(kind, cells, coarsest, time)
     run = solve(model, BEGIN + time, RadauIIA(h=time / len(exact["q"])), state=start)
     return _farthest(run, exact, 1)
@@ -102,7 +101,7 @@ def decades(smallest, largest):
 
 
 def tiny_steps(scene, cells, h, smallest, largest, **settings):
-    """`after_steps` by generalized-alpha, and where its Newton iteration stalls."""
+    """`after_steps` by generalized-alpha, and the stagnation level of its Newton iteration."""
     integrator = GeneralizedAlpha(h=h, tolerance=1e-9, max_halvings=0, **settings)
     result, model, states = after_steps(scene, cells, h, smallest, largest, integrator)
     return result | stall(model, states, integrator) if result["outcome"] == "done" else result
@@ -134,9 +133,9 @@ def _relative(run, exact):
 
 
 def stall(model, states, settings):
-    """Where Newton's iteration stops falling in one step: |dq| over beta h^2 |a| and |dlam| over |lam|.
+    """Level at which Newton's iteration stagnates in one step: |dq| over beta h^2 |a| and |dlam| over |lam|.
 
-    Medians over the states. NaN if the iteration with one matrix runs away.
+    Medians over the states. NaN if the iteration with one matrix diverges.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         floor = np.median([_stall(model, state, settings) for state in states], axis=0)

@@ -1,4 +1,4 @@
-"""Slopes in h of the step-size study's rows, fitted where one cause of error alone is seen, beside their theory."""
+"""Slopes in h of the rows of the step-size study, fitted in the range of a single cause of error, and theoretical slopes."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ def runs_of(rows, **wanted):
 
 
 def above_floor(runs, part):
-    """The runs of the order study whose error is ABOVE times how well the reference is known."""
+    """Runs of the order study with an error ABOVE times the accuracy of the reference."""
     return [row for row in runs if value(row, f"error_{part}") > ABOVE * value(row, f"floor_{part}")]
 
 
@@ -44,7 +44,7 @@ def method(rows, scene, part, solve):
 
 
 def round_off(rows, scene, part, solve):
-    """Slope of an error with phi from positions where it is ABOVE times that with carried phi; of q, up to 1e-7 s."""
+    """Slope of an error with phi from positions in the range where it is ABOVE times that with carried phi; of q, up to 1e-7 s."""
     of = {"part": "tiny", "scene": scene, "solve": solve}
     clean = {row["h"]: value(row, f"error_{part}") for row in runs_of(rows, phi="carried", **of)}
     runs = runs_of(rows, phi="from positions", **of)
@@ -56,14 +56,14 @@ def round_off(rows, scene, part, solve):
 
 
 def stall(rows, scene, phi, solve):
-    """Slope of Newton's stall level, h up to 1e-5 s, where it is linear."""
+    """Slope of Newton's stagnation level for h up to 1e-5 s, where it is linear."""
     runs = [row for row in runs_of(rows, part="tiny", scene=scene, phi=phi, solve=solve) if row["h"] < 1.01e-5]
     runs = [row for row in runs if value(row, "stall_q") < LINEAR]
     return fit_slope(column(runs, "h"), column(runs, "stall_q"))
 
 
 def table(rows):
-    """[(figure's name, what, solve, slope, theory)] of errors after a few steps and of the stall, with each solve."""
+    """[(name of the figure, quantity, solver, slope, theory)] of errors after a few steps and of the stagnation level, with each solver."""
     made = []
     for part in PARTS:
         for solve in SOLVES:
@@ -80,7 +80,7 @@ def table(rows):
 
 
 def in_words(rows):
-    """A line for each kind of slope: theory, and what each solve gives."""
+    """A line for each kind of slope: theory, and the slope with each solver."""
     lines = {}
     for _, what, solve, slope, theory in table(rows):
         if np.isfinite(slope):

@@ -1,4 +1,4 @@
-"""Kill -9 at random moments: of a run that streams to a file and is resumed, of a sweep that is started again."""
+"""Kill -9 at random moments: of a run that writes to a file and is resumed, and of a sweep that is started again."""
 
 import mmap
 import os

@@ -1,4 +1,4 @@
-"""Runs of very many steps: whether phi, energy, time and memory stay as they were."""
+"""Runs of very many steps: phi, energy, time and memory must not grow."""
 
 import resource
 import sys
@@ -15,7 +15,7 @@ PARTS = 20  # of a run, between which time and memory are compared
 
 
 class Meter:
-    """A progress function that notes CPU seconds and the largest memory of this process after every part of a run."""
+    """A progress function that records CPU seconds and the peak memory of this process after every part of a run."""
 
     def __init__(self, steps):
         self.due, self.every, self.count, self.marks = steps // PARTS, steps // PARTS, 0, []

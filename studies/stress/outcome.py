@@ -1,4 +1,4 @@
-"""What became of a run that was driven hard: right by a check that is stated, stopped with a reason, or neither."""
+"""Outcome of a run with extreme values: right by a stated check, stopped with a reason, or wrong."""
 
 import time
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ INTEGRATORS = ("alpha", "adaptive", "stabilised", "energy", "ggl2", "ggl1", "rad
 
 @dataclass(frozen=True)
 class Check:
-    """A deviation from what must hold, the bound up to which the run is right, and what it is measured against.
+    """A deviation, the bound below which the run is right, and a description of the check.
 
-    at_stop: whether it must hold of a run that stops as foreseen, too.
+    at_stop: True if the check also applies to a run that stops as predicted.
     """
 
     name: str
@@ -34,8 +34,8 @@ class Check:
 
 @dataclass(frozen=True)
 class Stop:
-    """The stop that is right for a row, foreseen before any run: its statuses ("refused": by InputError), and words of which its
-    message has one. only: a run that comes to its end all the same is wrong.
+    """The predicted stop of a row: its statuses ("refused": by InputError), and words of which its message contains one. only: a run that
+    reaches its end is wrong.
     """
 
     statuses: tuple
@@ -68,11 +68,11 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
 
 
 def outcome_of(case, *arguments, foreseen=None):
-    """The row of a case: case(*arguments) -> (Trajectory, checks). foreseen: the Stop that is right for it, or None.
+    """The row of a case: case(*arguments) -> (Trajectory, checks). foreseen: the predicted Stop, or None.
 
-    "right": the run came to its end, its frames are finite and every check holds. "stated_stop": it ended before, with sound
-    frames, or the input was refused, as foreseen. "unforeseen_stop": another stop with a status and a message and sound frames,
-    or another refusal. "wrong" is everything else, also a run whose error cannot be told.
+    "right": the run reached its end, its frames are finite and every check passes. "stated_stop": it ended earlier with finite frames, or
+    the input was refused, as predicted. "unforeseen_stop": another stop with a status, a message and finite frames, or another refusal.
+    "wrong" is everything else, also a run whose error cannot be determined.
     """
     begin = time.process_time()
     try:
@@ -92,7 +92,7 @@ def _kind(status, message, foreseen):
 
 
 def judged(run, checks, foreseen=None):
-    """Outcome, status and reason of a run, and the check that is nearest to its bound; run None: the checks alone."""
+    """Outcome, status and reason of a run, and the check that is closest to its bound; run None: only the checks."""
     if run is None:
         return {"status": "done"} | _by_checks(checks)
     finite = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
@@ -107,7 +107,7 @@ def judged(run, checks, foreseen=None):
 
 
 def _stopped(run, checks, foreseen):
-    """Outcome of a run that stopped: its frames must be sound, its message must say why, the checks of a stop must hold."""
+    """Outcome of a stopped run: its frames must be finite, its message must give the reason, and the checks of a stop must pass."""
     drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
     result = _by_checks([drift, *checks])
     if result["outcome"] == "wrong" or not run.message:
@@ -130,14 +130,14 @@ def extent(model):
 
 
 def held(run, share=1e-9):
-    """phi stays below a share of the scene's size."""
+    """phi stays below a fraction of the scene's size."""
     return Check("drift", run.drift.max(), share * extent(run.model))
 
 
 def balance(run, gain, loss):
-    """The energy that neither motors nor gravity explain, over the largest energy in motion and strain or done by motors.
+    """Energy error that motors and gravity do not explain, relative to the largest kinetic and strain energy or motor work.
 
-    Generalized-alpha and BDF take energy out of what they do not resolve: a loss beyond `loss` is wrong, a gain beyond `gain` is.
+    Generalized-alpha and BDF dissipate unresolved motion: a loss beyond `loss` is wrong, a gain beyond `gain` is.
     """
     excess, energy = unbalanced(run), run.energy
     turned = max((energy.kinetic + energy.strain).max(), np.ptp(energy.potential), 1e-300)
@@ -150,7 +150,7 @@ def tip(run):
 
 
 def off_by(run, place, bound, of="tip"):
-    """Distance of the tip at the end from where it must be, over the size of the scene."""
+    """Distance of the tip at the end from its reference, relative to the size of the scene."""
     return Check(of, float(np.linalg.norm(tip(run)[-1] - place)) / extent(run.model), bound)
 
 
@@ -165,12 +165,12 @@ def figures(rows):
 
 
 def outcome_in(row):
-    """A row's outcome: a crash or hang that the study met; an exception that is no clear message counts as a crash."""
+    """A row's outcome: a crash or hang of the process; an exception without a clear message counts as a crash."""
     return row.get("outcome") or "crash"
 
 
 def limits(rows):
-    """Lines: for each axis, up to where the integrators are right, and what happens at the first value where one is not."""
+    """Lines: for each axis, the limit up to which each integrator is right, and the outcome at the first value beyond it."""
     lines = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
         of_axis, said = [row for row in rows if row["axis"] == axis], {}

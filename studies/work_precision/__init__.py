@@ -1,1 +1,1 @@
-"""Modules of studies/work_precision.py: the selection, errors of the tip."""
+"""Modules of studies/work_precision.py: cases, selection, errors of the tip."""

@@ -1,7 +1,7 @@
-"""The motions of the work-precision study, with what is known of their ends.
+"""The motions of the work-precision study and their references.
 
-Published digits, or what two families of methods agree on: Radau IIA and explicit runs on the index-1 equations; for the spin-up beam, too
-stiff for these, Radau IIA and the energy-momentum method.
+A reference consists of published digits, or of the values on which two families of methods agree: Radau IIA and explicit runs on the
+index-1 equations; for the stiff spin-up beam Radau IIA and the energy-momentum method.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ COARSE = {"q": 1e-6, "v": 1e-2, "lam": 1.0}  # and of the blow in the short sele
 class Case:
     """A motion and its reference, in the form of polyida.study.
 
-    sizes: typical (q, v) for absolute tolerances. newton: tolerance of generalized-alpha's Newton iteration where its own default would
-    show in the errors studied.
+    sizes: typical (q, v) for absolute tolerances. newton: tolerance of generalized-alpha's Newton iteration, if the default would dominate
+    the measured errors.
     """
 
     ivp: InitialValueProblem
@@ -42,7 +42,7 @@ def published(name, sizes, newton=1e-9):
 
 
 def by_two(name, model, t_end, other=BY_EXPLICIT, sizes=(1e-2, 10.0), first=FINEST, shown=SHOWN):
-    """The Case of a model whose end is what Radau IIA and another family agree on, from a level of refinement on."""
+    """The Case of a model whose reference is the agreement of Radau IIA and another family, from a level of refinement on."""
     motion = InitialValueProblem(name, model, t_end)
     reference = make_reference(motion, lambda values: shown, others=(other,), first=first)
     if "q" not in reference:
@@ -51,9 +51,7 @@ def by_two(name, model, t_end, other=BY_EXPLICIT, sizes=(1e-2, 10.0), first=FINE
 
 
 def sudden_blow(cells, t_end, duration=0.005, force=40.0):
-    """The double plate without gravity, its tip drawn up by a force that grows slowly; near the end the tip is struck
-    for 5 ms.
-    """
+    """The double plate without gravity; a slowly growing force lifts its tip, and near the end a pulse of 5 ms acts on it."""
     scene = plates.double_plate(cells)
     scene.gravity = (0.0, 0.0)
     tip, at, bump = scene.parts["tip"].at, 0.95 * t_end, np.polynomial.Polynomial([0, 0, 0, 64, -192, 192, -64])
@@ -68,8 +66,8 @@ def sudden_blow(cells, t_end, duration=0.005, force=40.0):
 
 
 def damped_ramp():
-    """The double plate of 8 cells, a little damped, without gravity; its tip is drawn by a force that grows smoothly within 20 ms, as
-    fast as the plates ring: steps that resolve it resolve them.
+    """The slightly damped double plate of 8 cells without gravity; the force on its tip grows smoothly within 20 ms, the period of the
+    plates, so that steps that resolve it also resolve them.
     """
     rubber = plates.RUBBER
     scene = plates.double_plate(8, material=plates.Material(E=rubber.E, nu=rubber.nu, rho=rubber.rho, viscosity=1e-5))
@@ -80,7 +78,7 @@ def damped_ramp():
 
 @lru_cache(maxsize=16)
 def case(name, quick):
-    """The Case of a name; `quick` ones have coarser meshes and shorter times."""
+    """The Case of a name; quick cases have coarser meshes and shorter times."""
     cells, time = (8, 0.1) if quick else (12, 0.25)
     blown, of_blow = (8, 0.5) if quick else (20, 2.0)
     makers = {
@@ -101,7 +99,7 @@ def case(name, quick):
 
 
 def measure(name, member, x, quick):
-    """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
+    """Errors at the end, CPU seconds and counts of one run; a failed run has its message as outcome and no errors."""
     selected = case(name, quick)
     motion, made = selected.ivp, integrator(member, x, selected.sizes, selected.ivp.t_end / 20, selected.newton)
     start = {"q0": motion.q0, "v0": motion.v0}

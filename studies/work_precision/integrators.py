@@ -1,4 +1,4 @@
-"""All integrators and forms under the names that studies call them by, and what they cost at an error."""
+"""All integrators and forms with the names that the studies use, and their cost at an error."""
 
 import numpy as np
 
@@ -34,12 +34,12 @@ def by_tolerance(name):
 
 
 def ida(form, rtol, max_num_steps=200_000):
-    """IDA in a form, its absolute tolerances its own; no more steps than `max_num_steps`."""
+    """IDA in a form with its default absolute tolerances and at most `max_num_steps` steps."""
     return IDA(rtol=rtol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
 
 
 def adaptive(rtol, h, sizes=(1e-2, 10.0), **settings):
-    """Generalized-alpha with error control of q, no step above h."""
+    """Generalized-alpha with error control of q and steps of at most h."""
     return GeneralizedAlpha(h=h, rtol=rtol, atol=rtol * sizes[0], **settings)
 
 
@@ -65,9 +65,7 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):
 
 
 def cheapest(rows, error, level):
-    """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN
-    where none does.
-    """
+    """CPU seconds at which the lower envelope of runs reaches an error, interpolated on logarithmic axes; NaN if no run does."""
     pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
     before = None
     for cpu, result in pairs:

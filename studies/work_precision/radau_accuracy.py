@@ -1,4 +1,4 @@
-"""What Radau IIA gives: orders fitted over fixed steps, errors at a tight tolerance, the tip's error beside rtol."""
+"""Accuracy of Radau IIA: orders fitted over fixed steps, errors at a small tolerance, error of the tip relative to rtol."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def steps(problem, quick):
 
 
 def fitted_rows(rows, problem, part):
-    """The runs with steps in the asymptotic range whose error is well above what is known of the reference."""
+    """Runs with steps in the asymptotic range whose error is well above the accuracy of the reference."""
     runs = [row for row in pick(rows, problem=problem, integrator=FIXED) if row["x"] < 1.01 * ASYMPTOTIC[problem]]
     return [row for row in runs if row.get(f"error_{part}", 0) > ABOVE * row["known"].get(part, np.inf)]
 
@@ -34,7 +34,7 @@ def order(rows, problem, part):
 
 
 def orders(rows):
-    """Fitted orders, and of each part the one farthest from 5."""
+    """Fitted orders, and for each part the one farthest from 5."""
     result = {}
     for part in PARTS:
         each = {f"radau_order_{part}_{problem.replace('-', '_')}": order(rows, problem, part) for problem in ASYMPTOTIC}
@@ -43,7 +43,7 @@ def orders(rows):
 
 
 def at_tight_tolerance(rows):
-    """Errors of q with error control at TIGHT, in the problems' own units; the short selection does not go there."""
+    """Errors of q with error control at TIGHT, in the units of the problems; not in the quick selection."""
     runs = {
         problem: [row for row in rows if (row["problem"], row["integrator"], row["x"]) == (problem, "radau", TIGHT)]
         for problem in CLASSICAL
@@ -59,7 +59,7 @@ def error_over_rtol(rows):
 
 
 def notes(rows):
-    """What was fitted."""
+    """Ranges of the fits."""
     lines = []
     for problem in ASYMPTOTIC:
         texts = [

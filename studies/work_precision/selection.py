@@ -1,4 +1,4 @@
-"""Which integrator runs on which problem of the work-precision study, at which steps and tolerances, and why not."""
+"""Integrators, steps and tolerances for each problem of the work-precision study, and reasons for omitted runs."""
 
 import numpy as np
 
@@ -48,13 +48,13 @@ IN_SHORT = (
 
 
 def left_out(problem, member, quick):
-    """Why a member is not run on a problem; empty if it is."""
+    """Reason why a member does not run on a problem; empty if it runs."""
     rules = ALWAYS + IN_SHORT if quick else ALWAYS
     return next((why for members, problems, why in rules if member in members and problem in problems), "")
 
 
 def tasks(quick):
-    """One a run: problem, integrator and x, its step, s, or tolerance."""
+    """One task for each run: problem, integrator and x, its step in s or its tolerance."""
     selected = SHORT if quick else FULL
     selection = [
         {"problem": problem, "integrator": member, "x": float(f"{x:.3g}"), "quick": quick}
@@ -87,7 +87,7 @@ def ladder(problem, member, quick):
 
 
 def tightest(problem, member, quick):
-    """The last of IDA's ladder: stiff scenes without damping take a million steps beyond it."""
+    """Smallest tolerance of IDA: below it stiff scenes without damping need a million steps."""
     if problem in CLASSICAL:
         return 1e-9 if quick and member != "IDA ggl2" else 1e-12
     return 1e-7 if quick else {"rigid-limit": 1e-5, "spin-up-beam": 1e-4}.get(problem, 1e-9)
@@ -98,7 +98,7 @@ def _powers(loose, tight, quick):
 
 
 def not_run(rows):
-    """Lines: the members that have no row on a problem of the table, and why."""
+    """Lines on members without a row on a problem of the table, with the reason."""
     met = {(row["problem"], row["integrator"]) for row in rows}
     absent = {}
     for problem, quick in {row["problem"]: row["quick"] for row in rows}.items():

@@ -1,7 +1,7 @@
-"""What a user gets who sets nothing but a step or a tolerance: errors of the tip of scenes 1 and 2 after 1 s.
+"""Accuracy with default settings except for a step or a tolerance: errors of the tip of scenes 1 and 2 after 1 s.
 
-The scenes are the problems "double-plate" and "double-plate-motors" on their default meshes, with their own digits and
-how well these are known. No setting of an integrator but h or rtol is given, so that its defaults are what is judged.
+The scenes are the problems "double-plate" and "double-plate-motors" on their default meshes with their digits. Only h or rtol is set, so
+that the defaults are tested.
 """
 
 from functools import lru_cache
@@ -36,9 +36,9 @@ def tasks(quick):
 
 
 def measure(scene, name, x):
-    """error_tip: distance of the tip from the digits, m; newton_tip: from the same run with Newton's TIGHT tolerance.
+    """error_tip: distance of the tip from the digits, m; newton_tip: distance from the same run with Newton's TIGHT tolerance.
 
-    known_tip: how well the digits are known. A run that fails has its message as outcome and no errors.
+    known_tip: accuracy of the digits. A failed run has its message as outcome and no errors.
     """
     problem = problem_of(SCENES[scene])
     runs = [solve(problem.model, problem.t_end, chosen, every=10**9) for chosen in _runs(name, x)]
@@ -61,12 +61,12 @@ def _runs(name, x):
 
 
 def of_integrator(rows, name):
-    """All rows of an integrator, those that failed included."""
+    """All rows of an integrator, failed ones included."""
     return [row for row in rows if row["problem"] in SCENES and row["integrator"] == name]
 
 
 def newton_share(rows):
-    """The largest newton_tip / error_tip of the points whose error is above what is known; NaN if a run failed."""
+    """Largest newton_tip / error_tip of the points whose error is above the accuracy of the digits; NaN if a run failed."""
     runs = of_integrator(rows, ALPHA)
     error, newton, known = (column(runs, name) for name in ("error_tip", "newton_tip", "known_tip"))
     above = error > known
@@ -75,7 +75,7 @@ def newton_share(rows):
 
 
 def ida_error_slope(rows):
-    """Fitted slope of error_tip over rtol, of the points above what is known; NaN if a run failed."""
+    """Fitted slope of error_tip over rtol for the points above the accuracy of the digits; NaN if a run failed."""
     runs = of_integrator(rows, IDA_DEFAULT)
     rtol, error, known = (column(runs, name) for name in ("x", "error_tip", "known_tip"))
     whole = len(runs) and np.isfinite(error).all()
@@ -83,7 +83,7 @@ def ida_error_slope(rows):
 
 
 def notes(rows):
-    """A line for each point: error, and Newton's part of it."""
+    """Error of each point, and the part of it that comes from Newton's iteration."""
     lines = []
     for row in [row for name in (ALPHA, *BY_TOLERANCE) for row in of_integrator(rows, name)]:
         if "error_tip" in row:
