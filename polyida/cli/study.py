@@ -5,7 +5,7 @@ import inspect
 import json
 import runpy
 import sys
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -43,7 +43,15 @@ def main(study, arguments=None, command=None):
             study = study.options[key][1](value)
         if not command:
             command = " ".join([program, *["--quick"] * options.quick, *(f"--{key} {value}" for key, value in values.items())])
-        _require_folder(out, study.name)
+        if out.exists() and not out.is_dir():
+            raise InputError(f"{out}: is a file; give a folder with --out")
+        if out.exists() and any(out.iterdir()) and not any((out / known).exists() for known in ("tasks", "figures.json")):
+            raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
+        other = study.name
+        with suppress(OSError, ValueError, AttributeError):
+            other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", other)
+        if other != study.name:
+            raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
         if options.fresh and tasks.is_dir():
             for path in tasks.glob("*.json"):
                 path.unlink()
@@ -76,20 +84,6 @@ def _parser(program, title, quick, out):
     parser.add_argument("--out", type=Path, help=out)
     parser.add_argument("--json", action="store_true", help="print figures.json on standard output, and nothing else there")
     return parser
-
-
-def _require_folder(out, name):
-    """Raise InputError if the folder is a file or contains anything but an earlier result of this study."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; give a folder with --out")
-    if out.exists() and any(out.iterdir()) and not any((out / known).exists() for known in ("tasks", "figures.json")):
-        raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
-    try:
-        other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", name)
-    except (OSError, ValueError, AttributeError):
-        return
-    if other != name:
-        raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
 
 
 def run_script(name, arguments):

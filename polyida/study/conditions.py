@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from inspect import signature
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -87,7 +87,7 @@ class Conditioning(Result):
 def conditioning(
     model: object,
     states: State | list[State],
-    integrators: dict[str, object],
+    integrators: dict[str, Any],
     *,
     h: ArrayLike = DECADES,
     progress: Callable[[int, int, str], object] | bool | None = None,
@@ -132,16 +132,11 @@ def conditioning(
         for (label, value), (number, state) in product(integrators.items(), enumerate(states)):
             report(len(rows), len(integrators) * len(states) * len(steps), f"{label}, t = {state.t:g} s")
             for step in steps:
-                row = {"integrator": label, "state": number, "t": float(state.t), "h": step}
-                rows.append(row | {"condition": _condition_number(built, value, state, step)})
+                if isinstance(value, type):
+                    integrator = value(h=step) if "h" in signature(value).parameters else value()
+                else:
+                    integrator = value if hasattr(value, "steps") else value(step)
+                own_matrix = declared(integrator, "conditioning").iteration_matrix
+                number_of = condition(own_matrix(built, state, step)) if own_matrix else condition_number(built, integrator, state, h=step)
+                rows.append({"integrator": label, "state": number, "t": float(state.t), "h": step, "condition": float(number_of)})
     return Conditioning(rows)
-
-
-def _condition_number(model, value, state, h):
-    """value: an integrator, or a class or function of h that gives one."""
-    if isinstance(value, type):
-        integrator = value(h=h) if "h" in signature(value).parameters else value()
-    else:
-        integrator = value if hasattr(value, "steps") else value(h)
-    own_matrix = declared(integrator, "conditioning").iteration_matrix
-    return float(condition(own_matrix(model, state, h)) if own_matrix else condition_number(model, integrator, state, h=h))

@@ -99,12 +99,6 @@ def by_radau(model, t_end, rtol, q0=None, v0=None):
     return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0)
 
 
-def by_bdf(model, t_end, rtol, q0=None, v0=None):
-    """{"q", "v", "lam"} at t_end by BDF (IDA). Raises RuntimeError if the run fails, TooStiff if it would take too long."""
-    limit = WorkLimit("IDA", "steps", MAX_BDF_STEPS, t_end)
-    return end_state(model, t_end, IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS), q0, v0, progress=limit)
-
-
 def extrapolated(model, t_end, method, h, q0=None, v0=None):
     """{"q", "v", "lam"} at t_end by `(4 x(h/2) - x(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
     coarse, fine = (end_state(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
@@ -223,8 +217,10 @@ def _by_explicit_at(ivp, level):
 
 
 def _by_bdf_at(ivp, level):
-    rtol = (1e-8, 1e-10, 1e-12)[level]
-    return f"IDA (BDF), rtol {rtol:g}", by_bdf(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0)
+    """Raises TooStiff if the run would take too many steps."""
+    rtol, limit = (1e-8, 1e-10, 1e-12)[level], WorkLimit("IDA", "steps", MAX_BDF_STEPS, ivp.t_end)
+    integrator = IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS)
+    return f"IDA (BDF), rtol {rtol:g}", end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress=limit)
 
 
 def _extrapolated_at(ivp, level, name, method):
