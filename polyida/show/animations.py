@@ -1,5 +1,7 @@
 """Animations of a run as GIF or MP4."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable
 from pathlib import Path

@@ -3,6 +3,8 @@
 Lengths are in m, times in s, forces in N, energies in J. `runs` is a dictionary {label: Trajectory}.
 """
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -270,7 +272,7 @@ class RunPlots:
     def __repr__(self):
         return "run.plot: energy(), position(name), tip(name), reactions(*names), drift(), deformed(times)"
 
-    def energy(self, axes: "Axes | None" = None) -> "Axes":
+    def energy(self, axes: Axes | None = None) -> Axes:
         """Draw kinetic, potential, strain and total energy, J, against time, without those that are zero.
 
         Parameters
@@ -283,7 +285,7 @@ class RunPlots:
         """
         return self._draw_histories(_energies(self._run), "energy, J", axes)
 
-    def position(self, name: object = "tip", axes: "Axes | None" = None) -> "Axes":
+    def position(self, name: object = "tip", axes: Axes | None = None) -> Axes:
         """Draw x and y of a point, m, against time.
 
         Parameters
@@ -299,7 +301,7 @@ class RunPlots:
         x, y = self._run.position(name).T
         return self._draw_histories({"x": x, "y": y}, f"position of {literal(name)}, m", axes)
 
-    def tip(self, name: object = "tip", axes: "Axes | None" = None) -> "Axes":
+    def tip(self, name: object = "tip", axes: Axes | None = None) -> Axes:
         """Draw the path of a point in the plane to scale.
 
         Parameters
@@ -319,7 +321,7 @@ class RunPlots:
             axis.set_aspect("equal", adjustable="datalim")
             return axis
 
-    def reactions(self, *names: str, axes: "Axes | None" = None) -> "Axes":
+    def reactions(self, *names: str, axes: Axes | None = None) -> Axes:
         """Draw the forces, N, and torques, N m, of joints on their side b against time.
 
         Parameters
@@ -343,7 +345,7 @@ class RunPlots:
                 histories[f"{literal(name)}: {', '.join(filter(None, quantity(model, name, k)))}"] = values
         return self._draw_histories(histories, "reaction", axes)
 
-    def drift(self, axes: "Axes | None" = None) -> "Axes":
+    def drift(self, axes: Axes | None = None) -> Axes:
         """Draw the largest violation of the constraints and of their time derivative on a logarithmic axis.
 
         Parameters
@@ -361,7 +363,7 @@ class RunPlots:
             axis.legend(loc="best")
             return axis
 
-    def deformed(self, times: ArrayLike | None = None, snapshots: int = 6, axes: "Axes | None" = None) -> "Axes":
+    def deformed(self, times: ArrayLike | None = None, snapshots: int = 6, axes: Axes | None = None) -> Axes:
         """Draw the bodies at several times, plates coloured by von Mises stress, kPa.
 
         Parameters

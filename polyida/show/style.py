@@ -1,5 +1,7 @@
 """Style of all figures: fonts, colours, line styles, layout and files. The colours are those of Okabe and Ito, safe for colour-blind readers."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -38,7 +40,7 @@ def settings() -> AbstractContextManager:
     return rc_context(fname=STYLE_FILE)
 
 
-def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> "tuple[Figure, Any]":
+def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> tuple[Figure, Any]:
     """Create a figure in the layout of this package.
 
     Parameters
@@ -61,7 +63,7 @@ def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> "tuple[Fig
 
 
 @contextmanager
-def on_axes(axes: "Axes | None" = None) -> "Iterator[Axes]":
+def on_axes(axes: Axes | None = None) -> Iterator[Axes]:
     """Context that gives the axes to draw on: `axes`, or new pyplot axes in the style of this package if `axes` is None."""
     if axes is not None:
         yield axes
@@ -99,7 +101,7 @@ def hollow_markers(i: int, count: int) -> dict:
     }
 
 
-def save(figure: "Figure", path: str | Path) -> Path:
+def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure to a file.
 
     Parameters
@@ -118,7 +120,7 @@ def save(figure: "Figure", path: str | Path) -> Path:
     return path
 
 
-def rendered(figure: "Figure", kind: str) -> bytes:
+def rendered(figure: Figure, kind: str) -> bytes:
     """The content of a figure's file of kind "png", "pdf" or "svg". The first call fixes the layout for all kinds."""
     file = BytesIO()
     with settings():

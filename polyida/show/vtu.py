@@ -1,5 +1,7 @@
 """`pi.export`: frames of a run as VTU files with a PVD collection, for ParaView."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +24,7 @@ def __dir__():
 
 
 @named_keywords
-def vtu(run: "Trajectory", folder: str | Path, overwrite: bool = False, frames: int | ArrayLike | None = None) -> Path:
+def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: int | ArrayLike | None = None) -> Path:
     """Write one VTU file for each frame, and run.pvd with their times.
 
     Parameters

@@ -1,5 +1,7 @@
 """`conditioning`: the condition number of iteration matrices against the step."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from inspect import signature
 from itertools import product
@@ -54,7 +56,7 @@ class Conditioning(Result):
         worst = {f"worst {label}": max(row["condition"] for row in pick(self.rows, integrator=label)) for label in self.labels}
         return {f"slope {label}": value for label, value in self.slopes.items()} | worst
 
-    def plot(self, axes: "Axes | None" = None) -> "Axes":
+    def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the condition numbers against h, a line for each integrator and state.
 
         Parameters

@@ -1,5 +1,7 @@
 """Executors for the cases of a study: in this process, or in a separate process that survives crashes and hangs."""
 
+from __future__ import annotations
+
 import json
 import multiprocessing
 import os

@@ -1,5 +1,7 @@
 """`energy` and `drift`: quantities that integrators should conserve over a run, a run for each integrator."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -29,7 +31,7 @@ class Invariants(Result):
         super().__init__(rows, notes, histories)
         self.title = f"{self.title}: {name}"
 
-    def plot(self, quantity: str | None = None, axes: "Axes | None" = None) -> "Axes":
+    def plot(self, quantity: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw the history of a quantity, a line for each integrator.
 
         Parameters

@@ -1,5 +1,7 @@
 """`work_precision` and `step_sizes`: errors of integrators against their cost and against the step, relative to one reference."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from inspect import signature
 from statistics import median
@@ -210,7 +212,7 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
-    def plot(self, part: str = "q", axes: "Axes | None" = None, work: str = "cpu_s") -> "Axes":
+    def plot(self, part: str = "q", axes: Axes | None = None, work: str = "cpu_s") -> Axes:
         """Draw work against the error at the end, a line for each integrator.
 
         Parameters
@@ -316,7 +318,7 @@ class StepSizes(Precision):
     def _step(self, row):
         return row["h"]
 
-    def plot(self, part: str = "q", axes: "Axes | None" = None) -> "Axes":
+    def plot(self, part: str = "q", axes: Axes | None = None) -> Axes:
         """Draw the error at the end against h, with lines of the rounded orders.
 
         Parameters

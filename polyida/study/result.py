@@ -1,5 +1,7 @@
 """`Result`: what every study returns, as a table, data frame, plot, figures.json and report."""
 
+from __future__ import annotations
+
 import json
 import math
 import shlex
@@ -64,7 +66,7 @@ class Result:
         """{name: number}: the key numbers of the study."""
         return {}
 
-    def to_dataframe(self) -> "DataFrame":
+    def to_dataframe(self) -> DataFrame:
         """The rows as a pandas.DataFrame.
 
         Returns
@@ -75,7 +77,7 @@ class Result:
 
         return DataFrame(self.rows, columns=self._names() or None)
 
-    def to_xarray(self) -> "Dataset":
+    def to_xarray(self) -> Dataset:
         """The histories over (run, frame), padded with NaN; without histories the rows over row.
 
         Returns

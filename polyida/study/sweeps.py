@@ -1,5 +1,7 @@
 """`sweep`: a user's function over many cases; each case is a row, wherever it runs."""
 
+from __future__ import annotations
+
 import hashlib
 import inspect
 import json
@@ -50,7 +52,7 @@ class Sweep(Result):
         numeric = {name: all(is_number(row.get(name, 0.0)) for row in self.rows) for name in names}
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
 
-    def plot(self, x: str | None = None, y: str | None = None, axes: "Axes | None" = None) -> "Axes":
+    def plot(self, x: str | None = None, y: str | None = None, axes: Axes | None = None) -> Axes:
         """Draw one column over another, a point for each case that has both.
 
         Parameters

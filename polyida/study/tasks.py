@@ -1,5 +1,7 @@
 """Studies of many independent runs: `Study`, and a folder with one file for each finished row, so that a stopped study can continue."""
 
+from __future__ import annotations
+
 import hashlib
 import inspect
 import json
