@@ -223,9 +223,9 @@ def _fast_parts(inputs, begin, end, h, samples, now):
         ranges = [_range_ahead(each) for each in values]
         fast = np.any([_too_fast(*each) for each in zip(inputs, values, ranges)], axis=0)
         for i in np.flatnonzero(fast[: stop - k]):
-            found = list(_divided(inputs, [each[i] for each in ranges], ends[i], ends[i + 1], samples, inside, DEPTH))
-            jumps = [part.jump for part in found if part.jump]
-            yield from [Part(ends[i], ends[i + 1], np.inf, jumps[0])] if jumps else found
+            parts = list(_divided(inputs, [each[i] for each in ranges], ends[i], ends[i + 1], samples, inside, DEPTH))
+            jumps = [part.jump for part in parts if part.jump]
+            yield from [Part(ends[i], ends[i + 1], np.inf, jumps[0])] if jumps else parts
 
 
 def _sample_times(ends, samples, inside):

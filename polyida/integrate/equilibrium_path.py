@@ -139,8 +139,8 @@ class ArcLength:
         q, lam, factor = start.q + length * point.q_s, start.lam + length * point.lam_s, point.factor + length * point.rate
         for iteration in range(1, loading.max_iterations + 1):
             r, phi = loading.residuals(q, lam, factor)
-            way = q - start.q
-            dq, dlam = self._system(q, lam, way).solve(r, np.append(phi, (self.weights @ way**2 - length**2) / 2))
+            displacement = q - start.q
+            dq, dlam = self._system(q, lam, displacement).solve(r, np.append(phi, (self.weights @ displacement**2 - length**2) / 2))
             loading.require_near(q, dq, iteration)
             q, lam, factor = q + dq, lam + dlam[:-1], factor + float(dlam[-1])
             if loading.converged(q, dq):
@@ -157,10 +157,10 @@ class ArcLength:
         state = loading.equilibrium(q, lam, lambda r, phi: system.solve(r, np.append(phi, 0.0)))
         return Point(factor, state, q_s / size, lam_s[:-1] / size, float(lam_s[-1]) / size), iteration
 
-    def _system(self, q, lam, way):
-        """The factored matrix; way: the displacement whose length is prescribed."""
+    def _system(self, q, lam, displacement):
+        """The factored matrix; displacement: the one whose length is prescribed."""
         loading, B = self.loading, self.loading.model.phi_q(self.loading.t, q)
-        return loading.factored(loading.stiffness(q, lam), _with_row(B, self.weights * way), LOST, _with_row(B, -loading.slope))
+        return loading.factored(loading.stiffness(q, lam), _with_row(B, self.weights * displacement), LOST, _with_row(B, -loading.slope))
 
 
 def _with_row(B, row):

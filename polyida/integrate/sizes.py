@@ -77,7 +77,7 @@ def relative_tolerance(aim, most, lengths):
 def rtol_message(rtol, lengths):
     """Text of a summary on a relative tolerance that was chosen automatically."""
     enough = "" if rtol > LEAST else ", the least that is chosen by itself: the error may be larger"
-    return f"rtol {rtol:.1e} for a way of {lengths:.2g} times the model's length{enough}"
+    return f"rtol {rtol:.1e} for a motion over {lengths:.2g} times the model's length{enough}"
 
 
 def weights(model, q):
@@ -137,15 +137,14 @@ def _residual_at_rest(model, state, grid, counts):
     if not r.any():
         return r
     system, zero, time = model.step_matrix(), np.zeros(model.n), max(grid.end - state.t, LEAST_TIME)
-    counts.tangents += 1
-    counts.factorizations += 1
+    counts.add(factors=1)
     try:
         system.factor(state.t, state.q, zero, zero, state.lam, 1.0 / time**2, 0.0)
         dq, _ = system.saddle(state.t, state.q, state.lam, r, np.zeros(model.m))
     except SingularSystem:
         return None
-    counts.solves += system.solves + 1
-    counts.backend = system.backend
+    counts.add(system=system)
+    counts.solves += 1
     return r if np.abs(dq).max() <= small else None
 
 

@@ -150,6 +150,17 @@ class Counts:
     solves: int = 0
     backend: str = ""
 
+    def add(self, residuals: int = 0, iterations: int = 0, factors: int = 0, system: Any = None) -> None:
+        """Add residuals, Newton iterations with one solve each, and factors of one tangent each; system: a step matrix that was factored."""
+        self.residuals += int(residuals)
+        self.newton_iterations += int(iterations)
+        self.solves += int(iterations)
+        self.tangents += int(factors)
+        self.factorizations += int(factors)
+        if system is not None:
+            self.backend = system.backend
+            self.solves += system.solves
+
     def as_dict(self) -> dict:
         """The counts as a plain dictionary."""
         return asdict(self)

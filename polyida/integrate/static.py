@@ -251,10 +251,10 @@ def static(
             continue
         factor, parts, (q, lam) = target, parts + 1, reached
         part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
-    found = loading.equilibrium(q, lam, system.solve, parts=parts, halved=halved)
-    if found.stable is False:
-        warnings.warn(f"static: {found.summary()}; look for another from a disturbed q0", stacklevel=3)
-    return found
+    equilibrium = loading.equilibrium(q, lam, system.solve, parts=parts, halved=halved)
+    if equilibrium.stable is False:
+        warnings.warn(f"static: {equilibrium.summary()}; look for another from a disturbed q0", stacklevel=3)
+    return equilibrium
 
 
 @dataclass(frozen=True, eq=False)

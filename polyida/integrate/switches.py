@@ -284,7 +284,7 @@ class Switches:
 
     def _first_crossing(self, values, at, gaps):
         """The first Crossing in a step, or None; values: GapValues at times of the step, in order; at, gaps: of other times."""
-        sides, found = self.sides, None
+        sides, crossing = self.sides, None
         allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.offsets), 0.0)
         may_cross = np.zeros(len(sides), bool)
         for first, last in zip(values[:-1], values[1:]):
@@ -292,13 +292,13 @@ class Switches:
             may_cross |= sides * (first.gap + last.gap) - steepest * (last.t - first.t) < -2 * allowed
         for k in np.flatnonzero(may_cross & (sides != 0)):
             bracket = _bracket(k, values, at, sides[k], -allowed[k])
-            if bracket and (found is None or bracket[1] < found.beyond):
+            if bracket and (crossing is None or bracket[1] < crossing.beyond):
                 a, b = bracket
                 for _ in range(HALVINGS):
                     c = 0.5 * (a + b)
                     a, b = (a, c) if sides[k] * gaps(c)[k] < 0.5 * self.near[k] else (c, b)
-                found = Crossing(a, bracket[1], np.arange(len(sides)) == k)
-        return found
+                crossing = Crossing(a, bracket[1], np.arange(len(sides)) == k)
+        return crossing
 
     def _too_long(self, values, state, after, closed):
         """The bound of a shorter step if this one changes the rate of a closed gap by too much; otherwise 0."""
@@ -329,8 +329,8 @@ class Switches:
             return
         for _ in range(TRIALS):
             width = beyond - near
-            tried, found = self._tried(t)
-            if found is None and tried:
+            tried, crossing = self._tried(t)
+            if crossing is None and tried:
                 states, near = tried, t
                 distance, speed = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
                 closing = (distance > 0) & (speed > 0) & ~self._just_switched()
@@ -341,7 +341,7 @@ class Switches:
                 t = near + float(times.min())
             else:
                 beyond = min(t, beyond)  # not the time of its crossing: behind a jump of forces a shorter step has another motion
-                which, t = (which, near) if found is None else (found.which, found.guess)
+                which, t = (which, near) if crossing is None else (crossing.which, crossing.guess)
             self.counts.rejected += 1
             slow = slow + 1 if beyond - near > 0.5 * width else 0
             if beyond - near <= 8 * math.ulp(beyond):

@@ -81,8 +81,8 @@ def test_summaries_say_what_was_chosen_and_why(scenes):
     p = pi.problems.get("pendulum")
     alpha, radau, ida = (pi.solve(p.model, 10.0, method, q0=p.q0).summary() for method in OWN.values())
     assert "steps by local errors of q that add up to 3.5e-05 + 5.0e-05 |q| in 10 s" in alpha
-    assert "rtol 9.6e-06 for a way of 31 times the model's length, atol 6.8e-06 of q" in radau
-    assert "rtol 9.6e-07 for a way of 31 times the model's length, atol 6.8e-07 of q, 2.1e-06 of v" in ida
+    assert "rtol 9.6e-06 for a motion over 31 times the model's length, atol 6.8e-06 of q" in radau
+    assert "rtol 9.6e-07 for a motion over 31 times the model's length, atol 6.8e-07 of q, 2.1e-06 of v" in ida
     given = (pi.GeneralizedAlpha(h=1e-2), pi.RadauIIA(rtol=1e-4, atol=1e-4), pi.IDA(rtol=1e-4, atol=1e-4))
     for method in given:
         summary = pi.solve(p.model, 0.1, method, q0=p.q0).summary()

@@ -173,29 +173,23 @@ class GeneralizedAlpha(Integrator):
 
     def __post_init__(self):
         numbers = None if self.member is None else floats(self.member)
-        tolerances_ok = [x is None or (is_number(x) and 0 <= x < 1) for x in (self.rtol, self.atol)]
-        not_zero = all(tolerances_ok) and (self.rtol is self.atol is None or self.rtol or self.atol)
+        between_0_and_1 = self.tolerance is None or (is_number(self.tolerance) and 0 < self.tolerance < 1)
+        rtol_ok, atol_ok = (x is None or (is_number(x) and 0 <= x < 1) for x in (self.rtol, self.atol))
+        atol_ok = atol_ok and (not rtol_ok or self.rtol is self.atol is None or bool(self.rtol or self.atol))
         fixed = self.h is not None and self.rtol is self.atol is None
+        four = "four numbers, alpha_m, alpha_f, beta, gamma, or None"
         for name, good, want in (
             ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            (
-                "tolerance",
-                self.tolerance is None or (is_number(self.tolerance) and 0 < self.tolerance < 1),
-                "between 0 and 1, or None: by the local error",
-            ),
+            ("tolerance", between_0_and_1, "between 0 and 1, or None: by the local error"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
             ("start", is_one_of(self.start, STARTS), '"consistent" or "plain"'),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
-            (
-                "member",
-                self.member is None or (numbers is not None and numbers.shape == (4,)),
-                "four numbers, alpha_m, alpha_f, beta, gamma, or None",
-            ),
-            ("rtol", tolerances_ok[0], "a number in [0, 1) or None"),
-            ("atol", tolerances_ok[1] and not_zero, "a length below 1 m or None, and not zero beside rtol = 0"),
+            ("member", self.member is None or (numbers is not None and numbers.shape == (4,)), four),
+            ("rtol", rtol_ok, "a number in [0, 1) or None"),
+            ("atol", atol_ok, "a length below 1 m or None, and not zero beside rtol = 0"),
             (
                 "extrapolate",
                 is_flag(self.extrapolate) and (fixed or not self.extrapolate),

@@ -109,7 +109,7 @@ def predict(p, y, w):
 
 @fast
 def correct(p, y, w, first, last):
-    """Add dq and dlam to the trial state. Returns what `judge` returns; last: |dq| of the iteration before, or 0."""
+    """Add dq and dlam to the trial state. Returns what `convergence` returns; last: |dq| of the iteration before, or 0."""
     past, now = y.past, w.now
     moved = length = size = accel = change = 0.0
     for i in range(now.shape[1]):
@@ -125,11 +125,11 @@ def correct(p, y, w, first, last):
         change += share * (now[A, i] - past[A, i]) ** 2
     for k in range(w.rows.shape[1]):
         w.rows[LAM, k] += w.rows[DLAM, k]
-    return judge(p, y.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(accel), np.sqrt(change))
+    return convergence(p, y.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(accel), np.sqrt(change))
 
 
 @part
-def judge(p, marks, first, last, moved, length, size, accel, change):
+def convergence(p, marks, first, last, moved, length, size, accel, change):
     """(|dq|, True if converged, True if Newton's method fails, the largest |phi| allowed), from the norms of dq, dd, q, q'' and its change.
 
     Converged: the error to be expected is below the tolerance, or dq is round-off and no longer falls.

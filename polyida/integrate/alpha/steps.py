@@ -96,10 +96,10 @@ class Steps:
     def stretch(self, grid, done):
         """The states at the ends of the next steps of a grid, of which `done` are taken; None if h is to change first. Raises StepFailure."""
         if not self.waiting:
-            found = None if self.resize else self._stretch(grid, done)
-            if found is None or self.recorder is None:
-                return found
-            self.waiting = [found.part(k, k + 1) for k in reversed(range(len(found)))]
+            stretch = None if self.resize else self._stretch(grid, done)
+            if stretch is None or self.recorder is None:
+                return stretch
+            self.waiting = [stretch.part(k, k + 1) for k in reversed(range(len(stretch)))]
         part = self.waiting.pop()
         self.recorder.stepped(part.last)
         return part
@@ -162,14 +162,9 @@ class Steps:
         counts, c, frames = np.zeros(3, np.int64), np.array([method.to_a, method.to_v]), [frame[first:end] for frame in frames]
         with self.table.at_work(self.system) as (functions, workspace):
             result = step.stretch(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, *frames)
-        residuals, solves, factors = map(int, counts)
-        self.counts.residuals += residuals
-        self.counts.solves += solves
-        self.counts.newton_iterations += solves
-        if factors:
+        self.counts.add(*counts)
+        if counts[2]:
             self.system.read()
-            self.counts.tangents += factors
-            self.counts.factorizations += factors
         return result
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
@@ -204,14 +199,12 @@ class Steps:
     def _factor(self, t, make):
         """A new factor by make(system, method), which returns the number of residuals it took, or None."""
         system = self.spare or self.table.system(self.settings)
-        self.counts.tangents += 1
-        self.counts.factorizations += 1
+        self.counts.add(factors=1)
         try:
-            self.counts.residuals += make(system, self.method) or 0
+            self.counts.add(residuals=make(system, self.method) or 0)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
-        self.counts.backend = system.backend
-        self.counts.solves += system.solves
+        self.counts.add(system=system)
         self._take(system)
         if self.control:
             self.factors.keep(self.method.h, system)

@@ -204,15 +204,11 @@ class Steps:
         settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind
         with self.table.at_work(self.system) as (functions, workspace):
             ended = loop.stretch(functions, workspace, first, *settings, self.now, self.rows, self.marks, counts, qs, vs)
-        residuals, solves, factors = map(int, counts)
-        self.counts.residuals += residuals
-        self.counts.solves += solves
-        self.counts.newton_iterations += solves
+        self.counts.add(counts[0], counts[1])
         self.table.raise_left()
-        if factors:
+        if counts[2]:
             self.system.read()
-            self.counts.tangents += factors
-            self.counts.factorizations += factors
+            self.counts.add(factors=counts[2])
         return ended
 
     def _memory(self):
@@ -223,19 +219,16 @@ class Steps:
 
     def _factor(self, t):
         """A new factor for the step that ends at t."""
-        h, now, counts = self.h, self.now, self.counts
+        h, now = self.h, self.now
         q = now[loop.Q0] + 0.5 * h * now[loop.V0] + 0.25 * h * h * now[loop.A]
         self._forget()
         self.system, lam = self.table.system(self), self.rows[loop.LAMS].copy()
-        counts.tangents += 1
-        counts.factorizations += 1
-        counts.residuals += 1
+        self.counts.add(residuals=1, factors=1)
         try:
             self.system.factor(t - 0.5 * h, q, now[loop.V0].copy(), now[loop.A].copy(), lam, *self.c)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
-        counts.backend = self.system.backend
-        counts.solves += self.system.solves
+        self.counts.add(system=self.system)
 
     def step_matrix(self, model):
         """The model's own."""

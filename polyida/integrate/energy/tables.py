@@ -196,12 +196,12 @@ class CompiledOwn(MiddleTable, CompiledTable):
 def middle(w, instant, states, lam, r, phi, e, f):
     """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
     links, out, points, drives = w.scene.links, pairs(w, r), w.points, w.drives[instant]
-    given = carray(pointer(states), (5, out.shape[0], 2))
-    least = equilibrium(w.scene, drives, w.numbers[H], given, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
+    fields = carray(pointer(states), (5, out.shape[0], 2))
+    least = equilibrium(w.scene, drives, w.numbers[H], fields, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
-    joints.point_values(links, given[1], points[DZ])
-    add_elements(links, w.laws, drives, given, points, out)
+    joints.point_values(links, fields[1], points[DZ])
+    add_elements(links, w.laws, drives, fields, points, out)
     w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
     return DONE
 
@@ -251,8 +251,8 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
-        given = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
-        least = compact.lesser(least, two_field.internal_force_midpoint(*kernels.cells(s, o), n0, *given))
+        arguments = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
+        least = compact.lesser(least, two_field.internal_force_midpoint(*kernels.cells(s, o), n0, *arguments))
         elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
         if s.body_drag[b] != 0.0:
             elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
@@ -330,13 +330,13 @@ class PythonScene(MiddleTable, PythonTable):
 
     def _middle(self, instant, states, lam, r, phi, *_):
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
-        given, constraints = self._array(states, 5 * model.n).copy().reshape(5, -1), self._array(phi, model.m)
+        vectors, constraints = self._array(states, 5 * model.n).copy().reshape(5, -1), self._array(phi, model.m)
         out, lam = self._array(r, model.n).copy().reshape(-1, 2), self._array(lam, model.m).copy()
-        fields, scratch = given.reshape(5, -1, 2), constraints.copy()
+        fields, scratch = vectors.reshape(5, -1, 2), constraints.copy()
         det = equilibrium(model.arrays, model.drives(t), self.h, fields, lam, scratch, *self.points, out, self.rotation)
         if not det > 0.0:
             return INVERTED if det <= 0.0 else NOT_FINITE
-        (u0, u1, _, vm, a), residual = given, out.ravel()
+        (u0, u1, _, vm, a), residual = vectors, out.ravel()
         if model.uneven_mass is not None:
             residual += model.uneven_mass @ a
         if model.uneven_drag is not None:
@@ -346,8 +346,9 @@ class PythonScene(MiddleTable, PythonTable):
             middle = 0.5 * (x0 + x1)
             force = own.forces(t, middle, own.velocities(vm))
             if np.isfinite(force).all():
-                held = own.conservative(t, middle)
-                force = force - discrete_derivative(own.energy, x0, x1, x1 - x0, None if held is None else -held)
+                conservative = own.conservative(t, middle)
+                slope = None if conservative is None else -conservative
+                force = force - discrete_derivative(own.energy, x0, x1, x1 - x0, slope)
             residual -= own.A.T @ force.ravel()
         self._array(r, model.n)[:], constraints[:] = residual, model.phi(end, u1)
         return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE

@@ -124,14 +124,14 @@ def add_derivative(z, order):
 def correction(functions, model, z, cj, anew, fresh, out):
     """out = J^-1 F behind `equations`; anew: with the matrices of this iterate; fresh: with its rows. Returns how it ended."""
     n, m, ended, tied = z.q.shape[0], z.lam.shape[0], DONE, z.levels.shape[0] == 2
-    made = anew and functions[MATRICES] != 0  # perhaps with differences of phi_q, so that B is not that of the last residual
-    if made:
+    new_matrices = anew and functions[MATRICES] != 0  # perhaps with differences of phi_q, so that B is not that of the last residual
+    if new_matrices:
         ended = call(functions[MATRICES], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.lam), SLOT, 0)
     if anew and functions[SELECT]:
         z.c[0] = cj
         call(functions[SELECT], model, SLOT, address(z.c), 0, 0, 0, 0, 0)
     if ended == DONE and fresh:
-        ended = call(functions[ROWS], model, INSTANT, address(z.q), address(z.v), address(z.a), 0 if made else 1, 0, 0)
+        ended = call(functions[ROWS], model, INSTANT, address(z.q), address(z.v), address(z.a), 0 if new_matrices else 1, 0, 0)
     for i in range(n):
         z.vector[i] = cj * z.first[i]
     if ended == DONE:
@@ -243,11 +243,11 @@ class Correction:
     def residual(self, t, y, yp, z):
         """z = J^-1 F, NaN if there is no inverse. False if F is not finite or the model rejects the state."""
         anew, system = self.due(t, y), self.system
-        made = anew and not self.table.functions[RESIDUAL]  # a scene's functions are compiled for the type of its factor
-        if made:
+        factored = anew and not self.table.functions[RESIDUAL]  # a scene's functions are compiled for the type of its factor
+        if factored:
             self._factor(t, y, yp)
         if not (self.objects and system.rejection_reason(t, y[: system.model.n].copy())) and self.evaluate(t, y, yp):
-            self.correct(t, y, yp, anew, z, made)
+            self.correct(t, y, yp, anew, z, factored)
             return True
         self.cj = math.nan if anew else self.cj
         return False
@@ -277,13 +277,13 @@ class Correction:
             return False
         raise StepFailure(*REASONS[ended], t)
 
-    def correct(self, t, y, yp, anew, z, made=False):
-        """z = J^-1 F behind `evaluate`, NaN if there is no inverse; anew: with the matrices of this iterate; made: these are factored."""
-        counts, table, ended = self.counts, self.table, SINGULAR
-        counts.tangents += anew
-        counts.factorizations += anew
-        counts.solves += 1
-        if anew and not made and not table.functions[MATRICES]:
+    def correct(self, t, y, yp, anew, z, factored=False):
+        """z = J^-1 F behind `evaluate`, NaN if there is no inverse; anew: with the matrices of this iterate, which may be factored."""
+        table, ended = self.table, SINGULAR
+        if anew:
+            self.counts.add(factors=1)
+        self.counts.solves += 1
+        if anew and not factored and not table.functions[MATRICES]:
             self._factor(t, y, yp)
         if not math.isnan(self.cj):
             fresh = anew or self.renews
@@ -292,12 +292,12 @@ class Correction:
             self.cj, z[:] = math.nan, math.nan
 
     def _factor(self, t, y, yp):
-        made = Counts()
+        work = Counts()  # without the tangents and factorizations, which `correct` counts
         try:
-            self.table.make(0, 1.0 / self.cj, np.concatenate([np.ravel(x) for x in self.system.at(t, y, yp)]), made)
+            self.table.make(0, 1.0 / self.cj, np.concatenate([np.ravel(x) for x in self.system.at(t, y, yp)]), work)
         except SingularSystem:
             self.cj = math.nan
-        self.counts.backend, self.counts.solves = made.backend, self.counts.solves + made.solves
+        self.counts.add(system=work)
 
     def due(self, t, y):
         """Count an iteration at the cj that is expected. True if a factor is to be made; no factor is possible if cj is NaN."""
