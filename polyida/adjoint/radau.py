@@ -164,10 +164,13 @@ class RadauAdjoint(RunAdjoint):
         """Take the steps from state number `first` to number `end` backward. Returns the time of the first."""
         model, h, bars, b = self.model, segment.h, self.sweep.bars, self._states(first, end + 1)
         kink = first == segment.first and at_kink(model, float(b.t[0]))
-        begin, b = b.state(0), self._begun(b) if kink else b
-        x = self._solved(b, h)
-        slopes = self._own_slopes(b, first, end, h)
-        q, v = self._stage_states(b, x, h)
+        begin = b.state(0)
+        if kink:  # the first step begins from the state of the far side
+            b = States(*(x.copy() for x in b))
+            far = begun(model, begin)
+            b.q[0], b.v[0], b.a[0], b.lam[0] = far.q, far.v, far.a, far.lam
+        x, slopes = self._solved(b, h), self._own_slopes(b, first, end, h)
+        q, v = b.q[:-1, None] + self.tableau.c[:, None] * h * b.v[:-1, None] + x.e, b.v[:-1, None] + x.dv
         if self.moves_v:  # in form "index3" the last stage's v is moved onto its constraint
             bars[:] = bars[0] + slopes.q.sum(axis=0), bars[1] + slopes.v.sum(axis=0)
             slopes = Slopes(*np.zeros((2, 0, model.n)))
@@ -180,13 +183,6 @@ class RadauAdjoint(RunAdjoint):
         if kink:
             bars[:] = self._on_velocity(begin, beside(begin.t, 1), bars)
         return begin.t
-
-    def _begun(self, b):
-        """The States, the first one that of the far side of its kink."""
-        first, parts = begun(self.model, b.state(0)), [x.copy() for x in b]
-        for part, value in zip(parts[1:], (first.q, first.v, first.a, first.lam)):
-            part[0] = value
-        return States(*parts)
 
     def _own_slopes(self, b, first, end, h):
         """The objective's own Slopes at the ends of steps, those in a and lam taken to q and v, from which these follow."""
@@ -252,11 +248,6 @@ class RadauAdjoint(RunAdjoint):
             for part, change in zip((x.e, x.lam, x.mu), changes):
                 part -= change
         raise failure
-
-    def _stage_states(self, b, x, h):
-        """q and v of stages, (count, s, n) each."""
-        q0, v0 = b.q[:-1, None], b.v[:-1, None]
-        return q0 + self.tableau.c[:, None] * h * v0 + x.e, v0 + x.dv
 
     def _swept(self, h, slopes, b, x, q, v):
         """What the sweep over the steps leaves; the bars go to the first state."""

@@ -29,7 +29,6 @@ from polyida.assembly.own_laws import Laws
 from polyida.assembly.stabilised_border import StabilisedRoom
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
-from polyida.integrate.alpha.step import SLOW
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import magnitude
@@ -39,14 +38,15 @@ from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import scene as forward
 
 # constants of compiled code
-CONTRACTION, AGE, SOLVES, LARGEST = range(4)  # of SceneAdjointWork.marks
+CONTRACTION, AGE, SOLVES, LARGEST, SLOWEST = range(5)  # of SceneAdjointWork.marks
 MU, KAPPA = range(2)  # of multipliers and of rows
 FRESHEN = 30  # steps after which the contraction is measured again
 ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
 NOTHING = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which the factor solves, ends at 1e-38
 EXACT = 1e-11  # of |w|: refinement leaves no less
-MOST = 20  # corrections of a step with one factor
+MOST = 60  # corrections of a step with one factor
+OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and above which one that was made for the step does not serve
 
 
 @pack
@@ -91,7 +91,8 @@ class SceneAdjointWork(NamedTuple):
     q, v, lam (count, s, .): of the stages. enough: the error of w, over |w|, that is left. first, second, third: products of the stages and w.
     slopes (s, .): phi_z; turn (s, nodes, 2): from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): what is left of the
     equations, and corrections of w and of the multipliers. marks:
-    CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| so far that no constraint held.
+    CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| so far that no constraint held; SLOWEST, the contraction
+    that is accepted.
     """
 
     scene: tuple
@@ -351,7 +352,7 @@ def judge(w, moved, size, last, iteration):
     if measured:
         rate = moved / last
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
-    slow = measured and not rate <= SLOW
+    slow = measured and not rate <= marks[SLOWEST]
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= w.enough * size
     return small or (slow and moved <= ROUND_OFF * size) or moved <= NOTHING * marks[LARGEST], slow
 
@@ -400,6 +401,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
                 else:
                     out[1, i] = 0.0
             w.marks[AGE] += 1.0
+            w.marks[SLOWEST] = OLD
             return DONE
         if hopeless:
             return REFACTOR
@@ -434,7 +436,7 @@ class SceneAdjoint(AdjointTable):
             "dw": np.zeros((s, *nodes)),
             "rows": np.zeros((kinds, s, model.m)),
             "change": np.zeros((kinds, s, model.m)),
-            "marks": np.zeros(4),
+            "marks": np.zeros(5),
         }
         self.ties = {}
         if tied:
@@ -465,6 +467,7 @@ class SceneAdjoint(AdjointTable):
         found = self.kept.take(key)
         if found is not None:
             self.w |= found
+            self.w["marks"][SLOWEST] = OLD
             return False
         middle = len(self.factors[0]) // 2
         made = self.factor(*(x[k, middle].copy() for x in self.states), [(c_m / self.h**2, c_v / self.h) for c_m, c_v, *_ in self.modes])
@@ -474,7 +477,7 @@ class SceneAdjoint(AdjointTable):
             found["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
         self.kept.keep(key, found)
         self.w |= found
-        self.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
+        self.w["marks"][[CONTRACTION, AGE, SLOWEST]] = 1.0, FRESHEN, FRESH
         return True
 
     def _mode(self, c, row, column, factored, room, massive=None, before=None):
