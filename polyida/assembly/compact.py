@@ -71,15 +71,14 @@ def place(c, first, count, u, z):
 @part
 def quadratic(count, x, w, y):
     """y = half of (conj(x_i) w_j + conj(w_i) x_j): the products of z for x = w = z, half their rates for x = z, w = z'."""
-    at = 0
+    real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
-            y[at] = 0.5 * (x[i, 0] * w[j, 0] + x[i, 1] * w[j, 1] + w[i, 0] * x[j, 0] + w[i, 1] * x[j, 1])
-            at += 1
-    for i in range(count):
-        for j in range(i + 1, count):
-            y[at] = 0.5 * (x[i, 0] * w[j, 1] - x[i, 1] * w[j, 0] + w[i, 0] * x[j, 1] - w[i, 1] * x[j, 0])
-            at += 1
+            y[real] = 0.5 * (x[i, 0] * w[j, 0] + x[i, 1] * w[j, 1] + w[i, 0] * x[j, 0] + w[i, 1] * x[j, 1])
+            real += 1
+            if i < j:
+                y[imag] = 0.5 * (x[i, 0] * w[j, 1] - x[i, 1] * w[j, 0] + w[i, 0] * x[j, 1] - w[i, 1] * x[j, 0])
+                imag += 1
 
 
 @part
@@ -107,20 +106,15 @@ def stresses(c, b, d, s):
 @part
 def push(count, first, s, z, r):
     """r += (dy/dz)^T s on the vectors z (count, 2) of a body."""
-    at = 0
+    real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
-            for k in range(2):
-                r[first + i, k] += s[at] * z[j, k]
-                r[first + j, k] += s[at] * z[i, k]
-            at += 1
-    for i in range(count):
-        for j in range(i + 1, count):
-            r[first + i, 0] += s[at] * z[j, 1]
-            r[first + i, 1] -= s[at] * z[j, 0]
-            r[first + j, 0] -= s[at] * z[i, 1]
-            r[first + j, 1] += s[at] * z[i, 0]
-            at += 1
+            a, b = s[real], s[imag] if i < j else 0.0
+            r[first + i, 0] += a * z[j, 0] + b * z[j, 1]
+            r[first + i, 1] += a * z[j, 1] - b * z[j, 0]
+            r[first + j, 0] += a * z[i, 0] - b * z[i, 1]
+            r[first + j, 1] += a * z[i, 1] + b * z[i, 0]
+            real, imag = real + 1, imag + (i < j)
 
 
 @leaf
@@ -284,40 +278,37 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
 @part
 def add_slopes(count, z, factor, out):
     """out (size of y, 2 count) += factor dy/dz; with z' in place of z: dy'/dz."""
-    at = 0
+    real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
             for k in range(2):
-                out[at, 2 * i + k] += factor * z[j, k]
-                out[at, 2 * j + k] += factor * z[i, k]
-            at += 1
-    for i in range(count):
-        for j in range(i + 1, count):
-            out[at, 2 * i] += factor * z[j, 1]
-            out[at, 2 * i + 1] -= factor * z[j, 0]
-            out[at, 2 * j] -= factor * z[i, 1]
-            out[at, 2 * j + 1] += factor * z[i, 0]
-            at += 1
+                out[real, 2 * i + k] += factor * z[j, k]
+                out[real, 2 * j + k] += factor * z[i, k]
+            real += 1
+            if i < j:
+                out[imag, 2 * i] += factor * z[j, 1]
+                out[imag, 2 * i + 1] -= factor * z[j, 0]
+                out[imag, 2 * j] -= factor * z[i, 1]
+                out[imag, 2 * j + 1] += factor * z[i, 0]
+                imag += 1
 
 
 @part
 def curve(count, s, first, out):
     """Add s d2y/dz2 to the blocks."""
-    at, wide = 0, count + 1
+    real, imag, wide = 0, count * (count + 1) // 2, count + 1
     for i in range(count):
         for j in range(i, count):
-            for k in range(2):
-                out[first + (i + 1) * wide + j + 1, k, k] += s[at]
-                out[first + (j + 1) * wide + i + 1, k, k] += s[at]
-            at += 1
-    for i in range(count):
-        for j in range(i + 1, count):
+            a, b = s[real], s[imag] if i < j else 0.0
             one, other = first + (i + 1) * wide + j + 1, first + (j + 1) * wide + i + 1
-            out[one, 0, 1] += s[at]
-            out[one, 1, 0] -= s[at]
-            out[other, 1, 0] += s[at]
-            out[other, 0, 1] -= s[at]
-            at += 1
+            for k in range(2):
+                out[one, k, k] += a
+                out[other, k, k] += a
+            out[one, 0, 1] += b
+            out[one, 1, 0] -= b
+            out[other, 1, 0] += b
+            out[other, 0, 1] -= b
+            real, imag = real + 1, imag + (i < j)
 
 
 @fast

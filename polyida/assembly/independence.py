@@ -32,7 +32,6 @@ NAMED = 6  # rows that a message names
 CLOSE = 1e-5  # least singular value that proves independence
 SHARE = 0.5  # of the bound of the least singular value: change of the rows that needs no new bound
 REVERSED = 0.5  # least cosine between the row spaces of two states
-LEAST, VOLUME = range(2)  # of ProofWorkspace.marks: the bound at the reference state, and half of log det G
 
 
 class Redundant:
@@ -149,7 +148,8 @@ class ProofWorkspace(NamedTuple):
     band: np.ndarray  # (m, 2 k + 1) products of rows with those up to k before and after
     lower: np.ndarray  # (m, k + 1) factors of G
     inverse: np.ndarray  # (m, k + 1) entries of G^-1
-    marks: np.ndarray  # LEAST, VOLUME
+    least: np.ndarray  # (1,) bound of the least singular value at the reference state
+    volume: np.ndarray  # (1,) half of log det G there
     past: np.ndarray  # (2, 1 + n) t and q of the reference state, and of the one before
 
 
@@ -266,7 +266,7 @@ def bound(u, w):
 def same_side(u, w, volume):
     """True if elimination without pivoting proves that the row space has not turned far."""
     fill_band(u, w.rows[0], w.rows[1], w)
-    m, k, turned = w.band.shape[0], w.band.shape[1] // 2, -w.marks[VOLUME] - volume
+    m, k, turned = w.band.shape[0], w.band.shape[1] // 2, -w.volume[0] - volume
     for i in range(m):
         pivot = w.band[i, k]
         if not pivot > CLOSE * CLOSE:
@@ -282,7 +282,7 @@ def same_side(u, w, volume):
 @part
 def refer(t, q, size, volume, w):
     """Make the state examined the reference."""
-    w.marks[LEAST], w.marks[VOLUME] = size, volume
+    w.least[0], w.volume[0] = size, volume
     w.rows[0] = w.rows[1]
     w.past[1] = w.past[0]
     w.past[0, 0] = t
@@ -307,10 +307,10 @@ def unproven(u, links, drives, times, qs, first, w):
         for i in range(w.rows.shape[1]):
             square += (w.rows[1, i] - w.rows[0, i]) ** 2
         way = np.sqrt(square)
-        if way < SHARE * w.marks[LEAST]:
+        if way < SHARE * w.least[0]:
             continue
         size, volume = bound(u, w)
-        if not (size > CLOSE and (way < w.marks[LEAST] + size or same_side(u, w, volume))):
+        if not (size > CLOSE and (way < w.least[0] + size or same_side(u, w, volume))):
             return k
         refer(times[k], qs[k], size, volume, w)
     return qs.shape[0]
@@ -328,7 +328,7 @@ class UnitRows:
             self.sizes = coordinate_sizes(model, state.q)
             self.pattern, k, slopes, self.links, points = dense_pattern(model, self.sizes), m - 1, m * n, None, 0
             self.drives = np.array([compiled.addresses["phi_q"], compiled.data])
-        shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
+        shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 1, 1, (2, 1 + n)
         self.workspace = ProofWorkspace(*map(np.zeros, shapes))
         self.workspace.past[:] = state.t, *state.q
 

@@ -156,11 +156,9 @@ class Elastic(OwnForce):
         self.sizes = np.full((len(self.rest), 1), float(abs(self.rest).max()) or 1.0)
 
     def velocities(self, v):
-        """Velocities of the pairs, (pairs, 2), m/s."""
         return v[self.columns].reshape(-1, 2)
 
     def forces(self, t, x, v):
-        """Forces on the pairs, (pairs, 2)."""
         return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
 
     def conservative(self, t, x):
@@ -168,11 +166,9 @@ class Elastic(OwnForce):
         return self.forces(t, x, x)
 
     def energy(self, x):
-        """Elastic energy, J."""
         return super().energy(x @ (1, 1j))
 
     def slopes(self, t, x, v, c_v, c_q):
-        """`c_q df/dx`, (2 pairs, 2 pairs)."""
         if not c_q:
             return np.zeros((x.size, x.size))
         if self.element.elastic_z(x @ (1, 1j)) is not None:

@@ -41,7 +41,6 @@ class Constraints(Model):
         return other
 
     def kinks(self, t0, t1):
-        """Times in (t0, t1) at which a profile is not smooth, sorted."""
         if not self._kinks.size:
             return ()
         first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
@@ -52,11 +51,9 @@ class Constraints(Model):
         return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
 
     def constraint_name(self, row):
-        """The joint and axis of a row of phi."""
         return self.labels[row]
 
     def keeps_body(self, row):
-        """True if a row of phi keeps a body rigid."""
         return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
 
     def phi(self, t, q):
@@ -115,15 +112,12 @@ class Constraints(Model):
         return self._points_of_q.toarray()
 
     def phi_t(self, t, q):
-        """Partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0]
 
     def phi_rate(self, t, q, v):
-        """`phi_q v + phi_t`, (m,)."""
         return self._slopes(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
-        """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
         return self._rates(t, q, v)[1]
 
     def _rates(self, t, q, v):
@@ -133,11 +127,9 @@ class Constraints(Model):
         return phi_t, bias
 
     def phi_rate_q(self, t, q, v):
-        """d(phi_q v + phi_t)/dq, (m, n)."""
         return self._rates_q(t, q, v, 1)
 
     def phi_bias_q(self, t, q, v):
-        """d(phi_bias)/dq, (m, n)."""
         return self._rates_q(t, q, v, 2)
 
     def _rates_q(self, t, q, v, which):

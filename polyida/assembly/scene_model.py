@@ -153,7 +153,6 @@ class SceneModel(SceneBodies):
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
-        """`r = M a + g + phi_q^T lam`, (n,)."""
         r = self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
         return r if self.uneven_mass is None else r + self.uneven_mass @ a
 
@@ -177,20 +176,16 @@ class SceneModel(SceneBodies):
         self.own_forces.take_from(np.zeros(self.n), t, q, v), self.potential(q)
 
     def gaps(self, t, q):
-        """Gaps of the force elements, (k,)."""
         return self.own_forces.gaps(q) if self.switching else np.zeros(0)
 
     def gap_names(self):
-        """The force element of each of `gaps`."""
         return self.own_forces.gap_names(np.zeros(self.n)) if self.switching else []
 
     @property
     def not_finite(self):
-        """The user's functions that last gave non-finite values; empty if there are none."""
         return self.own_forces.not_finite
 
     def force(self, t, q, v):
-        """g = g_int - g_ext, (n,)."""
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
     def initial_velocity(self, t, q):
@@ -198,11 +193,9 @@ class SceneModel(SceneBodies):
         return velocity_at(self, t, q)
 
     def force_q(self, t, q, v):
-        """dg/dq, (n, n) sparse."""
         return self._forces_q(t, q, v, 0.0, 1.0)
 
     def force_v(self, t, q, v):
-        """dg/dv, (n, n) sparse: zero without damping and force elements."""
         return self._forces_q(t, q, v, 1.0, 0.0)
 
     def _forces_q(self, t, q, v, c_v, c_q):
@@ -298,11 +291,9 @@ class SceneModel(SceneBodies):
 
     @property
     def dissipating(self):
-        """Names of force elements and plates that only take energy."""
         return self.once(Powers).dissipating
 
     def powers(self, t, q, v, lam):
-        """{name: power, W} of loads, driven joints, force elements beyond their energy, and damping."""
         return self.once(Powers)(t, q, v, lam)
 
     @cached_property

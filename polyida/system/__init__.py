@@ -11,7 +11,7 @@ prepared instants, and addresses of contiguous float64 arrays. It returns a stat
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; 0 if the caller of the driver computes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
 | RATE | q, v, rate, known | `phi_q v + phi_t`; known: True at the q of the last REACTION of this stage |
-| PROJECT | rows, x, anew | change x by the least M-norm, so that B x falls by rows; anew: x becomes the least x with `B x = B x_before - rows`; B of the last RATE |
+| PROJECT | rows, x, from_zero | change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | status of a state: accepted or rejected |
 | ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0, like KINETIC, if they are computed when they are asked for |
 | MIDDLE | states, lam, r, phi | r in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |

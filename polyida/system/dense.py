@@ -328,15 +328,15 @@ def rate(w, instant, q, v, out, d, e, f):
 
 
 @entry
-def project(w, instant, rows, x, anew, d, e, f):
-    """Change x by the least M-norm, so that B x falls by rows; anew: x becomes the least x with B x = B x_before - rows."""
+def project(w, instant, rows, x, from_zero, d, e, f):
+    """Change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows."""
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.flags[MASS_VARIES] and ask(w, MASS, INNER, w.M) != DONE:
         return w.flags[ENDED]
     right, moved = vector(rows, m), vector(x, n)
     for k in range(m):
         total = right[k]
-        if anew:
+        if from_zero:
             for i in range(n):
                 total -= w.B[k, i] * moved[i]
         w.x[n + k] = -total
@@ -345,7 +345,7 @@ def project(w, instant, rows, x, anew, d, e, f):
     if solve_masses(w) != DONE:
         return SINGULAR
     for i in range(n):
-        moved[i] = w.x[i] if anew else moved[i] + w.x[i]
+        moved[i] = w.x[i] if from_zero else moved[i] + w.x[i]
     return DONE
 
 

@@ -151,11 +151,11 @@ class PythonTable:
         model, self.at = self.model, (self._at(instant)[0], self._array(q, self.model.n).copy())
         self._array(rate, model.m)[:] = model.phi_q(*self.at) @ self._array(v, model.n) + model.phi_t(*self.at)
 
-    def _project(self, instant, rows, x, anew, *_):
+    def _project(self, instant, rows, x, from_zero, *_):
         model, x = self.model, self._array(x, self.model.n)
-        rows = self._array(rows, model.m) - (model.phi_q(*self.at) @ x if anew else 0.0)
+        rows = self._array(rows, model.m) - (model.phi_q(*self.at) @ x if from_zero else 0.0)
         change = model.mass_system(*self.at).solve(np.zeros(model.n), rows)[0]
-        x[:] = change if anew else x + change
+        x[:] = change if from_zero else x + change
 
     def _accept(self, instant, q, *_):
         end = self._at(instant)[1]
@@ -216,7 +216,6 @@ class DenseTable(PythonTable):
         }
 
     def system(self, settings):
-        """The step matrix, not factored yet."""
         return DenseMatrix(self.model, self)
 
     @contextmanager
@@ -259,7 +258,6 @@ class DenseMatrix(StepMatrix):
         self.table = table
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Compute S at a state."""
         self.table.make(t, q, v, a, lam, c_m, c_v)
         self.read()
 

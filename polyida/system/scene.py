@@ -147,19 +147,19 @@ def projected_rate(s, p, drives, dz, v, out):
 
 
 @entry
-def project(w, instant, right, x, anew, d, e, f):
-    """Change x by the least M-norm, so that B x falls by right; anew: x becomes the least x with B x = B x_before - right."""
-    return DONE if projected(w.scene.links, w.projection, rows(w, right), pairs(w, x), anew) else SINGULAR
+def project(w, instant, right, x, from_zero, d, e, f):
+    """Change x by the least M-norm, so that B x falls by right; from_zero: x becomes the least x with B x = B x_before - right."""
+    return DONE if projected(w.scene.links, w.projection, rows(w, right), pairs(w, x), from_zero) else SINGULAR
 
 
 @part
-def projected(s, p, right, x, anew):
+def projected(s, p, right, x, from_zero):
     """The same with a ConstraintProjection or None. Returns False if it is singular."""
     if p is None:
         return True
     for k in range(right.shape[0]):
         p.bias[k] = right[k]
-    if anew:
+    if from_zero:
         joints.point_values(s, x, p.vz)
         for k in range(right.shape[0]):
             p.bias[k] -= joints.along(s, p.slopes, k, p.vz)
@@ -186,7 +186,10 @@ def addresses(kind, entries):
 
 
 class SceneTable:
-    """The table of a scene without Python. Several threads share the solves of more than SHARED coordinates, if the user allows them."""
+    """The table of a scene without Python, with the methods of PythonTable.
+
+    Several threads share the solves of more than SHARED coordinates, if the user allows them.
+    """
 
     longest = INSTANTS
     entries = FUNCTIONS
@@ -211,24 +214,20 @@ class SceneTable:
         self.functions = self.work = None
 
     def system(self, settings):
-        """The step matrix, not factored yet."""
         return settings.step_matrix(self.model)
 
     def prepare(self, times, ends, h):
-        """Prepare steps between the times. ends: the first and the last time, or times beside them inside the steps at a kink."""
         self.times, count = times, len(times)
         drives = drive_table(self.model, times, ends)
         self.w["drives"][:count], self.w["gains"][: count - 1] = drives, gain_table(self.model, times, drives, h)
         self.w["numbers"][H] = h
 
     def factor(self, system, t, *at):
-        """Factor the step matrix near t. Returns the number of residuals evaluated."""
         system.factor(t, *at)
         return 1
 
     @contextmanager
     def at_work(self, system):
-        """(addresses of the functions, address of the workspace) with a factored step matrix."""
         with self.helpers.at_work(system.corotated, system.room) as room:
             self.w["numbers"][TO_A] = system.c_m
             if self.work is None or self.work.room is not room:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.independence import LEAST, UnitRows
+from polyida.assembly.independence import UnitRows
 from polyida.integrate.state import State
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
 
@@ -49,5 +49,5 @@ def test_the_bound_is_below_the_least_singular_value(scene, size):
     for _ in range(20):
         state = State(0.0, start.q + size * rng.standard_normal(model.n), start.v, start.a, start.lam)
         proof.begin(state)
-        found, exact = proof.workspace.marks[LEAST], least(rows_of(model.phi_q(0.0, state.q), sizes))
+        found, exact = proof.workspace.least[0], least(rows_of(model.phi_q(0.0, state.q), sizes))
         assert exact / np.sqrt(model.m) * (1 - 1e-6) <= found <= exact * (1 + 1e-6)
