@@ -242,7 +242,7 @@ def adjoint_table(model, settings, h, counts):
                 system.factor(float(t), q, v, a, lam, *modes[0])
                 counts.solves += system.solves
                 counts.backend = system.backend
-                return [(system.corotated, system.room)]
+                return [(system.corotated, system.workspace)]
 
             enough, one = max(EXACT, OF_NEWTON * settings.newton_tolerance(0.0)[1]), np.ones(1)
             return SceneAdjoint(model, [[to_v]], [[to_a]], [(to_a, to_v, one, one)], factor, enough, counts)

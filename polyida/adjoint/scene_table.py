@@ -26,7 +26,7 @@ from polyida.adjoint.tables import AdjointTable
 from polyida.assembly import corotated, joints, stabilised_border
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import Laws
-from polyida.assembly.stabilised_border import StabilisedRoom
+from polyida.assembly.stabilised_border import StabilisedWorkspace
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
@@ -53,17 +53,17 @@ OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and abov
 class Mode(NamedTuple):
     """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch: r, dw (nodes, 2), rows, multipliers (1 or 2, m).
 
-    massive, before, border: the factor with the columns of `c M + C`, the rooms of the border forward and backward; None without mu.
+    massive, before, border: the factor with the columns of `c M + C`, the workspaces of the border forward and backward; None without mu.
     """
 
     c: np.ndarray
     row: np.ndarray
     column: np.ndarray
     factored: corotated.Corotated
-    room: corotated.Room
+    workspace: corotated.SolveWorkspace
     massive: corotated.Corotated | None
-    before: StabilisedRoom | None
-    border: StabilisedRoom | None
+    before: StabilisedWorkspace | None
+    border: StabilisedWorkspace | None
     r: np.ndarray
     dw: np.ndarray
     rows: np.ndarray
@@ -152,21 +152,21 @@ def hold_ties(w, t, k, i):
 def hold_mode(w, mode, i):
     """The frames of a mode's factor, and its border, at stage i, whose products are held."""
     if mode is not None:
-        corotated.turn_frames(w.scene.links, mode.factored, mode.room, stage(w, i).rotation)
-        hold_border(w, mode, mode.massive, mode.before, mode.border, w.tied, i)
+        corotated.turn_frames(w.scene.links, mode.factored, mode.workspace, stage(w, i).rotation)
+        fill_border(w, mode, mode.massive, mode.before, mode.border, w.tied, i)
 
 
 @part
-def hold_border(w, mode, massive, before, border, tied, i):
+def fill_border(w, mode, massive, before, border, tied, i):
     """What is None is not compiled."""
-    s, c, room = w.scene.links, mode.factored, mode.room
+    s, c, workspace = w.scene.links, mode.factored, mode.workspace
     if massive is None:
-        corotated.points_matrix(s, c, room, c.border, room.border.blocks, 0)
-        fill(w, mode, i, room.border.slopes, room.border.curvature)
+        corotated.points_matrix(s, c, workspace, c.border, workspace.border.blocks, 0)
+        fill(w, mode, i, workspace.border.slopes, workspace.border.curvature)
         return
-    y, z = before.room, border.room
-    corotated.points_matrix(s, c, room, before.border, y.blocks, 0)
-    corotated.points_matrix(s, massive, room, before.border, y.blocks, 1)
+    y, z = before.workspace, border.workspace
+    corotated.points_matrix(s, c, workspace, before.border, y.blocks, 0)
+    corotated.points_matrix(s, massive, workspace, before.border, y.blocks, 1)
     stabilised_border.add_masses(s, before.border, mode.c[1], y.blocks)
     stabilised_border.transpose_blocks(border.border, y.blocks, z.blocks)
     fill(w, mode, i, z.slopes, z.curvature)
@@ -206,7 +206,7 @@ def correct(w, mode):
                 rows[f, e] += mode.column[i] * w.rows[f, i, e]
     for a in range(r.shape[0]):
         r[a, 0], r[a, 1] = r[a, 0] / size, r[a, 1] / size
-    corotated.solve_turned(mode.factored, mode.room, r, dw)
+    corotated.solve_turned(mode.factored, mode.workspace, r, dw)
     for a in range(r.shape[0]):
         for e in range(2):
             r[a, e], dw[a, e] = -size * r[a, e], -size * dw[a, e]
@@ -217,16 +217,18 @@ def correct(w, mode):
 @part
 def close(w, mode, massive, before, border):
     """The multipliers of a mode, and what their forces do to dw. False where its border is singular. What is None is not compiled."""
-    s, c, room = w.scene.links, mode.factored, mode.room
+    s, c, workspace = w.scene.links, mode.factored, mode.workspace
     if massive is None:
-        if not room.border.x.shape[0]:
+        if not workspace.border.x.shape[0]:
             return True
-        joints.point_values(s, mode.dw, room.moved)
-        if not corotated.close(s, c, room, mode.rows[MU], mode.multipliers[MU]):
+        joints.point_values(s, mode.dw, workspace.moved)
+        if not corotated.close(s, c, workspace, mode.rows[MU], mode.multipliers[MU]):
             return False
-    elif not stabilised_border.transposed(s, c, massive, room, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers):
+    elif not stabilised_border.transposed(
+        s, c, massive, workspace, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers
+    ):
         return False
-    corotated.pull_points(s, c, room, mode.dw)
+    corotated.apply_point_forces(s, c, workspace, mode.dw)
     return True
 
 
@@ -413,8 +415,8 @@ class SceneAdjoint(AdjointTable):
     """The table of a compiled scene.
 
     to_v, to_a (s, s): of steps with h = 1 that `scale` is of; modes: (c_m, c_v, row, column) of each mode at h = 1. factor: a function
-    (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, Room), and with mu the Corotated
-    with the columns of `c M + C` and the StabilisedRoom of the border.
+    (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, SolveWorkspace), and with mu the Corotated
+    with the columns of `c M + C` and the StabilisedWorkspace of the border.
     enough: as of SceneAdjointWork. counts: what counts its work.
     """
 
@@ -480,11 +482,11 @@ class SceneAdjoint(AdjointTable):
         self.w["marks"][[CONTRACTION, AGE, SLOWEST]] = 1.0, FRESHEN, FRESH
         return True
 
-    def _mode(self, c, row, column, factored, room, massive=None, before=None):
+    def _mode(self, c, row, column, factored, workspace, massive=None, before=None):
         kind, nodes, rows = np.asarray(row).dtype, (self.model.n_nodes, 2), (1 + self.tied, self.model.m)
-        border = stabilised_border.stabilised_room(self.model, kind, transposed=True) if self.tied else None
+        border = stabilised_border.stabilised_workspace(self.model, kind, transposed=True) if self.tied else None
         scratch = np.zeros(nodes, kind), np.zeros(nodes, kind), np.zeros(rows, kind), np.zeros(rows, kind)
-        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, room, massive, before, border, *scratch)
+        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, massive, before, border, *scratch)
 
     def drop(self):
         self.kept.factors.pop(f"{self.h:.9e}", None)
@@ -494,8 +496,8 @@ class SceneAdjoint(AdjointTable):
         """(addresses of the functions, address of the workspace)."""
         marks, real = self.w["marks"], self.w["real"]
         marks[SOLVES] = 0.0
-        with self.helpers.at_work(real.factored, real.room) if real else nullcontext() as room:
-            work = SceneAdjointWork(**self.w | ({"real": real._replace(room=room)} if real else {}))
+        with self.helpers.at_work(real.factored, real.workspace) if real else nullcontext() as workspace:
+            work = SceneAdjointWork(**self.w | ({"real": real._replace(workspace=workspace)} if real else {}))
             self.functions[ADJOINT] = c_address(solve, typeof(work))
             yield self.functions, work.address
         self.counts.solves += int(marks[SOLVES]) * len(self.modes)

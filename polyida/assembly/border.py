@@ -58,7 +58,7 @@ class Border(NamedTuple):
 
 
 @pack
-class BorderRoom(NamedTuple):
+class BorderWorkspace(NamedTuple):
     """Numbers of a Border, float or complex: slots of E and F, the bodies' matrices, values of the elimination, right-hand side, unknowns;
     scratch, vectors (3, .) and answers of a body, and of equations their left-hand sides and the sums of their terms. slopes, curvature, rates:
     views of the slots of Bz, C and Hz.
@@ -157,14 +157,14 @@ def body_of_points(model):
     return np.searchsorted(model.first_pairs, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
 
 
-def border_room(model, pattern, dtype=float):
+def border_workspace(model, pattern, dtype=float):
     """Numbers of a Border."""
     s, count = model.arrays.links, len(pattern.elimination.diagonal)
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
     slots = np.zeros(first + blocks + len(s.row_columns), dtype)
     slots[first - 1] = 1.0
     wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.layers * pattern.point_start, pattern.column_start))
-    return BorderRoom(
+    return BorderWorkspace(
         slots,
         slots[: first - 1],
         slots[first : first + blocks].reshape(-1, 2, 2),

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, solve_border
+from polyida.assembly.border import Border, BorderWorkspace, body_of_points, border, border_workspace, look, solve_border
 from polyida.assembly.equilibrium import blocks_at, combined, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.jit import entry, pack, part, shared
@@ -33,22 +33,22 @@ class Corotated(NamedTuple):
     fronts: Symbolic
     panels: np.ndarray
     frame: np.ndarray  # (nodes, 2) cos and sin of the nodal rotations
-    place: np.ndarray  # (points, 3) first and last node of the point's body, and where its two columns X begin in reach
-    reach: np.ndarray  # (., 2) columns X, each on the nodes of one body
+    place: np.ndarray  # (points, 3) first and last node of the point's body, and where its two columns X begin in compliance_columns
+    compliance_columns: np.ndarray  # (., 2) columns X, each on the nodes of one body
     border: Border  # the pattern of the unknowns at the points
     turns: bool = True  # False: P = I, for comparisons
 
 
 @pack
-class Room(NamedTuple):
+class SolveWorkspace(NamedTuple):
     """Workspace of a solve."""
 
     x: np.ndarray
     turn: np.ndarray  # (nodes, 2) cos and sin of P
     spin: np.ndarray  # (points, 2) the same, averaged at the points
     moved: np.ndarray  # (points, 2)
-    border: BorderRoom
-    pull: np.ndarray  # (2 points,) forces at the points
+    border: BorderWorkspace
+    point_forces: np.ndarray  # (2 points,) forces at the points
     own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements, as old as the factor; (0, 2, 2) without
     team: Team | None = None  # of threads that share the solves
 
@@ -63,9 +63,11 @@ def corotated(model, blocks, rotation, before=None):
     panels = factorize(fronts, blocks, panels=None if before is None else before.panels)
     if before is None:
         place = model.once(_column_places, of_shape=True)
-        reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
-        before = Corotated(fronts, panels, np.empty_like(rotation), place, reach, model.once(border, of_shape=True))
-    fill_reach(before, before.reach, rotation, model.once(unit_loads, of_shape=True), np.empty(model.n, panels.dtype))
+        compliance_columns = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
+        before = Corotated(fronts, panels, np.empty_like(rotation), place, compliance_columns, model.once(border, of_shape=True))
+    fill_compliance_columns(
+        before, before.compliance_columns, rotation, model.once(unit_loads, of_shape=True), np.empty(model.n, panels.dtype)
+    )
     return before
 
 
@@ -92,8 +94,8 @@ def unit_loads(model):
 
 
 @entry
-def fill_reach(c, reach, rotation, loads, x):
-    """reach = S_ref^-1 loads, by the columns of the points, in the factor's frame. rotation: raw, becomes that frame; may be empty."""
+def fill_compliance_columns(c, compliance_columns, rotation, loads, x):
+    """compliance_columns = S_ref^-1 loads, by the columns of the points, in the factor's frame. rotation: raw, becomes that frame; may be empty."""
     for i in range(rotation.shape[0]):
         size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
         c.frame[i, 0], c.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
@@ -108,18 +110,18 @@ def fill_reach(c, reach, rotation, loads, x):
                 first, end, at = c.place[b.points[e], 0], c.place[b.points[e], 1], c.place[b.points[e], 2]
                 at += column % 2 * (end - first) - first
                 for i in range(first, end):
-                    reach[at + i, 0], reach[at + i, 1] = x[order[2 * i]], x[order[2 * i + 1]]
+                    compliance_columns[at + i, 0], compliance_columns[at + i, 1] = x[order[2 * i]], x[order[2 * i + 1]]
 
 
-def room(model, system):
-    """The workspace of solves with `system`."""
+def solve_workspace(model, system):
+    """The SolveWorkspace of a factor."""
     dtype, coupled = np.result_type(system.panels, float), len(model.arrays.links.coupling.columns)
-    return Room(
+    return SolveWorkspace(
         np.zeros(model.n, system.panels.dtype),
         np.empty((model.n_nodes, 2)),
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
-        border_room(model, system.border, dtype),
+        border_workspace(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
         np.zeros((0 if model.laws is None else coupled, 2, 2), dtype),
     )
@@ -169,12 +171,12 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if w.spin.shape[0] == 0:
         return True
-    hold_border(s, c, w, drives, dz)
+    fill_border(s, c, w, drives, dz)
     fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
     joints.point_values(s, dq, w.moved)
     if not close(s, c, w, phi, dlam):
         return False
-    pull_points(s, c, w, dq)
+    apply_point_forces(s, c, w, dq)
     return True
 
 
@@ -216,10 +218,10 @@ def points_matrix(s, c, w, b, blocks, layer):
                 for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
                     i, c0, n0 = s.point_nodes[k], s.point_weights[k, 0], s.point_weights[k, 1]
                     co, si = c0 * w.turn[i, 0] - n0 * w.turn[i, 1], c0 * w.turn[i, 1] + n0 * w.turn[i, 0]
-                    p, q = c.reach[at + i - begin, 0], c.reach[at + i - begin, 1]
+                    p, q = c.compliance_columns[at + i - begin, 0], c.compliance_columns[at + i - begin, 1]
                     xx += co * p - si * q
                     yx += si * p + co * q
-                    p, q = c.reach[at + size + i - begin, 0], c.reach[at + size + i - begin, 1]
+                    p, q = c.compliance_columns[at + size + i - begin, 0], c.compliance_columns[at + size + i - begin, 1]
                     xy += co * p - si * q
                     yy += si * p + co * q
                 co, si = w.spin[h, 0], w.spin[h, 1]
@@ -250,7 +252,7 @@ def add_masses(s, c_m, curvature):
 
 
 @part
-def hold_border(s, c, w, drives, dz):
+def fill_border(s, c, w, drives, dz):
     """G of the bodies and Bz of a state whose frames are set."""
     points_matrix(s, c, w, c.border, w.border.blocks, 0)
     joints.joint_jacobian(s, drives, dz, w.border.slopes)
@@ -258,7 +260,7 @@ def hold_border(s, c, w, drives, dz):
 
 @part
 def close(s, c, w, phi, dlam):
-    """The points' forces w.pull and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
+    """The points' forces w.point_forces and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
 
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
@@ -269,36 +271,41 @@ def close(s, c, w, phi, dlam):
         w.border.right[count + k] += phi[k]
     if not solve_border(c.border, w.border):
         return False
-    pull_of(s, c.border, w.border, w.pull, dlam)
+    point_forces_of(s, c.border, w.border, w.point_forces, dlam)
     return True
 
 
 @part
-def pull_of(s, b, w, pull, dlam):
-    """dlam and pull = w + Bz^T dlam of the unknowns."""
+def point_forces_of(s, b, w, point_forces, dlam):
+    """dlam and point_forces = w + Bz^T dlam of the unknowns."""
     count = b.active.shape[0]
-    for i in range(pull.shape[0]):
-        pull[i] = 0.0
+    for i in range(point_forces.shape[0]):
+        point_forces[i] = 0.0
     for i in range(count):
-        pull[b.active[i]] = w.x[i]
+        point_forces[b.active[i]] = w.x[i]
     for k in range(dlam.shape[0]):
         dlam[k] = w.x[count + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
-            pull[s.row_columns[e]] += w.slopes[e] * dlam[k]
+            point_forces[s.row_columns[e]] += w.slopes[e] * dlam[k]
 
 
 @part
-def pull_points(s, c, w, dq):
-    """dq -= X pull at the current rotations."""
+def apply_point_forces(s, c, w, dq):
+    """dq -= X point_forces at the current rotations."""
     for f in range(w.spin.shape[0]):
         co, si = w.spin[f, 0], w.spin[f, 1]
-        x, y = w.pull[2 * f], w.pull[2 * f + 1]
+        x, y = w.point_forces[2 * f], w.point_forces[2 * f + 1]
         p, q = co * x + si * y, co * y - si * x
         if p == 0.0 and q == 0.0:
             continue
         first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
         size = end - first
-        along, across, turn, moved = c.reach[at : at + size], c.reach[at + size : at + 2 * size], w.turn[first:end], dq[first:end]
+        along, across, turn, moved = (
+            c.compliance_columns[at : at + size],
+            c.compliance_columns[at + size : at + 2 * size],
+            w.turn[first:end],
+            dq[first:end],
+        )
         for i in range(size):
             gx = along[i, 0] * p + across[i, 0] * q
             gy = along[i, 1] * p + across[i, 1] * q
@@ -309,7 +316,7 @@ def pull_points(s, c, w, dq):
 class SceneStepMatrix(StepMatrix):
     """`S = c_m M + c_v C + K` of a scene, computed from q; C and K are those of zero velocity, and so symmetric.
 
-    c_m and c_v are both real, or both complex: c^2 and c, the real part of c positive. corotated, room: the factor and its workspace, for
+    c_m and c_v are both real, or both complex: c^2 and c, the real part of c positive. corotated, workspace: the factor and its workspace, for
     compiled loops. solves: number of solves for the border.
     """
 
@@ -331,10 +338,10 @@ class SceneStepMatrix(StepMatrix):
         blocks = blocks_at(model, u, np.zeros_like(u), c_m, c_v, 1.0) if parts is None else combined(c_m, c_v, *parts)
         before, self.corotated = self.corotated, None
         self.corotated = corotated(model, blocks, model.rotation(q), before)
-        self.room = self.room if self.corotated is before else room(model, self.corotated)
+        self.workspace = self.workspace if self.corotated is before else solve_workspace(model, self.corotated)
         if model.laws is not None:
-            coupling, self.room.own[...] = model.arrays.links.coupling, 0.0
-            add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
+            coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
+            add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
 
     def beside(self, c_m, c_v, change):
         """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""
@@ -348,23 +355,23 @@ class SceneStepMatrix(StepMatrix):
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; only users' forces are not symmetric. Raises SingularSystem."""
-        free, own = self.corotated._replace(border=self.model.once(border_without_rows, of_shape=True)), self.room.own
+        free, own = self.corotated._replace(border=self.model.once(border_without_rows, of_shape=True)), self.workspace.own
         if transposed and len(own):
             own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
-        room = self.room._replace(own=own, border=border_room(self.model, free.border, self.room.pull.dtype))
-        columns = [self._solved(free, room, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
+        workspace = self.workspace._replace(own=own, border=border_workspace(self.model, free.border, self.workspace.point_forces.dtype))
+        columns = [self._solved(free, workspace, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
         return np.stack(columns, axis=1).reshape(np.shape(b))
 
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, S in the frame of q and B that of (t, q). Raises SingularSystem."""
-        return self._solved(self.corotated, self.room, t, lam, q, r, phi)
+        return self._solved(self.corotated, self.workspace, t, lam, q, r, phi)
 
-    def _solved(self, factored, room, t, lam, q, r, phi):
-        model, dtype = self.model, room.pull.dtype
+    def _solved(self, factored, workspace, t, lam, q, r, phi):
+        model, dtype = self.model, workspace.point_forces.dtype
         dq, dlam = np.empty((model.n_nodes, 2), dtype), np.empty(len(phi), dtype)
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
         r, phi = np.array(r, dtype).reshape(dq.shape), np.array(phi, dtype)
-        if not solve(model.arrays.links, factored, room, *at, r, phi, self.c_m, dq, dlam):
+        if not solve(model.arrays.links, factored, workspace, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")
         return dq.ravel(), dlam
 

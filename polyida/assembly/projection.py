@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, solve_border
+from polyida.assembly.border import Border, BorderWorkspace, body_blocks, body_of_points, border, border_workspace, solve_border
 from polyida.jit import entry, pack, part
 
 
@@ -17,7 +17,7 @@ class ConstraintProjection(NamedTuple):
     columns: np.ndarray  # (., 2) complex: M^-1 A^T of each point on the pairs of its body
     place: np.ndarray  # (points, 3) of each point: first and last pair, and where its column begins
     border: Border
-    workspace: BorderRoom
+    workspace: BorderWorkspace
     eta: np.ndarray  # (m,) solution, a view of the workspace
     rate: np.ndarray  # (m,) phi_q v + phi_t
     bias: np.ndarray  # (m,)
@@ -31,7 +31,7 @@ def constraint_projection(model):
     points, m = model.n_points, model.m
     rate, bias, vz, forces = map(np.empty, (m, m, (points, 2), (points, 2)))
     pattern, (columns, place, blocks) = model.once(border_of_rows, of_shape=True), model.once(point_columns)
-    numbers = border_room(model, pattern)
+    numbers = border_workspace(model, pattern)
     numbers.blocks[:] = blocks
     return ConstraintProjection(columns, place, pattern, numbers, numbers.x, rate, bias, numbers.slopes, vz, forces)
 

@@ -12,32 +12,42 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import corotated, joints
-from polyida.assembly.border import Border, BorderRoom, body_blocks, border, border_room, look, solve_border, solve_border_again, width
+from polyida.assembly.border import (
+    Border,
+    BorderWorkspace,
+    body_blocks,
+    border,
+    border_workspace,
+    look,
+    solve_border,
+    solve_border_again,
+    width,
+)
 from polyida.assembly.equilibrium import momentum
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
 
 
 @pack
-class StabilisedRoom(NamedTuple):
+class StabilisedWorkspace(NamedTuple):
     """Scratch of the border, in the numbers of c; border: the pattern of the unknowns w, lam and mu. swing: Bz^T dmu, left there."""
 
     border: Border
-    room: BorderRoom
+    workspace: BorderWorkspace
     swing: np.ndarray
     moved: np.ndarray
 
 
-def stabilised_room(model, dtype=float, transposed=False):
+def stabilised_workspace(model, dtype=float, transposed=False):
     """Scratch for the borders of a model's step matrices, float or complex; transposed: for those of the backward sweep."""
     pattern = model.once(transposed_border if transposed else border_with_rates, of_shape=True)
-    numbers, flat, at, points = border_room(model, pattern, dtype), model.once(overlaps, of_shape=True), 0, (model.n_points, 2)
+    numbers, flat, at, points = border_workspace(model, pattern, dtype), model.once(overlaps, of_shape=True), 0, (model.n_points, 2)
     for begin, end in zip(pattern.block, pattern.block[1:]):
         size = int(np.sqrt(end - begin)) // 2
         block, place = numbers.blocks[begin:end].reshape(2 * size, 2 * size), slice(0, size) if transposed else slice(size, None)
         block[place, place] = -flat[at : at + size * size].reshape(size, size)
         at += size * size
-    return StabilisedRoom(pattern, numbers, np.zeros(points, dtype), np.empty(points, dtype))
+    return StabilisedWorkspace(pattern, numbers, np.zeros(points, dtype), np.empty(points, dtype))
 
 
 def border_with_rates(model):
@@ -66,8 +76,8 @@ def massive(model, system, damping=None, before=None):
     if damping is not None:
         units = model.once(corotated.unit_loads, of_shape=True)
         loads = loads + (damping @ units.reshape(len(units), -1).T).T.reshape(units.shape)
-    before = system._replace(reach=np.zeros_like(system.reach)) if before is None else before
-    corotated.fill_reach(system, before.reach, system.frame[:0], loads, np.empty(model.n, system.panels.dtype))
+    before = system._replace(compliance_columns=np.zeros_like(system.compliance_columns)) if before is None else before
+    corotated.fill_compliance_columns(system, before.compliance_columns, system.frame[:0], loads, np.empty(model.n, system.panels.dtype))
     return before
 
 
@@ -83,11 +93,11 @@ def momenta(model):
 def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r4, dlam, dmu):
     """Fill dlam, dmu (m,); move dq (nodes, 2), S^-1 r2 of the plates, by them; leave w.swing. False where the border is singular.
 
-    c, cm: the factor with its columns and with those of `massive`; cr: its Room, frames as `solve_plates` left them; dz, vz: displacements
+    c, cm: the factor with its columns and with those of `massive`; cr: its SolveWorkspace, frames as `solve_plates` left them; dz, vz: displacements
     and velocities of the points; c_v: c; anew: whether the border is made of these, or is that of before. Of the last equation
     c times the one before is taken, which leaves `Hz A dq + Bz A A^T Bz^T dmu = r4 - c r3`.
     """
-    b, y, m = w.border, w.room, r3.shape[0]
+    b, y, m = w.border, w.workspace, r3.shape[0]
     if anew:
         corotated.points_matrix(s, c, cr, b, y.blocks, 0)
         corotated.points_matrix(s, cm, cr, b, y.blocks, 1)
@@ -129,12 +139,12 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
     """dq -= X (w + Bz^T dlam + c m A A^T Bz^T dmu) + c S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
     clear(w.swing)
     b, m = w.border, dlam.shape[0]
-    corotated.pull_of(s, b, w.room, cr.pull, dlam)
+    corotated.point_forces_of(s, b, w.workspace, cr.point_forces, dlam)
     for k in range(m):
-        dmu[k] = w.room.x[b.active.shape[0] + m + k]
+        dmu[k] = w.workspace.x[b.active.shape[0] + m + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
             p = s.row_columns[e]
-            w.swing[p // 2, p % 2] += w.room.slopes[e] * dmu[k]
+            w.swing[p // 2, p % 2] += w.workspace.slopes[e] * dmu[k]
     for n in range(b.block.shape[0] - 1):
         wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
         size = wide // 2
@@ -142,12 +152,12 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
             mass = s.point_mass[points[p // 2]]
             if mass != 0.0:
                 for q in range(size):
-                    across = -w.room.blocks[b.block[n] + (size + p) * wide + size + q]
-                    cr.pull[2 * points[p // 2] + p % 2] += c_v * mass * across * w.swing[points[q // 2], q % 2]
-    corotated.pull_points(s, c, cr, dq)
-    for p in range(cr.pull.shape[0]):
-        cr.pull[p] = c_v * w.swing[p // 2, p % 2]
-    corotated.pull_points(s, cm, cr, dq)
+                    across = -w.workspace.blocks[b.block[n] + (size + p) * wide + size + q]
+                    cr.point_forces[2 * points[p // 2] + p % 2] += c_v * mass * across * w.swing[points[q // 2], q % 2]
+    corotated.apply_point_forces(s, c, cr, dq)
+    for p in range(cr.point_forces.shape[0]):
+        cr.point_forces[p] = c_v * w.swing[p // 2, p % 2]
+    corotated.apply_point_forces(s, cm, cr, dq)
 
 
 @part
@@ -164,12 +174,12 @@ def transpose_blocks(b, blocks, out):
 
 @part
 def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
-    """Fill the multipliers (2, m) of the transposed system, and cr.pull; dw (nodes, 2) = S^-1 r of the plates, r (nodes, 2) and rows (2, m):
+    """Fill the multipliers (2, m) of the transposed system, and cr.point_forces; dw (nodes, 2) = S^-1 r of the plates, r (nodes, 2) and rows (2, m):
 
-    `S dw + A^T (C A dw + Bz^T dmu + (Hz + c Bz)^T dkappa) = r`, `Bz A dw = -rows_0`, `B (c M + C) dw + B B^T dkappa = -rows_1`. w: the room of
-    the border, whose blocks those of z, the room of the transposed one, are made of. False where the border is singular.
+    `S dw + A^T (C A dw + Bz^T dmu + (Hz + c Bz)^T dkappa) = r`, `Bz A dw = -rows_0`, `B (c M + C) dw + B B^T dkappa = -rows_1`. w: the workspace of
+    the border, whose blocks those of z, the workspace of the transposed one, are made of. False where the border is singular.
     """
-    b, y, m = z.border, z.room, rows.shape[1]
+    b, y, m = z.border, z.workspace, rows.shape[1]
     joints.point_values(s, dw, z.moved)
     momenta_at_points(c, cm, cr, c_v, r, z.swing)
     for n in range(w.border.block.shape[0] - 1):  # c A A^T m A dw
@@ -188,12 +198,12 @@ def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
         y.right[count + m + k] += rows[1, k]
     if not solve_border(b, y):
         return False
-    corotated.pull_of(s, b, y, cr.pull, multipliers[0])
+    corotated.point_forces_of(s, b, y, cr.point_forces, multipliers[0])
     for k in range(m):
         multipliers[1, k] = y.x[count + m + k]
         multipliers[0, k] -= c_v * multipliers[1, k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
-            cr.pull[s.row_columns[e]] += y.rates[e] * multipliers[1, k]
+            cr.point_forces[s.row_columns[e]] += y.rates[e] * multipliers[1, k]
     return True
 
 
@@ -206,7 +216,7 @@ def momenta_at_points(c, cm, cr, c_v, r, moved):
         for i in range(size):
             co, si, x, y = cr.turn[first + i, 0], cr.turn[first + i, 1], r[first + i, 0], r[first + i, 1]
             x, y = co * x + si * y, co * y - si * x
-            p += cm.reach[at + i, 0] * x + cm.reach[at + i, 1] * y
-            q += cm.reach[at + size + i, 0] * x + cm.reach[at + size + i, 1] * y
+            p += cm.compliance_columns[at + i, 0] * x + cm.compliance_columns[at + i, 1] * y
+            q += cm.compliance_columns[at + size + i, 0] * x + cm.compliance_columns[at + size + i, 1] * y
         co, si = cr.spin[f, 0], cr.spin[f, 1]
         moved[f, 0], moved[f, 1] = c_v * (co * p - si * q), c_v * (si * p + co * q)

@@ -47,7 +47,7 @@ class SceneWork(NamedTuple):
 
     scene: tuple
     factored: corotated.Corotated
-    room: corotated.Room
+    workspace: corotated.SolveWorkspace
     projection: ConstraintProjection | None
     damp: np.ndarray | None  # (nodes, 2) workspace of the damping forces; None without damping
     laws: Laws | None
@@ -124,7 +124,7 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
     s, drives, state = w.scene.links, w.drives[instant + 1], (rows(w, lam), pairs(w, r), rows(w, phi))
     out = pairs(w, dq), rows(w, dlam)
     regular = corotated.solve(
-        s, w.factored, w.room, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
+        s, w.factored, w.workspace, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
     )
     return DONE if regular else SINGULAR
 
@@ -228,10 +228,10 @@ class SceneTable:
 
     @contextmanager
     def at_work(self, system):
-        with self.helpers.at_work(system.corotated, system.room) as room:
+        with self.helpers.at_work(system.corotated, system.workspace) as workspace:
             self.w["numbers"][TO_A] = system.c_m
-            if self.work is None or self.work.room is not room:
-                before, self.work = self.work, SceneWork(factored=system.corotated, room=room, **self.w)
+            if self.work is None or self.work.workspace is not workspace:
+                before, self.work = self.work, SceneWork(factored=system.corotated, workspace=workspace, **self.w)
                 if before is None or typeof(self.work) != typeof(before):
                     self.functions = addresses(typeof(self.work), tuple(self.entries.items()))
             yield self.functions, self.work.address

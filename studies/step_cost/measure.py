@@ -81,9 +81,9 @@ def _tangents(count, plates, u, c_m, blocks):
 
 
 @entry
-def _solves(count, links, c, room, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
+def _solves(count, links, c, workspace, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     for _ in range(count):
-        corotated.solve(links, c, room, drives, rotation, dz, lam, r, phi, c_m, dq, dlam)
+        corotated.solve(links, c, workspace, drives, rotation, dz, lam, r, phi, c_m, dq, dlam)
 
 
 def moved(model, steps=5):
@@ -112,7 +112,7 @@ def kernels_ms(model):
     correction = (
         model.arrays.links,
         system,
-        corotated.room(model, system),
+        corotated.solve_workspace(model, system),
         drives,
         rotation,
         dz,

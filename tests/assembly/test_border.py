@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.assembly.border import assemble, is_accurate, solve_border
 from polyida.assembly.corotated import SceneStepMatrix
-from polyida.assembly.stabilised_border import stabilised_room
+from polyida.assembly.stabilised_border import stabilised_workspace
 from polyida.jit import entry
 from polyida.linear.elimination import eliminate, solve
 from polyida.problems.n_four_bar import n_four_bar
@@ -109,10 +109,10 @@ def test_the_unknowns_are_those_of_a_dense_solve(name, c):
     q, lam, random = state(model)
     step = step_of(model, c, lam, q)
     step.saddle(0.1, q, lam, random.standard_normal(model.n), np.zeros(model.m))
-    other = stabilised_room(model, type(c))
-    other.room.slots[:] = random.standard_normal(len(other.room.slots))
-    other.room.blocks[:] += random.standard_normal(len(other.room.blocks))
-    for b, w in ((step.corotated.border, step.room.border), (other.border, other.room)):
+    other = stabilised_workspace(model, type(c))
+    other.workspace.slots[:] = random.standard_normal(len(other.workspace.slots))
+    other.workspace.blocks[:] += random.standard_normal(len(other.workspace.blocks))
+    for b, w in ((step.corotated.border, step.workspace.border), (other.border, other.workspace)):
         w.right[:] = random.standard_normal(len(w.right))
         assert solved(b, w)
         x, matrix = w.x.copy(), assembled(b, w)
@@ -152,7 +152,7 @@ def test_pivoting_takes_over_where_the_fixed_order_has_no_pivot():
     S, B = model.tangent(0.1, q, zero, zero, lam, c * c, c, 1.0).toarray(), model.phi_q(0.1, q).toarray()
     whole = np.block([[S, B.T], [B, np.zeros((model.m, model.m))]])
     dq, dlam = step.saddle(0.1, q, lam, r, np.zeros(model.m))
-    assert not fixed_order_solves(step.corotated.border, step.room.border)
+    assert not fixed_order_solves(step.corotated.border, step.workspace.border)
     exact = np.linalg.solve(whole, -np.concatenate([r, np.zeros(model.m)]))
     assert (
         np.abs(dq - exact[: model.n]).max() < 1e-4 * np.abs(dq).max() and np.abs(dlam - exact[model.n :]).max() < 1e-4 * np.abs(dlam).max()

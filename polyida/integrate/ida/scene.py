@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida import system as of
 from polyida.assembly import joints
-from polyida.assembly.stabilised_border import massive, stabilised_room
+from polyida.assembly.stabilised_border import massive, stabilised_workspace
 from polyida.errors import DONE
 from polyida.integrate.ida.newton import INSTANT
 from polyida.integrate.radau.tables import scene as stages
@@ -47,5 +47,5 @@ class SceneForm(SceneStages):
         if in_place:
             before.c[0] = c
             return
-        self.solver = Solver(np.array([c]), step.corotated, step.room, columns, stabilised_room(model))
+        self.solver = Solver(np.array([c]), step.corotated, step.workspace, columns, stabilised_workspace(model))
         self.take(self.solver, None)

@@ -19,7 +19,7 @@ from polyida.assembly.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.own_laws import Laws
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
-from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
+from polyida.assembly.stabilised_border import StabilisedWorkspace, massive, stabilised_border, stabilised_workspace
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
@@ -43,9 +43,9 @@ class Solver(NamedTuple):
 
     c: np.ndarray
     factored: corotated.Corotated
-    room: corotated.Room
+    workspace: corotated.SolveWorkspace
     massive: corotated.Corotated | None
-    border: StabilisedRoom | None
+    border: StabilisedWorkspace | None
 
 
 @pack
@@ -240,18 +240,33 @@ def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
 def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq, multipliers):
     """The same; what is None is not compiled."""
     k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
-    c, room, rotation, dz = mode.factored, mode.room, w.rotation[k], w.dz[k]
+    c, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
     if massive is None:
-        good = corotated.solve(s, c, room, drives, rotation, dz, lam, r, closing[0], c_v * c_v, dq, multipliers[0])
+        good = corotated.solve(s, c, workspace, drives, rotation, dz, lam, r, closing[0], c_v * c_v, dq, multipliers[0])
         return DONE if good else SINGULAR
-    corotated.solve_plates(s, c, room, rotation, r, dq)
+    corotated.solve_plates(s, c, workspace, rotation, r, dq)
     for i in range(dq.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     for f in range(2):
         for e in range(closing.shape[1]):
             closing[f, e] = -closing[f, e]
     good = stabilised_border(
-        s, c, massive, room, border, drives, dz, w.vz, lam, c_v, w.anew[number], dq, closing[0], closing[1], multipliers[0], multipliers[1]
+        s,
+        c,
+        massive,
+        workspace,
+        border,
+        drives,
+        dz,
+        w.vz,
+        lam,
+        c_v,
+        w.anew[number],
+        dq,
+        closing[0],
+        closing[1],
+        multipliers[0],
+        multipliers[1],
     )
     w.anew[number] = 0
     return DONE if good else SINGULAR
@@ -465,7 +480,7 @@ class SceneMatrices:
         for mode in modes:
             c, step = mode.value / h, model.step_matrix()
             step.factor(*at, c * c, c, parts)
-            self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.room, *_border(model, step, c, at, tied))
+            self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.workspace, *_border(model, step, c, at, tied))
             self.real, self.pair = (self.real, solver) if mode.paired else (solver, None)
 
 
@@ -474,4 +489,4 @@ def _border(model, step, c, at, tied):
         return None, None
     t, q, v = at[:3]
     damping = model.force_v(t, q, np.zeros_like(v)) / c if model.damped else None
-    return massive(model, step.corotated, damping), stabilised_room(model, type(c))
+    return massive(model, step.corotated, damping), stabilised_workspace(model, type(c))
