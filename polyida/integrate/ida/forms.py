@@ -24,6 +24,9 @@ import numpy as np
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import dense
 
+# constants of compiled code
+INSTANT = 1  # of a model's table: the stage of the step that begins at instant 0
+
 UNTESTED = 1e9  # absolute tolerance of multipliers, which are not in the error estimate: far above their size
 
 

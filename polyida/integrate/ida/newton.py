@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, HALF_TURN, INVERTED, NO_MATRIX, NOT_FINITE, REASONS, SINGULAR, StepFailure
+from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.ida.tables import table_of
 from polyida.integrate.state import Counts
 from polyida.jit import entry, pack, part, typed
@@ -42,7 +43,6 @@ from polyida.system.dense import finite
 # constants of compiled code
 INTEGRATED, BENDS = range(2)  # of Iterate.flags; BENDS: phi is a row and not linear
 SLOT = 0  # of the matrices
-INSTANT = 1  # the stage of the step that begins at instant 0
 MAX_ORDER = 5  # of a backward differentiation formula
 CJ_H = np.cumsum(1 / np.arange(1, MAX_ORDER + 1)).tolist()  # cj h of each order, whatever the steps before
 SHORTEST = float(np.finfo(float).tiny)  # s

@@ -6,7 +6,7 @@ from polyida import system as of
 from polyida.assembly import joints
 from polyida.assembly.stabilised_border import massive, stabilised_workspace
 from polyida.errors import DONE
-from polyida.integrate.ida.newton import INSTANT
+from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.scene import SceneStages, Solver, rows
 from polyida.jit import entry
