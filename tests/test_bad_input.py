@@ -461,8 +461,8 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: step_sizes(integrators={"own": IDA}), "must be a class or a function of h"),
     (lambda: step_sizes(integrators={"IDA": pi.IDA}), "IDA makes no integrator of a step h: the class takes no h"),
     (lambda: pi.study.energy("pendulum", 0.01, integrators={"alpha": [ALPHA] * 2}), "one integrator"),
-    (lambda: compare(load("double-plate", cells=8, time=0.01), members=3), "members = 3 must be a dictionary"),
-    (lambda: compare(load("double-plate", cells=8, time=0.01), members={"a/b": IDA}), "label 'a/b' must be the name of a file"),
+    (lambda: compare(load("double-plate", cells=8, time=0.01), integrators=3), "integrators = 3 must be a dictionary"),
+    (lambda: compare(load("double-plate", cells=8, time=0.01), integrators={"a/b": IDA}), "label 'a/b' must be the name of a file"),
     (lambda: pi.study.Result([{"number": 7}]).report(None), "folder = None must be the path"),
     (lambda: pi.study.Result([{"number": 7}]).report(Path(__file__) / "below"), "cannot be made: Not a directory"),
 ]
