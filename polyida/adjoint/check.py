@@ -1,4 +1,4 @@
-"""Gradients compared with differences of what they are of, which is found again with each parameter changed."""
+"""Comparison of gradients with differences: the run, equilibrium or modes are computed again with each parameter changed."""
 
 import warnings
 from collections.abc import Sequence
@@ -37,16 +37,41 @@ ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may t
 
 @named_keywords
 def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = None, seed: int = 0) -> dict[str, float]:
-    """{name: relative error} of `pi.gradient(run, objective)` against differences of fourth order of the run, the equilibrium or the modes.
+    """Return the relative error of `pi.gradient(run, objective)` against differences of fourth order.
 
-    That is found again with each parameter changed by a thousandth and two, up and down (what is zero and must not be negative up only);
-    of an array along one direction drawn at random (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its
-    pieces between kinks stretched as these move. So what is seen is the error of the gradient, that of the run's own tolerance with it (of
-    adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction, unless its `tolerance` is smaller),
-    and that of the differences where a motion bends over so small a change (1e-4 in a soft plate that is flung about). Relative to the
-    difference, or to J over a thousand times the parameter where that is larger. Left out are parameters that move a kink into the run or
-    out of it (a motor that ends with it), or what constraints ask of the start. Raises InputError as `pi.gradient`, and for a seed that is
-    no whole number.
+    Each parameter is changed by about one and two thousandths of it, up and down, and the run, equilibrium or modes are computed again; an
+    array is changed along one random direction.
+
+    Parameters
+    ----------
+    run : Trajectory, Equilibrium or Modes
+        As for `pi.gradient`.
+    objective : Objective
+        As for `pi.gradient`.
+    parameters : list of str, optional
+        As for `pi.gradient`.
+    seed : int
+        Seed of the random directions.
+
+    Returns
+    -------
+    errors : dict of str to float
+        {name: error}, relative to the difference, or to J over a thousand times the parameter if that is larger.
+
+    Raises
+    ------
+    InputError
+        As `pi.gradient`, and for a seed that is no whole number.
+
+    Notes
+    -----
+    A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of switches
+    are held: behind a stiff contact the differences are less accurate than the gradient. The error therefore contains that of the run's own
+    tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of the differences if the motion is strongly
+    nonlinear (1e-4 in a soft plate with large motions).
+
+    A parameter that is zero and must not be negative is changed upwards only. Parameters are left out if they move a kink into or out of the
+    run (a motor that ends with it), or if they change the constraints at the start.
     """
     if not is_whole(seed, 0):
         raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")

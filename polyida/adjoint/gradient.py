@@ -47,41 +47,66 @@ def gradient(
     memory_limit: float = MEMORY_LIMIT,
     progress: Callable[[float], object] | bool | None = None,
 ) -> Gradient:
-    """The Gradient of an objective of a run, of an equilibrium of `pi.static`, or of `pi.modes`: its value and dJ/dp by name.
+    """Return the value of an objective and its slopes dJ/dp in the parameters of the model.
 
-    Of a run by the discrete adjoint of GeneralizedAlpha or RadauIIA: exact for the steps that were taken (sizes, cuts, kinks, beginnings),
-    up to what Newton's tolerance left in them: at a tolerance of 1e-10 below 1e-9 for what q says and up to 2e-7 for lam and a, by default
-    about 1e-4 and 2e-2 (studies/gradient_errors.py); of RadauIIA's own choice 1e-8 to 1e-6 with fixed steps. With adaptive ones Newton's
-    method leaves more: the errors are about rtol, and up to 70 times that for PeakStress and PeakReaction, which see what it leaves of
-    stiff modes, as where a load begins late. No tolerance that costs next to nothing helps: rtol^2 of the model's length leaves at most 3
-    rtol of these for 20 to 50 % more solves, and tolerance=1e-12 at most 1e-6 for 50 to 70 %. Cost, whatever the number of parameters: 0.9
-    to 1.7 runs of plates by generalized-alpha (studies/gradient_over_run.py); more runs of small models, whose steps take microseconds, and
-    of RadauIIA, whose steps back are taken in Python. A run whose frames are not all of its steps is taken again from
-    its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third
-    time.
+    The slopes of a run come from the discrete adjoint of GeneralizedAlpha or RadauIIA, those of an equilibrium and of modes from one
+    transposed solve.
 
-    With adaptive steps the slopes are those of these very steps, stretched between kinks. A run that is solved again chooses others, and
-    means over time are sums over frames: differences of such runs are up to some hundredths off in what moves a kink, steps of constant h
-    are not.
+    Parameters
+    ----------
+    run : Trajectory, Equilibrium or Modes
+        Result of `pi.solve`, `pi.static` or `pi.modes`.
+    objective : Objective
+        From `pi.objective`.
+    parameters : list of str, optional
+        Names. By default all whose slopes cost next to nothing: of plates `stiffness` and `mass` (factors of each cell), `E`, `thickness`,
+        `rho`; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
+        velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also any number of a part, such as
+        `spring.stiffness`.
+    memory_limit : float, bytes
+        Memory for the steps of the run. A longer run keeps checkpoints and is solved a third time between them.
+    progress : function or bool, optional
+        Called with t, s, during the backward sweep. True: a bar of tqdm.
 
-    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor
-    begins with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed
-    since its run gives another gradient. The times at which contacts and other gaps switch are held, which is right where forces are
-    continuous there. Slopes then are as good as the steps within the contact. A bar that swings on a stop of 1e6 N/m^1.5: dJ/dstiffness is
-    7 % off with GeneralizedAlpha(h=5e-3), 0.1 % with rtol=1e-6; 8 % with RadauIIA(rtol=1e-6), 0.1 % with rtol=1e-8. `check_gradient` takes
-    its differences with these times held too: behind a stiff contact they are worse than the gradient. A run that failed comes with a
-    warning: J is of the frames that it has.
+    Returns
+    -------
+    gradient : Gradient
+        Value and slopes; `left_out` has the parameters without a slope, with the reason.
 
-    parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`,
-    `thickness`, `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`,
-    `load.amplitude` ...); velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a
-    part, `spring.stiffness`; `left_out` of the result names those that were not taken, with the reason. progress: called with t as it goes
-    back, or True for a bar of tqdm. Raises InputError for what is none of these, for another integrator's run, for a run that begins in a
-    state of another run, for what moves the constraints of a held state, for frames between steps (`output`, `until`, `extrapolate`), for
-    forces that jump where a gap switches, and for an unknown parameter.
+    Raises
+    ------
+    InputError
+        For another type of run, objective or integrator, for an unknown parameter or one that moves the constraints of a held state, for a
+        run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), and for forces that jump
+        where a gap switches.
 
-        found = pi.gradient(run, pi.objective.Deviation("tip", path))
-        found.value, found["arm.stiffness"]
+    Notes
+    -----
+    The gradient is exact for the steps of the run up to the error that Newton's tolerance left: below 1e-9 in q and up to 2e-7 in lam and a at
+    a tolerance of 1e-10; about 1e-4 and 2e-2 at the default of GeneralizedAlpha (studies/gradient_errors.py); 1e-8 to 1e-6 at the default of
+    RadauIIA with fixed steps. With adaptive steps of RadauIIA the error is about rtol, and up to 70 times that for PeakStress and PeakReaction,
+    since Newton's method leaves more of stiff modes. A tolerance of rtol^2 of the model's length leaves at most 3 rtol for 20 to 50 % more
+    solves, `tolerance=1e-12` at most 1e-6 for 50 to 70 %.
+
+    The cost does not depend on the number of parameters: 0.9 to 1.7 runs of plates by generalized-alpha (studies/gradient_over_run.py), more
+    runs of small models, whose steps take microseconds, and of RadauIIA. A run whose frames are not all of its steps is solved again from its
+    start.
+
+    Times of kinks that depend on a parameter are differentiated; the steps between two kinks stretch evenly. A run that is solved again with
+    adaptive steps chooses other steps: its means over time differ by up to some hundredths in parameters that move a kink.
+
+    The following are held constant. (1) A given initial state (`solve(..., state=pi.static(model))`), and the start of a run at which a motor
+    begins. (2) The times at which contacts and other gaps switch, which is right if the forces are continuous there. The slopes are then as
+    accurate as the steps in the contact: for a bar on a stop of 1e6 N/m^1.5, dJ/dstiffness has an error of 7 % with GeneralizedAlpha(h=5e-3),
+    0.1 % with rtol=1e-6, 8 % with RadauIIA(rtol=1e-6) and 0.1 % with rtol=1e-8.
+
+    The model is used as it is now: if it was changed after its run, the gradient is another one. A run that failed gives a warning; J is
+    then that of its frames.
+
+    Examples
+    --------
+    >>> result = pi.gradient(run, pi.objective.Deviation("tip", path))
+    >>> result.value, result["arm.stiffness"]
     """
     if not isinstance(objective, Objective):
         raise InputError(
@@ -128,7 +153,7 @@ def _names(parameters):
 
 
 def gradient_of_state(subject, objective, names=None):
-    """The Gradient of an objective of an Equilibrium, or of Modes. Raises StepFailure where the structure can move freely."""
+    """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
     totals, counts = Totals(subject.model, names), Counts()
     own = objective.slopes(subject)(slice(0, 1))
     totals.own(own)
@@ -139,7 +164,7 @@ def gradient_of_state(subject, objective, names=None):
 
 
 def _add_static(equilibrium, own, totals, counts):
-    """Add to the totals what an objective's own Slopes in an equilibrium say by its adjoint."""
+    """Add to the totals the slopes of an objective's q and lam in an equilibrium, by its adjoint."""
     model, t, lam = guard(equilibrium.model), equilibrium.t, equilibrium.lam
     j_q, j_lam = (np.zeros(x.shape) if slope is None else slope[0] for x, slope in ((equilibrium.q, own.q), (lam, own.lam)))
     still, none = np.zeros(model.n), np.zeros(model.m)

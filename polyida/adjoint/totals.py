@@ -18,10 +18,18 @@ from polyida.validation import is_one_of, named_keywords
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Gradient:
-    """An objective's value and dJ/dp by the name of each parameter: `found["arm.stiffness"]`, (cells,).
+    """Value of an objective and its slopes dJ/dp: `gradient["arm.stiffness"]`, (cells,).
 
-    A slope has its parameter's shape, and the unit of J over that of the parameter. counts: of the backward sweep. left_out: {name: reason}
-    of the parameters that the model has and that were not taken: `pi.gradient(run, J, parameters=[name])` gives their slopes.
+    Parameters
+    ----------
+    value : float
+        J.
+    slopes : dict of str to float or array
+        {name: dJ/dp}, of the shape of the parameter, in the unit of J over that of the parameter.
+    counts : Counts
+        Work of the backward sweep.
+    left_out : dict of str to str
+        {name: reason} of parameters without a slope; `pi.gradient(run, J, parameters=[name])` gives it.
     """
 
     value: float
@@ -30,7 +38,7 @@ class Gradient:
     left_out: dict[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float | NDArray:
-        """dJ/dp of a parameter. Raises InputError where there is none of this name."""
+        """dJ/dp of a parameter. Raises InputError for an unknown name."""
         if name not in self.slopes:
             why = f" ({self.left_out[name]}); ask for it by `parameters`" if is_one_of(name, self.left_out) else ""
             raise InputError(f"gradient: {name!r} is no parameter it was taken for{why}; known: {', '.join(map(repr, self.slopes))}")

@@ -185,8 +185,8 @@ def momentum(c, a, r):
 
 
 @part
-def damping(c, u, v, r):
-    """r += `drag M v + viscosity (dy/dz)^T form y'` of all."""
+def add_damping(c, u, v, r):
+    """Add the damping forces of all bodies to r: `drag M v + viscosity (dy/dz)^T form y'`."""
     for b in range(c.drag.shape[0]):
         if c.drag[b] != 0.0:
             add_mass(c, b, c.drag[b], v, r)
@@ -256,8 +256,8 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
     s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)
-    add_slopes(count, z, 1.0, slopes)
-    add_slopes(count, z, c_q + c_v * c.viscosity[b], factored)
+    add_y_jacobian(count, z, 1.0, slopes)
+    add_y_jacobian(count, z, c_q + c_v * c.viscosity[b], factored)
     if c_q != 0.0:
         strained(c, b, u, d)
         if c.viscosity[b] != 0.0:
@@ -265,7 +265,7 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
             quadratic(count, z, moving, rate)
             for e in range(size):
                 d[e] += 2.0 * c.viscosity[b] * rate[e]
-            add_slopes(count, moving, c_q * c.viscosity[b], factored)
+            add_y_jacobian(count, moving, c_q * c.viscosity[b], factored)
         stresses(c, b, d, s)
         for e in range(size):
             s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
@@ -276,8 +276,8 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
 
 
 @part
-def add_slopes(count, z, factor, out):
-    """out (size of y, 2 count) += factor dy/dz; with z' in place of z: dy'/dz."""
+def add_y_jacobian(count, z, factor, out):
+    """out += factor dy/dz, (size of y, 2 count). y is quadratic in z: with z' in place of z the same function gives dy'/dz."""
     real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):

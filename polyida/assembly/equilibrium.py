@@ -135,7 +135,7 @@ def combined(c_m, c_v, K, C, m, across):
 def add_damping(scene, u, v, elastic, r):
     """r (nodes, 2) += damping forces of all bodies; elastic (nodes, 2) is workspace."""
     s = scene.plates
-    compact.damping(scene.compact, u, v, r)
+    compact.add_damping(scene.compact, u, v, r)
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         if s.body_drag[b] != 0.0:

@@ -164,7 +164,7 @@ def build(mesh, element):
 
 
 def _pattern(n_nodes, groups):
-    """Node pattern, and for each group the positions (n, n, c) of its corner pairs in it."""
+    """CSR pattern (indptr, indices) of the pairs of nodes that share a cell, and for each group the positions (n, n, c) of its pairs in it."""
     keys = [(group.nodes[:, None] * np.int64(n_nodes) + group.nodes[None]) for group in groups]
     flat = np.concatenate([key.ravel() for key in keys])
     ordered = np.sort(flat)

@@ -16,12 +16,23 @@ from polyida.validation import is_number, takes
 
 @dataclass(frozen=True)
 class State:
-    """One accepted instant: t in s, q, v, a (n,), lam (m,).
+    """One accepted state of a run.
 
-    `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
-    (generalized-alpha: the algorithmic acceleration `a_alg` and its step; Radau IIA: the last step's polynomial; IDA: nothing).
-    restart: False where nothing tells that memory: in the middle of a compiled stretch, between two accepted instants.
-    within: a function t -> State in the step that ended here, of an integrator that knows more of it than its two ends.
+    Parameters
+    ----------
+    t : float, s
+    q, v, a : (n,) float
+        Coordinates, velocities and accelerations.
+    lam : (m,) float
+        Multipliers.
+    memory : dict
+        What the integrator needs, beside the vectors, to continue as if it had not stopped (generalized-alpha: the algorithmic acceleration
+        `a_alg` and its step; Radau IIA: the polynomial of the last step; IDA: nothing).
+    restart : bool
+        False if a run cannot continue from this state because the memory is missing: inside a compiled stretch, or between two accepted
+        states.
+    within : function t -> State, optional
+        The state at a time t in the step that ends here, by the integrator's own polynomial.
     """
 
     t: float
@@ -36,15 +47,15 @@ class State:
     __repr__ = brief
 
     def finite(self) -> bool:
-        """Whether q and v, and lam, are finite: one product each tells."""
+        """True if q, v and lam are finite. One product checks each pair."""
         return math.isfinite(self.q.dot(self.v)) and math.isfinite(self.lam.dot(self.lam))
 
 
 class Stretch:
-    """Accepted states in a row: t (k,), q, v, a (k, n), lam (k, m), and the last of them as a State, with the memory that it may have.
+    """Consecutive accepted states: t (k,), q, v, a (k, n), lam (k, m), and the last one as a State with its memory, if it has one.
 
-    Those before the last have no memory: a run cannot go on from them. spent: the counts of the work done up to the last state, but for the
-    steps, as a dictionary; None where they are those of the whole stretch.
+    The states before the last have no memory: a run cannot continue from them. spent: {name: count} of the work up to the last state, without
+    the steps; None if the counts are those of the whole stretch.
     """
 
     spent = None
@@ -85,12 +96,12 @@ class Stretch:
         return Stretch(self.t[at], self.q[at], self.v[at], self.a[at], self.lam[at], self.last if whole else None)
 
     def finite(self):
-        """Whether q and v, and lam, are finite: one product each tells."""
+        """True if q, v and lam are finite."""
         return math.isfinite(np.vdot(self.q, self.v)) and math.isfinite(np.vdot(self.lam, self.lam))
 
 
 class Alone(Stretch):
-    """The Stretch of one State, whose vectors are made when they are asked for: an integrator may yield states that are not made whole yet."""
+    """The Stretch of one State. Its vectors are computed when they are first read."""
 
     def __init__(self, state):
         self._last = state
@@ -104,12 +115,12 @@ class Alone(Stretch):
         return 1
 
     def finite(self):
-        """Whether the State is."""
+        """True if the State is finite."""
         return self._last.finite()
 
 
 class States:
-    """The states of stretches one by one; counts.steps is the number of each as it comes. stretches: what they are taken from."""
+    """Iterator over the single states of stretches. counts.steps is the number of each state when it is yielded. stretches: their source."""
 
     def __init__(self, stretches, counts):
         self.stretches, self._states = stretches, (part.last for stretch in stretches for part in parted(stretch, counts))
@@ -136,9 +147,18 @@ def parted(stretch, counts, size=lambda: 1):
 
 @dataclass
 class Counts:
-    """Exact counts of the work done in a run; the same on every machine for fixed-step integrators.
+    """Exact counts of the work in a run; with fixed steps they are the same on every machine.
 
-    solves are with the n x n factor. backend names what made it.
+    Parameters
+    ----------
+    steps, rejected : int
+        Accepted and rejected steps.
+    newton_iterations, residuals, tangents : int
+        Newton iterations, and evaluations of r and of its tangent.
+    factorizations, solves : int
+        Factors of the (n, n) step matrix, and solves with them.
+    backend : str
+        Name of the library that factored.
     """
 
     steps: int = 0
@@ -169,9 +189,9 @@ class Counts:
 def between(before, after, t):
     """The State at t between two accepted ones.
 
-    q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an
-    end it is the accepted state itself. q is of fourth, v of third, a and lam of second order in the step. An integrator's own
-    polynomial, `after.within`, goes before.
+    `after.within(t)` if the integrator has its own polynomial. Otherwise q is the cubic Hermite polynomial through q and v at both ends, v its
+    derivative, and a and lam are linear in t: q is of fourth, v of third, a and lam of second order in the step. At an end it is the accepted
+    state itself.
     """
     if t in (before.t, after.t):
         return before if t == before.t else after
@@ -185,7 +205,7 @@ def between(before, after, t):
 
 
 class Restart(NamedTuple):
-    """Where a run goes on: an accepted state with its memory, the number of frames up to it, the counts at it."""
+    """A point from which a run continues: an accepted state with its memory, the number of frames and the counts up to it."""
 
     state: State
     frames: int
@@ -295,7 +315,7 @@ class _Adapter(Integrator):
 
 
 def declared(given: object, part: str = "solve") -> Integrator:
-    """What is given as an integrator, with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
+    """A user's integrator with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
     if isinstance(given, Integrator):
         return given
     if isinstance(given, type) or not hasattr(given, "steps"):

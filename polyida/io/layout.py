@@ -71,7 +71,7 @@ LOCK_FORMAT = "hhqqi4x"  # struct flock
 
 
 def lock(file, on=True):
-    """Lock an open file until the process ends or closes it, or unlock it; nothing happens on systems without such locks."""
+    """Lock an open file until the process ends or closes it, or unlock it (on=False). No effect if the system has no such locks or refuses."""
     if HAS_LOCKS:
         with suppress(OSError):
             fcntl.fcntl(file, fcntl.F_OFD_SETLK, _request(fcntl.F_WRLCK if on else fcntl.F_UNLCK))

@@ -188,7 +188,7 @@ class Model:
         return None
 
     def potentials(self, q: NDArray) -> tuple[float, float]:
-        """Return (potential of loads, strain energy), J; nan if unknown."""
+        """Return (potential of loads, strain energy), J. A user's model has `potential` as the first and 0 as the second; nan if unknown."""
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 

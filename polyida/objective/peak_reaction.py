@@ -49,7 +49,7 @@ class PeakReaction(TimeMean):
         if not (self.unit is None or is_one_of(self.unit, UNITS)):
             raise InputError(f'PeakReaction: unit = {self.unit!r:.100} must be "N" or "N m", or None')
 
-    def _seen(self, model, span):
+    def _evaluator(self, model, span):
         name = self._name(model)
         units = [unit for _, unit in components(model, name)]
         chosen = [k for k, unit in enumerate(units) if self.unit in (None, unit)]
@@ -57,20 +57,20 @@ class PeakReaction(TimeMean):
             raise InputError(f"PeakReaction: the reaction of {name!r} is in {' and '.join(sorted(set(units)))}; give one of these as unit")
         columns = model.rows[name]
 
-        def look(frames):
+        def evaluate(frames):
             found = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
             size = np.linalg.norm(found.reaction, axis=1)
 
-            def back(factor):
+            def to_slopes(factor):
                 with np.errstate(divide="ignore", invalid="ignore"):
                     toward = np.where(size[:, None] > 0, (factor / size)[:, None] * found.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
                 lam[:, columns] = found.by_multipliers(toward)
                 return Slopes(q=found.by_coordinates(toward), lam=lam, t=lambda: found.by_time(toward))
 
-            return lambda: size, back
+            return lambda: size, to_slopes
 
-        return look
+        return evaluate
 
     def _name(self, model):
         joints = {name: joint for name, joint in model.joints.items() if isinstance(joint, Joint)}

@@ -53,20 +53,20 @@ class PeakStress(TimeMean):
         """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def _seen(self, model, span):
+    def _evaluator(self, model, span):
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
         bodies = [CellStress(body) for body in chosen("PeakStress", model, self.plate, known)]
         areas = np.concatenate([body.operator.areas for body in bodies])
         share, splits = areas / areas.sum(), np.cumsum([body.operator.n_cells for body in bodies])[:-1]
 
-        def look(frames):
+        def evaluate(frames):
             moved = [model.nodal(q) for q in frames.q]
             stresses = [[body.stress(u) for body in bodies] for u in moved]
             sizes = np.array([np.concatenate([body.von_mises(one) for body, one in zip(bodies, each)]) for each in stresses])
             means = np.array([power_mean(share, s, self.p) for s in sizes])
 
-            def back(factor):
+            def to_slopes(factor):
                 """ds/dvm = share (vm / s)^(p - 1)."""
                 rates = [relative(one, mean) ** (self.p - 1.0) for one, mean in zip(sizes, means)]
                 toward = factor[:, None] * share * np.array(rates).reshape(sizes.shape)
@@ -76,9 +76,9 @@ class PeakStress(TimeMean):
                 direct = [slopes for body, work in zip(bodies, works) if body.body in model.bodies for slopes in body.by_parameters(work)]
                 return Slopes(q=np.array(pull).reshape(-1, model.n), direct=dict(direct))
 
-            return lambda: means, back
+            return lambda: means, to_slopes
 
-        return look
+        return evaluate
 
 
 def _pull(bodies, u, stresses, wanted):
@@ -148,16 +148,16 @@ class StrainEnergy(TimeMean):
         """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def _seen(self, model, span):
+    def _evaluator(self, model, span):
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
-        def look(frames):
-            def back(factor):
+        def evaluate(frames):
+            def to_slopes(factor):
                 return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor))
 
-            return lambda: elastic.energies(frames.q), back
+            return lambda: elastic.energies(frames.q), to_slopes
 
-        return look
+        return evaluate
 
 
 class Elastic:
@@ -252,12 +252,13 @@ def fill_energies(scene, q, out):
 
 
 @entry
-def fill_forces(scene, drives, q, still, lam, factor, phi, points, out):
-    """Fill out (frames, pairs, 2) with factor (frames,) times the residual at rest; still (pairs, 2), lam (m,) are zero, phi (m,) and
-    points (2, points, 2) scratch.
+def fill_forces(scene, drives, q, zero_a, zero_lam, factor, phi, points, out):
+    """Fill out (frames, pairs, 2) with factor (frames,) times the residual g(0, q, 0) of each frame, without constraint forces.
+
+    zero_a (pairs, 2) and zero_lam (m,) must be zero; phi (m,) and points (2, points, 2) are workspace.
     """
     for k in range(q.shape[0]):
-        equilibrium.equilibrium(scene, drives, q[k], still, lam, out[k], phi, still[:0], points[0], points[1])
+        equilibrium.equilibrium(scene, drives, q[k], zero_a, zero_lam, out[k], phi, zero_a[:0], points[0], points[1])
         for i in range(out.shape[1]):
             out[k, i, 0], out[k, i, 1] = factor[k] * out[k, i, 0], factor[k] * out[k, i, 1]
 

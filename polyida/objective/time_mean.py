@@ -82,10 +82,11 @@ class TimeMean(Objective):
     p: float = 1.0
     _of_material = False
 
-    def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
-        """A function of Frames that returns (function () -> s (count,), function (dJ/ds (count,)) -> Slopes).
+    def _evaluator(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
+        """Return a function evaluate(Frames) -> (values, to_slopes).
 
-        span: the mean time between frames, s. Raises InputError if the model lacks the part in question.
+        values() is s (count,) of the frames; to_slopes(dJ/ds (count,)) is the Slopes of J. span: the mean time between frames, s. Raises
+        InputError if the model lacks the part.
         """
         raise NotImplementedError
 
@@ -96,27 +97,27 @@ class TimeMean(Objective):
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each slice."""
         run = run_of(type(self).__name__, run)
-        seen = self._of(run)
-        mean = _Mean(run.t, self._sizes(run, seen), self.p)
+        evaluate = self._of(run)
+        mean = _Mean(run.t, self._sizes(run, evaluate), self.p)
 
         def of(part):
-            found = seen(Frames(run, part))[1](mean.shares[part])
+            found = evaluate(Frames(run, part))[1](mean.shares[part])
             of_model = (lambda model: float(mean.shares[part] @ elsewhere(model, part))) if self._of_material else None
             return found.plus(Slopes(t=mean.by_times[part], of_model=of_model))
 
         def elsewhere(model, part):
             """The values of the frames with another model."""
-            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]()
+            return self.named(run.model)._evaluator(guard(model), _span(run))(Frames(run, part))[0]()
 
         of.value = mean.value  # type: ignore[attr-defined]
         return of
 
     def _of(self, run):
-        return self._seen(guard(run.model, type(self).__name__), _span(run))
+        return self._evaluator(guard(run.model, type(self).__name__), _span(run))
 
-    def _sizes(self, run, seen):
+    def _sizes(self, run, evaluate):
         step = frames_at_once(run.q.shape[1])
-        return np.concatenate([seen(Frames(run, slice(k, k + step)))[0]() for k in range(0, len(run.t), step)])
+        return np.concatenate([evaluate(Frames(run, slice(k, k + step)))[0]() for k in range(0, len(run.t), step)])
 
 
 def _span(run):
@@ -124,7 +125,7 @@ def _span(run):
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
-    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_seen`."""
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_evaluator`."""
     wide = FRAMES_WIDE * (span or 1.0)
     rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
     return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])
@@ -177,25 +178,25 @@ class Compliance(TimeMean):
     taken.
     """
 
-    def _seen(self, model, span):
+    def _evaluator(self, model, span):
         still = np.zeros(model.n)
 
         def load(t):
             return -model.force(t, still, still)
 
-        def look(frames):
+        def evaluate(frames):
             at = _sides(model, frames)
             f = np.array([load(t) for t in at.tolist()])
 
-            def back(factor):
+            def to_slopes(factor):
                 by_time = lambda: factor * np.sum(rates(model, load, at, span) * frames.q, axis=1)  # noqa: E731
                 rest, none = np.zeros_like(frames.q), np.zeros_like(frames.lam)
                 work = at, rest, rest, rest, none, -factor[:, None] * frames.q, none
                 return Slopes(q=factor[:, None] * f, t=by_time, work=work)
 
-            return lambda: np.sum(f * frames.q, axis=1), back
+            return lambda: np.sum(f * frames.q, axis=1), to_slopes
 
-        return look
+        return evaluate
 
 
 def _sides(model, frames):
@@ -237,20 +238,20 @@ class Deviation(TimeMean):
         body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
         return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
 
-    def _seen(self, model, span):
+    def _evaluator(self, model, span):
         point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
         pull = _pull(model, point)
 
-        def look(frames):
+        def evaluate(frames):
             gap = model.position(point, frames.q) - [self._at(t) for t in frames.t.tolist()]
 
-            def back(factor):
+            def to_slopes(factor):
                 toward = 2.0 * factor[:, None] * gap
                 return Slopes(q=pull(frames.q, toward), t=lambda: -np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
 
-            return lambda: np.sum(gap**2, axis=1), back
+            return lambda: np.sum(gap**2, axis=1), to_slopes
 
-        return look
+        return evaluate
 
     def _at(self, t):
         advice = "; it must be a function of time"

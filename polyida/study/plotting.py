@@ -92,9 +92,10 @@ def picture(figure, name, caption=""):
 
 
 def study_figure(function):
-    """Decorator of a study's function draw(rows) -> pictures: it gets the rows without errors and the settings of this package.
+    """Decorator of a study's function draw(rows) -> list of Picture.
 
-    The default caption of a picture is the first line of the function's docstring.
+    The function gets the rows without errors and is called with the plot settings of this package. A picture without a caption gets the first
+    line of the function's docstring.
     """
 
     @wraps(function)

@@ -263,7 +263,7 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
 
 @entry
 def kinetic(w, instant, v, energy, c, d, e, f):
-    """v^T M v of a scene without plates."""
+    """Write `v^T M v`, twice the kinetic energy, of a scene without plates to energy[0]."""
     s, speed, total = w.solid, pairs(w, v), 0.0
     clear(s.r)
     compact.momentum(s.mass, speed, s.r)

@@ -25,31 +25,66 @@ EASY = 0.3  # first step: so much of the time in which the model moves by its le
 @named_keywords
 @dataclass(frozen=True)
 class RadauIIA(Integrator):
-    """Radau IIA, implicit Runge-Kutta by collocation: three stages, order 5, or two, order 3; stiffly accurate and L-stable.
+    """Radau IIA: implicit Runge-Kutta method by collocation, stiffly accurate and L-stable, of order 5 (three stages) or 3 (two stages).
 
     At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + D^-1 B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
-    `B v + phi_t = 0`, B = phi_q, D = diag M (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3").
-    Nodes and coefficients are those of Hairer and Wanner, Solving ODEs II, IV.5. a and lam of a state follow from its q and v by
-    `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`: they have the order of q and v. Between two states stands the collocation polynomial,
-    of order s + 1 in q and v and s in a and lam.
+    `B v + phi_t = 0`, with B = phi_q and D = diag M.
 
-    rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
-    mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), and
-    rtol 1e-5, or less where the motion goes that length more than 30 times, for an error about 1e-4 of it; the run's summary says
-    what was chosen. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
-    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
-    the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of W, in plain code.
-    scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/matrices.py). tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
-    atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh
-    order in h, for it adds up in v over all steps; flexible scenes bear far more: 3e-3 h^2 takes one to
-    one and a half iterations a step from 200 steps a second on, and is erratic with longer ones. max_iterations: of one Newton solve.
-    max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt the run fails beyond so many, with those rejected.
-    max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
+    Parameters
+    ----------
+    rtol : float, optional
+        Relative tolerance of q. By default 1e-5, or less if the motion covers its own length more than 30 times, for an error of about
+        1e-4 of that length. The summary of the run names the chosen value.
+    atol : float, m, optional
+        Absolute tolerance of q. By default rtol times the model's length (integrate/sizes.py).
+    h : float, s, optional
+        Fixed step. Each piece of a run between kinks takes the largest step not above h that divides it evenly. By default steps follow
+        from the local error.
+    stages : {3, 2}
+        Number of stages s; the order is 2 s - 1.
+    form : {"ggl", "index3"}
+        "ggl": stabilised form of index 2 (Gear, Gupta, Leimkuhler 1985). "index3": without `B v + phi_t = 0` and mu.
+    project : bool
+        True: in form "index3", v of accepted states is projected onto its constraint. Without it, v is at most of order 3.
+    linear : {"auto", "kkt"}
+        "auto": the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of A^-1,
+        in Python.
+    scaling : {"physical", "bottasso", "none"}
+        Scaling of the whole matrix of `linear="kkt"` (integrate/radau/matrices.py).
+    tolerance : float, optional
+        Newton's tolerance, of q. By default min(0.05, rtol^0.6) times (atol + rtol |q|); with fixed steps 0.05 (e/L)^0.6 e, with the local
+        error e of the step before and the model's length L.
+    max_iterations : int
+        Largest number of iterations of one Newton solve.
+    max_step : float, s
+        Largest step of step control; 0: no limit.
+    first_step : float, s
+        First step of step control; 0: chosen by the method.
+    max_halvings : int
+        A fixed step that fails is repeated in 2, 4, ... 2^max_halvings parts.
+    max_num_steps : int
+        Largest number of steps of a run with step control, rejected ones included. The run fails beyond it.
 
-    The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
-    Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes, of the double plate
-    0.41 J in 10 s at 5 ms, where generalized-alpha loses 0.005 J at 1 ms (studies/energy.py).
-    Raises InputError for a setting out of range.
+    Raises
+    ------
+    InputError
+        For a setting out of range.
+
+    Notes
+    -----
+    The nodes and coefficients are those of Hairer and Wanner, Solving ODEs II (1996), IV.5. a and lam of a state follow from its q and v by
+    `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`: they have the order of q and v. Between two states, the collocation polynomial is of
+    order s + 1 in q and v and s in a and lam.
+
+    Step control keeps the local error of q, compared with a method of order s, below atol + rtol |q|. The norm is the root mean square,
+    weighted by the mass of each coordinate. The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times
+    with two.
+
+    Newton's default tolerance with fixed steps is strict, because its error adds up in v over all steps. Flexible scenes accept much more:
+    3e-3 h^2 takes 1 to 1.5 iterations a step from 200 steps a second on, and is erratic with longer steps.
+
+    The method damps mesh modes that a step does not resolve. Do not use it for the energy of long runs without damping: the double plate
+    loses 0.41 J in 10 s at 5 ms, and generalized-alpha 0.005 J at 1 ms (studies/energy.py).
     """
 
     rtol: float | None = None
@@ -95,7 +130,7 @@ class RadauIIA(Integrator):
 
     @property
     def adaptive(self) -> bool:
-        """Whether the step follows the local error."""
+        """True if the step follows the local error."""
         return self.h is None
 
     def relative(self, sizes: np.ndarray) -> float:

@@ -230,7 +230,7 @@ def turn_back(turn, dq):
 
 @part
 def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
-    """dq and multipliers of one mode, rows and curvature those of the middle stage. Returns how it ended."""
+    """Solve for dq and multipliers of one mode, rows and curvature being those of the middle stage. Returns a status; DONE if mode is None."""
     if mode is None:
         return DONE
     return solve_border(w, instant, number, mode, mode.massive, mode.border, r, closing, lam, dq, multipliers)
@@ -238,7 +238,11 @@ def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
 
 @part
 def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq, multipliers):
-    """The same; what is None is not compiled."""
+    """Solve for dq and multipliers of one mode, with the border of lam alone if `massive` is None, else of lam and mu. Returns a status.
+
+    number: 0 for the real mode, 1 for the complex one. r, closing: right-hand sides of the equations of motion and of the rows.
+    `massive` is an argument of its own, so that numba leaves out the branch that does not apply.
+    """
     k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
     c, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
     if massive is None:
