@@ -1,6 +1,6 @@
 """
-A joint of one's own
-====================
+An own joint
+============
 
 A joint is its formula. Here the left edge of a plate runs along a rail, 45 degrees down; the same class goes into every integrator.
 """

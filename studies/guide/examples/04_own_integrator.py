@@ -1,6 +1,6 @@
 """
-An integrator of one's own against the package's
-================================================
+An own integrator against those of the package
+==============================================
 
 RATTLE (Andersen 1983), written outside the package, in a work-precision study of a pendulum beside generalized-alpha, IDA and Radau IIA. The reference is made by two
 families of methods that agree; hollow points would lie below what is known of it.

@@ -3,7 +3,7 @@ A plate designed in motion
 ==========================
 
 An arm slews by 90 degrees in 0.3 s with a mass at its tip, which is to follow the path of a rigid arm. Where its material goes is found by gradients: first, with the motor held, for
-the least compliance, then of the run, for the least deviation in motion. The page on plates designed in motion tells what happens here.
+the least compliance, then of the run, for the least deviation in motion. The page on plates designed in motion explains the method.
 """
 
 import matplotlib.pyplot as plt
