@@ -5,6 +5,7 @@ from importlib import import_module
 _PLACES = {
     "InputError": "errors",
     "LockingWarning": "errors",
+    "StepFailure": "errors",
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",

@@ -37,7 +37,19 @@ class LockingWarning(UserWarning):
 
 
 class StepFailure(Exception):
-    """An integrator cannot continue: status, reason, time and values of the failed step. `solve` turns it into the status of the run."""
+    """An integrator cannot continue: a step failed. `pi.solve` then returns the run so far with this status and message.
+
+    Parameters
+    ----------
+    status : str
+        The kind of failure in one or two words, `run.status`.
+    reason : str
+        What failed, the beginning of `run.message`.
+    t : float, s
+        Time of the failed step.
+    **seen : float or str
+        Values of the failed step, such as `residual=1e-3`; they follow in the message.
+    """
 
     def __init__(self, status, reason, t=float("nan"), **seen):
         self.status, self.reason, self.t, self.seen = status, reason, t, seen

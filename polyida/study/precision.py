@@ -56,8 +56,8 @@ def unresolved_pulse_notes(reference):
     if "sampling" not in reference:
         return []
     return [
-        f"a force that acts for less than {reference['sampling']:.1e} s between the steps of the reference is not seen, unless the model "
-        "announces it as a kink: known_to does not contain it"
+        f"the reference can miss a force that acts for less than {reference['sampling']:.1e} s, unless the model declares it (kinks); "
+        "known_to does not contain that"
     ]
 
 

@@ -14,6 +14,11 @@ import numpy as np
 import polyida as pi
 
 
+def dense(matrix):
+    """The matrices of a scene are scipy.sparse, those of an own model are what it returns."""
+    return matrix.toarray() if hasattr(matrix, "toarray") else matrix
+
+
 @dataclass(frozen=True)
 class Rattle:
     """Leapfrog with q and v on the constraints; constant mass, forces of q alone."""
@@ -23,18 +28,20 @@ class Rattle:
     def steps(self, model, state, t_end, counts):
         t, q, v = state.t, state.q, state.v
         count = max(1, round((t_end - t) / self.h))
-        h = (t_end - t) / count
+        h, W = (t_end - t) / count, np.linalg.inv(dense(model.mass(q)))
         for k in range(count):
-            W, B = np.linalg.inv(model.mass(q)), model.phi_q(t, q)
+            B = dense(model.phi_q(t, q))
             pull, half = 0.5 * h * W @ B.T, v - 0.5 * h * W @ model.force(t, q, v)
             lam, t_next = np.zeros(model.m), t_end if k == count - 1 else t + h
             for _ in range(50):
                 x = q + h * (half - pull @ lam)
                 gap = model.phi(t_next, x)
-                if np.abs(gap).max() < 1e-14:
+                if np.abs(gap).max() < 1e-13:
                     break
-                lam = lam + np.linalg.solve(h * model.phi_q(t_next, x) @ pull, gap)
-            half, B, q, t = (x - q) / h, model.phi_q(t_next, x), x, t_next
+                lam = lam + np.linalg.solve(h * dense(model.phi_q(t_next, x)) @ pull, gap)
+            else:
+                raise pi.StepFailure("newton", "the projection does not converge", t_next)
+            half, B, q, t = (x - q) / h, dense(model.phi_q(t_next, x)), x, t_next
             free = half - 0.5 * h * W @ model.force(t, q, half)
             lam = np.linalg.solve(0.5 * h * B @ W @ B.T, B @ free)
             v = free - 0.5 * h * W @ B.T @ lam

@@ -3,7 +3,7 @@ An objective of your own
 ========================
 
 An objective is a function of a run together with its slopes in q, v, a and lam of each frame. Here it is the final height of a bar's end
-above a wanted height, squared. ``pi.gradient`` returns its slope in every parameter of the model.
+above a wanted height, squared. ``pi.gradient`` returns its slopes in the parameters that you name.
 """
 
 import numpy as np
