@@ -15,6 +15,12 @@ import polyida as pi
 from polyida.cli.commands import main
 
 SMALL = ("--cells", "8", "--time", "0.02")
+RAISING = """
+class Raising:
+    def steps(self, model, state, t_end, counts):
+        raise RuntimeError("no projection")
+        yield
+"""
 SCENE = """
 import numpy as np
 import polyida as pi
@@ -47,6 +53,20 @@ def misspelt():
 
 def pointless():
     return build(), {"point": 3}
+
+class Low(pi.Model):
+    n, m = 1, 0
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        if q[0] < -0.1:
+            raise RuntimeError("too low")
+        return np.array([9.81])
+
+def late():
+    return Low()
 
 class Falling(pi.Model):
     n, m = 1, 0
@@ -257,6 +277,22 @@ def test_a_syntax_error_names_file_and_line(folder, capsys):
 def test_nothing_is_left_behind_when_the_users_code_fails(folder):
     assert main(["compare", "scene.py:failing"]) == 2
     assert not list(folder.glob("*-compare"))
+
+
+def test_an_integrator_that_raises_is_a_failed_row_of_the_comparison(folder, capsys):
+    (folder / "raising.py").write_text(RAISING)
+    assert main(["compare", "pendulum", "--time", "0.02", "--integrators", "alpha,raising.py:Raising", "--out", "r"]) == 1
+    out, err = capsys.readouterr()
+    assert "Raising: RuntimeError: no projection" in out + err and (folder / "r" / "report.html").exists()
+    rows = json.loads((folder / "r" / "figures.json").read_text())["rows"]
+    assert [row["run"] for row in rows] == ["generalized-alpha", "Raising", "refined run"]
+    assert [row["success"] for row in rows] == [True, False, True] and rows[0]["t_end"] == 0.02
+
+
+def test_a_model_that_raises_in_the_run_is_a_failed_row_of_each_integrator(folder, capsys):
+    assert main(["compare", "scene.py:late", "--integrators", "alpha", "--out", "r"]) == 1
+    out, err = capsys.readouterr()
+    assert all(f"{label}: RuntimeError: too low" in out + err for label in ("generalized-alpha", "refined run"))
 
 
 def test_list_names_every_scene_with_what_is_compared_and_its_source(capsys, monkeypatch):

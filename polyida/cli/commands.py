@@ -192,7 +192,6 @@ def run(
     """Run one integrator on a scene and write an HDF5 file during the run."""
     from polyida.run.resume import resume as resume_run
     from polyida.run.solve import solve
-    from polyida.study.comparison import warm_up
     from polyida.study.ivp import load
     from polyida.study.user_files import choose_integrator, user_errors
 
@@ -217,7 +216,7 @@ def run(
             _make_folder(path.parent)
             with progress_display() as progress, ivp.user_errors(), user_errors(choice.file):
                 progress("preparing kernels", None)
-                warm_up(ivp, member)
+                ivp.warm_up(member)
                 places = {"out": path, "overwrite": overwrite, "progress": lambda t: progress(choice.label, t / ivp.t_end)}
                 finished = solve(ivp.model, ivp.t_end, member, q0=ivp.q0, v0=ivp.v0, **places)
         else:

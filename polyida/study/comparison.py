@@ -14,7 +14,7 @@ from polyida.integrate.state import Counts, States, between
 from polyida.model.guarded import guard
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.accepted import accepted
-from polyida.run.solve import require_run, solve
+from polyida.run.solve import require_run
 from polyida.show import html, plates, plots
 from polyida.study.result import Result
 from polyida.study.user_files import COMPARED, KNOWN, choose_integrators, create_integrators
@@ -190,29 +190,16 @@ def prepare(ivp, integrators, progress=lambda label, fraction: None):
         require_run(ivp.model, ivp.t_end, 0.0, integrator)
     progress("preparing kernels", None)
     for integrator in integrators.values():
-        warm_up(ivp, integrator)
-
-
-def warm_up(ivp, integrator):
-    """Run two steps, so that the time to compile or load kernels is not measured."""
-    with ivp.user_errors():
-        _uninterrupted(solve(ivp.model, min(ivp.t_end, 2 * ivp.step), integrator, q0=ivp.q0, v0=ivp.v0))
-
-
-def _uninterrupted(run):
-    """The run; Ctrl-C in it ends the whole comparison."""
-    if run.status == "interrupted":
-        raise KeyboardInterrupt
-    return run
+        with ivp.user_errors():
+            ivp.warm_up(integrator)
 
 
 def run_timed(ivp, integrators, progress=lambda label, fraction: None):
     """{label: Trajectory}, one run after the other, because their CPU times are compared."""
     runs = {}
     for label, integrator in integrators.items():
-        options = {"q0": ivp.q0, "v0": ivp.v0, "progress": lambda t, label=label: progress(label, t / ivp.t_end)}
         with ivp.user_errors():
-            runs[label] = _uninterrupted(solve(ivp.model, ivp.t_end, integrator, **options))
+            runs[label] = ivp.run(integrator, progress=lambda t, label=label: progress(label, t / ivp.t_end))
     return runs
 
 
@@ -296,4 +283,6 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
                 progress(REFERENCE, state.t / ivp.t_end)
         except StepFailure as failure:
             message = str(failure)
+        except (Exception, SystemExit) as error:  # noqa: BLE001 of a user's function
+            message = f"{type(error).__name__}: {error}"
     return ReferenceRun(integrator, times[: len(watched)], np.array(watched), function, counts, time.process_time() - begin, message)
