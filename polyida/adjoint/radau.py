@@ -17,7 +17,7 @@ from polyida.integrate.radau import loop
 from polyida.integrate.radau.loop import EXACT, Control
 from polyida.integrate.radau.matrices import NOTHING, lift
 from polyida.integrate.radau.radau_iia import restarted
-from polyida.integrate.radau.steps import Steps, at
+from polyida.integrate.radau.steps import Steps, new_control
 from polyida.integrate.radau.tables.python import DenseStages
 from polyida.integrate.radau.tables.scene import SceneMatrices
 from polyida.integrate.sizes import extent, typical_sizes
@@ -40,7 +40,7 @@ def exact_steps(model, settings, first, t_end, counts):
     sizes = typical_sizes(model, first, t_end - first.t)
     engine = Steps(replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=MOST), model, counts, sizes)
     engine.begin(first)
-    engine.looks = False
+    engine.estimates_error = False
     return engine
 
 
@@ -204,21 +204,21 @@ class RadauAdjoint(RunAdjoint):
         """The Stages of steps of h between states. Raises StepFailure."""
         engine, count, s, n, m = self.engine, len(b.t) - 1, self.settings.stages, self.model.n, self.model.m
         engine.limits = within(self.model, float(b.t[0]), float(b.t[-1]))
-        control, first = Control(False, h, h, np.inf, np.inf, np.inf, at(float(b.t[0]))), b.state(0)
-        engine.take(first)
-        method = engine.method()._replace(moves_v=False, guessed=True)
+        control, first = Control(False, h, h, np.inf, np.inf, np.inf, new_control(float(b.t[0]))), b.state(0)
+        engine.start_from(first)
+        method = engine.method()._replace(moves_v=False, has_guess=True)
         number, done, fresh = engine.table.begin(engine, first, control, b.t[1:]), 0, False
         sizes = (), (n,), (n,), (n,), (m,), (m if self.tied else 0,)
-        out, held = Stages(*(np.empty((count, s, *size)) for size in sizes)), (engine.memory, engine.trial, engine.room, engine.done)
+        out, held = Stages(*(np.empty((count, s, *size)) for size in sizes)), (engine.memory, engine.trial, engine.scratch, engine.done)
         while done < count:
             engine.done[:], before = 0, replace(self.counts)
-            at_work = engine.table.functions, engine.table.workspace, number, method, engine.way, h, control.now, engine.kept
+            at_work = engine.table.functions, engine.table.workspace, number, method, engine.compiled_tableau, h, control.now, engine.slots
             done, ended = again(*at_work, fresh, b, done, *held, out)
             engine.table.raise_left()
-            vars(self.counts).update(engine.work(before, engine.done[None], 0))
+            vars(self.counts).update(engine.counts_at(before, engine.done[None], 0))
             fresh, failure = ended == loop.MAKE, None
             try:
-                if ended in (loop.MAKE, loop.AGAIN):
+                if ended in (loop.MAKE, loop.RESTORE):
                     engine.make(control, fresh)
                 elif ended != DONE:
                     failure = StepFailure(*REASONS[ended], float(b.t[done + 1]))

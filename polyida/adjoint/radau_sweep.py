@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE
-from polyida.integrate.radau.loop import GOES, MAKE, STEP, TIME, attempt, keep, made
+from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
 from polyida.integrate.radau.step import A, Q, V
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack, part
@@ -73,10 +73,10 @@ def between(c, h, b, k, x):
 
 
 @entry
-def again(f, w, at, p, t, h, now, kept, fresh, b, done, y, x, z, counts, out):
+def again(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
     """The stages of steps of h from number `done` on: (steps that are done, how the next one ended).
 
-    f, w, p, t, y, x, z, kept, fresh, counts: as of `loop.stretch`; at: number of the instant where the first step begins; b: the States.
+    f, w, p, t, y, x, z, slots, fresh, counts: as of `loop.stretch`; at: number of the instant where the first step begins; b: the States.
     """
     apart = t.c.shape[0] + 1
     for k in range(done, out.e.shape[0]):
@@ -85,15 +85,15 @@ def again(f, w, at, p, t, h, now, kept, fresh, b, done, y, x, z, counts, out):
         for i in range(b.lam.shape[1]):
             y.lam[i] = b.lam[k, i]
         between(t.c, h, b, k, x)
-        now[STEP], now[TIME], now[GOES] = h, b.t[k], b.t[k + 1]
+        now[STEP], now[TIME], now[TARGET] = h, b.t[k], b.t[k + 1]
         first = at if f[PREPARE] else at + k * apart
-        ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], kept, fresh, y, x, z, counts)
+        ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, fresh, y, x, z, counts)
         if ended == MAKE and f[MATRICES]:
-            slot = keep(kept, h, b.t[k], y)
-            ended, counts[3] = made(f, w, first, y, slot), counts[3] + 1
+            slot = reserve_slot(slots, h, b.t[k], y)
+            ended, counts[3] = make_factors(f, w, first, y, slot), counts[3] + 1
             if ended == DONE:
                 between(t.c, h, b, k, x)
-                ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], kept, True, y, x, z, counts)
+                ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, True, y, x, z, counts)
         if ended != DONE:
             return k, ended
         fresh = False
@@ -112,8 +112,8 @@ def write(c, z, k, y, x, out):
             out.lam[k, j, i] = x.lam[j, i]
         for i in range(x.mu.shape[1]):
             out.mu[k, j, i] = x.mu[j, i]
-    for i in range(y.closed.shape[1]):  # the next step begins on its constraints
-        y.closed[0, i] = y.closed[1, i] = 0.0
+    for i in range(y.phi_start.shape[1]):  # the next step begins on its constraints
+        y.phi_start[0, i] = y.phi_start[1, i] = 0.0
 
 
 @pack

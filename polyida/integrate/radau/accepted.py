@@ -1,4 +1,4 @@
-"""The states at the ends of steps, as the compiled loop left them, and the collocation polynomial between."""
+"""The states at the ends of the steps of a stretch, and the collocation polynomial between them."""
 
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,9 +15,9 @@ from polyida.integrate.state import State, Stretch
 
 
 class Collocation(NamedTuple):
-    """Called with t it gives the State there: q and v by polynomials of degree s (3rd or 4th order), a and lam of degree s - 1.
+    """Function of t that returns the State there: q and v by polynomials of degree s (3rd or 4th order), a and lam of degree s - 1.
 
-    stages: e, v - v_0, v' and lam of the nodes c, each (s, ...).
+    stages: e, v - v_0, v' and lam at the nodes c, each (s, ...).
     """
 
     t: float
@@ -35,24 +35,25 @@ class Collocation(NamedTuple):
         return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)
 
 
-class Common(NamedTuple):
-    """What the States of a stretch have in common: its Record, the state (t, q, v) that it began from, c, where its factors were made, and the rest
-    of their memory. work: the counts as a dictionary, of the number of a step; states: those that are in use, by number.
+class StretchData(NamedTuple):
+    """Data that the States of a stretch share: the Record, the state (t, q, v) at its start, c, where its factors were made, and the remaining memory.
+
+    counts_at: function (number of a step) -> {name: count}; states: the State objects in use, by number.
     """
 
     record: Record
     begin: tuple
     c: np.ndarray
-    made: np.ndarray
-    carries: bool
+    factor_states: np.ndarray
+    by_increments: bool
     memory: dict
-    place: Any
+    position_memory: Any
     motion: Any
-    work: Any
+    counts_at: Any
     states: WeakValueDictionary
 
 
-class Ends(Stretch):
+class StretchStates(Stretch):
     """The States at the ends of the steps whose numbers are in the range `which`."""
 
     def __init__(self, s, which):
@@ -62,7 +63,7 @@ class Ends(Stretch):
         return len(self._which)
 
     def __getattr__(self, name):
-        """An array of the ends, a and lam made of the states where the loop has not."""
+        """An array over the ends. a and lam are computed state by state if the driver did not compute them."""
         s, at = self._stretch, self._which
         if name not in ("t", "q", "v", "a", "lam"):
             raise AttributeError(name)
@@ -73,7 +74,7 @@ class Ends(Stretch):
     @property
     def spent(self):
         """The counts at the last state."""
-        return self._stretch.work(self._which[-1])
+        return self._stretch.counts_at(self._which[-1])
 
     @property
     def last(self):
@@ -83,19 +84,19 @@ class Ends(Stretch):
     def state(self, k):
         """The State number k, counted from 0."""
         states, k = self._stretch.states, self._which[k]
-        return states.get(k) or states.setdefault(k, Accepted(self._stretch, k))  # each holds the stretch, which so must not hold it
+        return states.get(k) or states.setdefault(k, StepState(self._stretch, k))  # each holds the stretch, which so must not hold it
 
     def part(self, first, end, every=1):
         """The ends from number `first` to before `end`, or each `every`-th of them."""
-        return Ends(self._stretch, self._which[first:end:every])
+        return StretchStates(self._stretch, self._which[first:end:every])
 
     def finite(self):
-        """Whether q and v are finite, which the loop has looked at."""
+        """True: the driver has checked q and v."""
         return True
 
 
-class Accepted(State):
-    """The State at the end of step k; its memory and what is known within the step are put together when they are asked for."""
+class StepState(State):
+    """The State at the end of step k. Its memory and polynomial are assembled on first use."""
 
     def __init__(self, s, k):
         r = s.record
@@ -104,8 +105,8 @@ class Accepted(State):
             vars(self).update(a=r.a[k], lam=r.lam[k])
 
     @cached_property
-    def _rest(self):
-        """a and lam, `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`; those of the last stage where that is singular, of order s only."""
+    def _motion(self):
+        """a and lam of `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`; if that is singular those of the last stage, of order s only."""
         model, at = self._stretch.motion
         try:
             return consistent_acceleration(model, at(self.t), self.q, self.v)
@@ -115,18 +116,18 @@ class Accepted(State):
     @cached_property
     def a(self):
         """q'', (n,)."""
-        return self._rest[0]
+        return self._motion[0]
 
     @cached_property
     def lam(self):
         """The multipliers, (m,)."""
-        return self._rest[1]
+        return self._motion[1]
 
     @cached_property
     def memory(self):
-        """What a run goes on from."""
+        """The memory from which a run continues."""
         s, k = self._stretch, self._k
-        r, marks, slots = s.record, s.record.marks[k], s.record.kept[k]
+        r, marks, slots = s.record, s.record.marks[k], s.record.slots[k]
         order = [slot for slot in np.argsort(slots[USED], kind="stable") if slots[H, slot]]
         memory = {
             "stages_e": r.e[k],
@@ -140,12 +141,12 @@ class Accepted(State):
             "step": float(marks[LAST]),
             "error": float(marks[ERROR]),
             "newton": marks[[CONTRACTION, AGE]],
-            "factored": np.array([np.concatenate([[slots[H, slot]], s.made[slot]]) for slot in order]),
+            "factored": np.array([np.concatenate([[slots[H, slot]], s.factor_states[slot]]) for slot in order]),
             "prices": slots[[H, PRICE, LEAST]][:, order].T.copy(),
         }
-        if s.carries:
-            memory |= {"phi": r.closed[k, 0], "rate": r.closed[k, 1]}
-        return memory | s.memory | s.place(k, r.rung[k])
+        if s.by_increments:
+            memory |= {"phi": r.phi_start[k, 0], "rate": r.phi_start[k, 1]}
+        return memory | s.memory | s.position_memory(k, r.level[k])
 
     @cached_property
     def within(self):
@@ -156,7 +157,7 @@ class Accepted(State):
         return Collocation(t, float(r.marks[k, LAST]), q, v, s.c, (r.e[k], r.dv[k], r.stages_a[k], r.stages_lam[k]))
 
     def finite(self):
-        """Whether q and v are finite, which the loop has looked at."""
+        """True: the driver has checked q and v."""
         return True
 
     def __reduce__(self):

@@ -31,17 +31,17 @@ NOTHING = 1e-12  # of the largest mass: none
 
 
 def lift(model, shares):
-    """D^-1 (n,) from the coordinates' shares in the mass; those without mass count as any, and as all where all are alike."""
+    """The diagonal of D^-1, (n,), from the shares of the coordinates in the mass: 1 for massless coordinates, and for all if the model has uniform units."""
     heavy = shares > NOTHING * shares.max()
     masses = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0)
     return np.ones_like(shares) if model.uniform_units else masses
 
 
 class Rows:
-    """The constraints' rows at (t, q, v): B (m, n), and H and G (m, n) where there is mu.
+    """The constraint rows at (t, q, v): B (m, n), and H and G (m, n) if there is mu.
 
-    lift: the diagonal of D^-1 (n,), or None where there is no mu. on_q, on_v: what the rows are on dq and dv; both: on dq, where dv = c dq,
-    with c times the first block taken from the second.
+    lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors of dq and dv in the rows; both: factor of dq with dv = c dq, the
+    second block reduced by c times the first.
     """
 
     def __init__(self, model, t, q, v, lift):
@@ -53,11 +53,11 @@ class Rows:
         self.on_v = np.vstack([level, self.B]) if self.tied else level
 
     def below(self, c, r3, r4):
-        """The right-hand sides of the rows on dq."""
+        """Right-hand sides of the rows."""
         return np.concatenate([-r3, c * r3 - r4]) if self.tied else -r3
 
     def corner(self):
-        """What the multipliers add to the rows."""
+        """Block of the multipliers in the rows."""
         m = len(self.B)
         corner = np.zeros((len(self.both), len(self.both)))
         if self.tied:
@@ -66,9 +66,9 @@ class Rows:
 
 
 class Matrices:
-    """S of every mode for steps of h, made when first used from `made_at`: t, q, v, a and lam in one array.
+    """S of every mode for steps of h, factored on first use at `made_at`: t, q, v, a and lam in one array.
 
-    M and the modes' slopes, c M + C, are those of there. price: iterations that it cost beyond its best ones, `least` a step.
+    M and `slopes`, c M + C of each mode, are those at this state.
     """
 
     def __init__(self, model, modes, h, made_at, linear="auto"):
@@ -79,7 +79,7 @@ class Matrices:
         self.backend = ""
 
     def make(self):
-        """Factor, where it is not done. Raises SingularSystem."""
+        """Factor S unless it is factored. Raises SingularSystem."""
         if self.factors is not None:
             return
         at, first = self._evaluated(), StepMatrix(self.model) if self.linear == "kkt" else self.model.step_matrix()
@@ -91,16 +91,16 @@ class Matrices:
         self.bare = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]
 
     def _evaluated(self):
-        """(t, q, v, a, lam) of where they are made, with M and the slopes of there."""
+        """(t, q, v, a, lam) of `made_at`; M, C and the slopes are evaluated there."""
         model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
         self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
         self.slopes = [c * self.M if self.C is None else c * self.M + self.C for c in self.c]
         return at
 
     def _hold(self, B, R):
-        """Solve with S + s B^T R, R the first block of rows, where S may be singular: constraints alone hold coordinates without mass.
+        """Factor S + s B^T R, R the first block of rows, for a singular S: only constraints hold the coordinates without mass.
 
-        With `R dq = -r3` nothing has changed but dlam, by s r3; so these are the rows themselves.
+        With `R dq = -r3` only dlam changes, by s r3; R is therefore the rows themselves.
         """
         size = float(np.abs(self.bare[0].diagonal()).max(initial=0.0))
         largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (B, R))
@@ -109,7 +109,7 @@ class Matrices:
         self.factors = [LU(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)).solve for S in self.bare]
 
     def surround(self, rows, counts):
-        """Take the constraints' rows, and make the columns that belong to them."""
+        """Set the constraint rows and solve for the columns of the border."""
         if self.bare:
             counts.factorizations += len(self.bare)
             self._hold(rows.B, rows.both[: self.model.m])
@@ -144,7 +144,7 @@ def whole_matrix(c, K, slope, rows):
 
 
 def sizes(scaling, c, s, n, m, tied):
-    """Factors (of rows, of columns), (N,) each, of a scaling; tied: whether there is mu."""
+    """Factors (of rows, of columns), (N,) each, of a scaling; tied: True if there is mu."""
     if scaling == "none":
         return first_order_units(n, m, tied)
     size = abs(c)
@@ -152,19 +152,19 @@ def sizes(scaling, c, s, n, m, tied):
 
 
 class WholeModes(Matrices):
-    """The Matrices of a step by one factor of each mode's whole matrix; K, M and C are of where they are made, the rows those given."""
+    """The Matrices of a step with one factor of each mode's whole matrix; K, M and C are those at `made_at`, the rows those of `surround`."""
 
     def __init__(self, model, modes, h, made_at, scaling):
         super().__init__(model, modes, h, made_at)
         self.scaling, self.K = scaling, None
 
     def make(self):
-        """Evaluate, where it is not done."""
+        """Evaluate K unless it is evaluated."""
         if self.K is None:
             self.K = self.model.tangent(*self._evaluated(), 0.0, 0.0, 1.0)
 
     def surround(self, rows, counts):
-        """Take the constraints' rows, and with them the factors when they are first used."""
+        """Set the constraint rows; the whole matrices are factored on first use."""
         counts.factorizations += len(self.modes)
         self.rows, self.borders = rows, [None] * len(self.modes)
 
@@ -175,7 +175,7 @@ class WholeModes(Matrices):
         return x[:n], x[2 * n : 2 * n + m], x[2 * n + m :]
 
     def _whole(self, k, *below):
-        """The solution with no right-hand side of q', which v follows as it is. Raises SingularSystem."""
+        """The solution with a zero right-hand side of q'. Raises SingularSystem."""
         n = self.model.n
         if self.borders[k] is None:
             matrix, s = whole_matrix(self.c[k], self.K, self.slopes[k], self.rows)

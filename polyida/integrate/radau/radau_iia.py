@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.discontinuities import PARTS, at_kink, pieces, run_interval, sampling
-from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
+from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, Integrator, State, States
@@ -18,8 +18,11 @@ from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_ke
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")
-AIM, WAYS = 1e-5, 30.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
-EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
+DEFAULT_RTOL, FREE_LENGTHS = (
+    1e-5,
+    30.0,
+)  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
+FIRST_STEP_SHARE = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
 
 @named_keywords
@@ -134,11 +137,11 @@ class RadauIIA(Integrator):
         return self.h is None
 
     def relative(self, sizes: np.ndarray) -> float:
-        """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
-        return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else self.rtol
+        """rtol, or the default for a run of these sizes (length, speed, time, number of lengths covered)."""
+        return relative_tolerance(DEFAULT_RTOL, FREE_LENGTHS, float(sizes[3])) if self.rtol is None else self.rtol
 
     def absolute(self, sizes: np.ndarray) -> float:
-        """atol, or that of a run of these sizes."""
+        """atol, or the default for a run of these sizes."""
         return self.relative(sizes) * float(sizes[0]) if self.atol is None else self.atol
 
     def fixed_step(self) -> float:
@@ -150,11 +153,11 @@ class RadauIIA(Integrator):
         return self.rtol if self.adaptive else None
 
     def without_halving(self) -> "RadauIIA":
-        """The same with max_halvings = 0 if its steps are fixed."""
+        """The same settings with max_halvings = 0 if steps are fixed."""
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def summary_of_steps(self, memory: dict) -> str:
-        """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
+        """Words of a summary on the tolerances chosen by default; memory: of a state of the run."""
         if not self.adaptive or "sizes" not in memory:
             return ""
         sizes, rtol = memory["sizes"], self.relative(memory["sizes"])
@@ -164,14 +167,14 @@ class RadauIIA(Integrator):
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted States after `state` up to t_end, one a step. Raises StepFailure.
 
-        At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
+        A step ends at each kink of the model; the next one starts from the state that is consistent behind it.
         """
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
         sizes, run = sizes_of_run(model, state, t_end), run_interval(state, t_end)
         engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
-        ladder, longest = ladder_of(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
+        controller, longest = stored_controller(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
         h, fine = (self.h, PARTS) if self.h else sampling(longest, np.ptp(run))
@@ -181,9 +184,9 @@ class RadauIIA(Integrator):
                 engine.limits = (beside(begin, 1), engine.limits[1])
                 state = restarted(far_side(model, state, engine.limits[0]))
             if self.h:
-                piece = march(engine, self, model, state, begin, end, min(self.h, most), counts)
+                piece = fixed_steps(engine, self, model, state, begin, end, min(self.h, most), counts)
             else:
-                piece = adapt(engine, self, model, state, begin, end, min(longest, most), counts, ladder, most_steps)
+                piece = adaptive_steps(engine, self, model, state, begin, end, min(longest, most), counts, controller, most_steps)
             for stretch in piece:
                 yield stretch
                 state = stretch.last
@@ -191,11 +194,11 @@ class RadauIIA(Integrator):
     def _first(self, sizes, span):
         """The first step, s."""
         length, speed = sizes[:2]
-        return self.first_step or min(span, EASY * length / speed * self.relative(sizes) ** (1 / (self.stages + 1)))
+        return self.first_step or min(span, FIRST_STEP_SHARE * length / speed * self.relative(sizes) ** (1 / (self.stages + 1)))
 
 
 def restarted(state):
-    """The state without the last step's polynomial, which leads nowhere behind a kink, or is of other stages."""
+    """The state without the polynomial of the last step, which is invalid behind a kink or with another number of stages."""
     gone = (
         "stages_e",
         "stages_v",

@@ -26,20 +26,20 @@ from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.system import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
-SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
+STALLED = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11
-CARRIED = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
-UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
-SAME = 1e-9  # of h: steps that differ by less have the same length
-FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
+MAX_AGE = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
+UNKNOWN = np.array([1.0, MAX_AGE])  # the marks of a Newton that has none
+SAME_STEP = 1e-9  # of h: steps that differ by less have the same length
+MAX_EXTRAPOLATION = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
 NOISE = 1e-15  # of the size: a later correction below that is round-off of phi, where this is taken from positions
-MOVES = 3  # of q onto phi = 0, at most
+MAX_PROJECTIONS = 3  # of q onto phi = 0, at most
 AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
 Q, V, A, SHARES = range(4)  # rows of Memory.past
 CONTRACTION, AGE, LAST, ERROR, AHEAD = range(5)  # of Memory.marks
 MARKS = 5
 UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no miss is known; its largest value
-MOVED, SPEED, EXTENDED = range(3)  # of Room.seen
+MOVED, SPEED, EXTENDED = range(3)  # of Scratch.seen
 RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
 PHI, PHI_RATE = range(2)  # of rows
 
@@ -48,18 +48,18 @@ PHI, PHI_RATE = range(2)  # of rows
 class Method(NamedTuple):
     """Numbers of the method.
 
-    tied: whether there is mu; carries: whether phi is carried by increments; moves_v: whether the step's end is moved onto phi' = 0; looks:
-    whether the local error is asked for; guessed: whether the stages to begin with are on trial. low, high: the model's times are held to
-    them. renewal: iterations that cost as much as new factors: so many beyond the least a step, and they are made anew. extent: of the model, m;
-    least: round-off of q = 0. tolerance: what Newton may leave of q, 0: `share` of atol + rtol |q|, or where
-    share is 0 by the error of the step before, with the length of the model.
+    tied: True if there is mu; by_increments: True if phi is updated by increments; moves_v: True if v at the end of the step is projected onto
+    phi' = 0; estimates_error: True if the local error is computed; has_guess: True if the trial stages hold initial values. low, high: limits
+    of the model's times. renewal: iterations that cost as much as a new factor: a factor is made anew when its excess iterations exceed
+    this. extent: size of the model, m; least: round-off of q = 0. tolerance: Newton's tolerance; 0: `share` times (atol + rtol |q|), or if share
+    is 0 by the error of the step before and the model's length.
     """
 
     tied: bool
-    carries: bool
+    by_increments: bool
     moves_v: bool
-    looks: bool
-    guessed: bool
+    estimates_error: bool
+    has_guess: bool
     max_iterations: int
     low: float
     high: float
@@ -74,10 +74,10 @@ class Method(NamedTuple):
 
 
 @pack
-class Way(NamedTuple):
-    """A tableau for compiled code: c, A, W, `start`, rows and columns of the real mode (s,), or none of them, and of the complex pair.
+class CompiledTableau(NamedTuple):
+    """A Tableau for compiled code: c, A, W, `start`, row and column of the real mode, (s,) or (0,) without one, and of the complex mode.
 
-    values: of the real mode, real and imaginary part of the complex one.
+    values: eigenvalue of the real mode, real and imaginary part of that of the complex one.
     """
 
     c: np.ndarray
@@ -93,14 +93,14 @@ class Way(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """What goes from step to step.
+    """Quantities that a step takes from the step before.
 
-    past (4, n): q, v, v' of the last stage, the shares of the coordinates in the mass; lam (m,): of the last stage; stages_v (s, n),
-    stages_lam (s, m): of the last step; miss_e (s, n), miss_lam (s, m): what its e and lam are beyond the polynomial of the step before it;
-    mu (s, m), or (s, 0) without: its mu, which the polynomial takes for zero;
-    closed (2, m): phi and phi' as they are carried. marks: the CONTRACTION of an earlier step and its AGE in steps, so that a step may end
-    after one iteration; LAST: the step before, s, 0 where none is known; its ERROR, -1 where unknown; AHEAD: the part of the miss that the
-    next step of the same length is expected to have again, UNKNOWN_MISS if the miss is unknown.
+    past (4, n): q, v, v' of the last stage, shares of the coordinates in the mass. lam (m,): of the last stage. stages_v (s, n), stages_lam
+    (s, m): of the last step. miss_e (s, n), miss_lam, mu (s, m): prediction errors of the last step: its e and lam minus the extrapolation from
+    the step before, and its mu, which is predicted as zero. phi_start (2, m): phi and phi' at the start of the step, for increments. marks:
+    CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration; LAST, length of the step before, s, 0 if
+    unknown; ERROR of that step, -1 if unknown; AHEAD, expected ratio of the next prediction error to this one for equal steps, UNKNOWN_MISS if
+    unknown.
     """
 
     past: np.ndarray
@@ -110,15 +110,15 @@ class Memory(NamedTuple):
     miss_e: np.ndarray
     miss_lam: np.ndarray
     mu: np.ndarray
-    closed: np.ndarray
+    phi_start: np.ndarray
     marks: np.ndarray
 
 
 @pack
 class Trial(NamedTuple):
-    """What Newton works on: e, v - v_0 and v' of the stages (s, n), their multipliers lam (s, m) and mu (s, m), or (s, 0) without.
+    """Unknowns of Newton's method: e, v - v_0 and v' of the stages (s, n), multipliers lam (s, m) and mu (s, m), or (s, 0) without mu.
 
-    start_e (s, n), start_lam (s, m): e and lam of the last step's polynomial.
+    start_e (s, n), start_lam (s, m): e and lam extrapolated from the last step.
     """
 
     e: np.ndarray
@@ -131,8 +131,10 @@ class Trial(NamedTuple):
 
 
 @pack
-class Room(NamedTuple):
-    """Scratch: times (s + 6): h, t and times of the instants, and what SELECT is given; q, v, a, lam of a state; r (s, n); rows (2, s, m): phi and phi'; of the modes right-hand sides, rows, dq and multipliers."""
+class Scratch(NamedTuple):
+    """Workspace of a step: times (s + 6,), h, t, times of the instants and the argument of SELECT; q, v, a, lam of one state; r (s, n); rows
+    (2, s, m), phi and phi'; and of each mode right-hand sides, rows, dq and multipliers.
+    """
 
     times: np.ndarray
     q: np.ndarray
@@ -155,29 +157,29 @@ class Room(NamedTuple):
     multipliers_pair: np.ndarray
 
 
-def way(tableau):
-    """The Way of a Tableau."""
+def compiled_tableau(tableau):
+    """The CompiledTableau of a Tableau."""
     modes = {mode.paired: mode for mode in tableau.modes}
     real, pair = modes.get(False), modes[True]
     rows = (np.zeros(0), np.zeros(0)) if real is None else (real.row.copy(), real.column.copy())
     values = np.array([0.0 if real is None else real.value, pair.value.real, pair.value.imag])
-    return Way(tableau.c, tableau.A, tableau.W, tableau.start, *rows, pair.row.copy(), pair.column.copy(), values)
+    return CompiledTableau(tableau.c, tableau.A, tableau.W, tableau.start, *rows, pair.row.copy(), pair.column.copy(), values)
 
 
 def empty(stages, n, m, tied):
-    """(Memory, Trial, Room) for n coordinates and m constraints."""
+    """(Memory, Trial, Scratch) for n coordinates and m constraints."""
     each, closing, tie = (stages, n), (stages, m), (stages, m if tied else 0)
     memory = Memory(*map(np.zeros, ((4, n), (m,), each, closing, each, closing, tie, (2, m), (MARKS,))))
     memory.marks[AHEAD] = UNKNOWN_MISS
     trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
     shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), (2, stages, stages), (3,)
     modal = (n,), (n,), (2, m), (2, m)
-    return memory, trial, Room(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
+    return memory, trial, Scratch(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
 
 
 @fast
 def mean_square(shares, x):
-    """The sum of shares x^2."""
+    """Sum of shares x^2."""
     total = 0.0
     for i in range(x.shape[0]):
         total += shares[i] * x[i] * x[i]
@@ -194,7 +196,7 @@ def largest(x):
 
 
 @part
-def through(W, h, x, rates):
+def stage_rates(W, h, x, rates):
     """rates = W x / h, (s, n) each."""
     for k in range(x.shape[0]):
         row, first, weight = rates[k], x[0], W[k, 0] / h
@@ -207,7 +209,7 @@ def through(W, h, x, rates):
 
 
 @part
-def combined(weights, x, out):
+def weighted_sum(weights, x, out):
     """out = weights x, (s, k) each."""
     for k in range(x.shape[0]):
         for i in range(x.shape[1]):
@@ -219,16 +221,17 @@ def combined(weights, x, out):
 
 @part
 def predict(t, h, y, x, z):
-    """Stages to begin with: on the last step's polynomial, shifted through the state, and what it missed there; at a run's start along v.
+    """Set initial stages: the extrapolated polynomial of the last step through the new state, plus the expected prediction error.
 
-    The polynomial of v, integrated, is nearer than that of q.
+    v is extrapolated and integrated, which is more accurate than the polynomial of q. At the start of a run, and after much shorter steps,
+    q = q_0 + c h v_0.
     """
     stages, last, ahead, to_e = x.e.shape[0], y.marks[LAST], z.weights[0], z.weights[1]
     for k in range(stages):
         for i in range(x.mu.shape[1]):
             x.mu[k, i] = 0.0
     z.seen[EXTENDED] = 0.0
-    if last == 0.0 or h > FAR * last:
+    if last == 0.0 or h > MAX_EXTRAPOLATION * last:
         for k in range(stages):
             for i in range(x.e.shape[1]):
                 x.e[k, i] = 0.0
@@ -242,7 +245,7 @@ def predict(t, h, y, x, z):
             for o in range(stages):
                 if o != j:
                     ahead[k, j] *= (at - t.c[o]) / (t.c[j] - t.c[o])
-    combined(ahead, y.stages_lam, x.lam)
+    weighted_sum(ahead, y.stages_lam, x.lam)
     for k in range(stages):
         at = 1.0 + t.c[k] * (h / last)
         for j in range(stages):
@@ -253,14 +256,14 @@ def predict(t, h, y, x, z):
             to_e[k, j] = 0.0
             for o in range(stages):
                 to_e[k, j] += h * t.A[k, o] * ahead[o, j]
-    combined(to_e, y.stages_v, x.e)
-    if abs(h - last) <= SAME * h:
-        add_miss(y, x, z)
+    weighted_sum(to_e, y.stages_v, x.e)
+    if abs(h - last) <= SAME_STEP * h:
+        add_prediction_error(y, x, z)
 
 
 @part
-def add_miss(y, x, z):
-    """Add to the polynomial's stages what it missed in a step of the same length, and keep those of the polynomial."""
+def add_prediction_error(y, x, z):
+    """Store the extrapolated stages in start_e and start_lam, and add the expected prediction error for a step of the same length."""
     z.seen[EXTENDED], ahead = 1.0, max(y.marks[AHEAD], 0.0)
     for k in range(x.e.shape[0]):
         for i in range(x.e.shape[1]):
@@ -274,8 +277,8 @@ def add_miss(y, x, z):
 
 
 @fast
-def take_miss(y, x, z):
-    """Note what the stages are beyond the last step's polynomial, and what part of that the next step is expected to have again."""
+def store_prediction_error(y, x, z):
+    """Store the prediction error of the step, and its expected ratio for the next step of the same length."""
     if z.seen[EXTENDED] == 0.0:
         y.marks[AHEAD] = UNKNOWN_MISS
         return
@@ -294,8 +297,8 @@ def take_miss(y, x, z):
 
 
 @part
-def place(t, h, y, x, z, k):
-    """q and v of stage k, in z."""
+def stage_state(t, h, y, x, z, k):
+    """Write q and v of stage k to z."""
     c, past = t.c[k] * h, y.past
     for i in range(z.q.shape[0]):
         z.q[i] = past[Q, i] + (c * past[V, i] + x.e[k, i])
@@ -303,40 +306,40 @@ def place(t, h, y, x, z, k):
 
 
 @part
-def follow(f, w, first, t, h, y, x, z):
+def stage_velocities(f, w, first, t, h, y, x, z):
     """v and v' of the stages from e and mu."""
-    through(t.W, h, x.e, x.dv)
+    stage_rates(t.W, h, x.e, x.dv)
     if x.mu.shape[1]:
         for k in range(x.e.shape[0]):
-            place(t, h, y, x, z, k)
+            stage_state(t, h, y, x, z, k)
             ended = call(f[REACTION], w, first + 1 + k, address(z.q), address(x.mu[k]), address(x.dv[k]), 0, 0, 0)
             if ended != DONE:
                 return ended
-    through(t.W, h, x.dv, x.a)
+    stage_rates(t.W, h, x.dv, x.a)
     return DONE
 
 
 @part
-def closed_rows(f, w, first, y, x, z, k):
-    """phi, and phi' where it is carried, of stage k; z.q is there."""
+def phi_by_increments(f, w, first, y, x, z, k):
+    """phi and phi' of stage k by increments from the start of the step; z.q is q of the stage."""
     phi, rate = z.rows[PHI, k], z.rows[PHI_RATE, k]
     for i in range(phi.shape[0]):
-        phi[i], rate[i] = y.closed[PHI, i], y.closed[PHI_RATE, i]
+        phi[i], rate[i] = y.phi_start[PHI, i], y.phi_start[PHI_RATE, i]
     return call(f[CLOSE], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
 
 
 @part
 def residuals(f, w, first, p, t, h, y, x, z):
     """r, phi and phi' of all stages."""
-    ended = follow(f, w, first, t, h, y, x, z)
+    ended = stage_velocities(f, w, first, t, h, y, x, z)
     for k in range(x.e.shape[0]):
         if ended != DONE:
             return ended
-        place(t, h, y, x, z, k)
+        stage_state(t, h, y, x, z, k)
         state = address(z.q), address(z.v), address(x.a[k]), address(x.lam[k])
         ended = call(f[RESIDUAL], w, first + 1 + k, state[0], state[1], state[2], state[3], address(z.r[k]), address(z.rows[PHI, k]))
-        if ended == DONE and p.carries:
-            ended = closed_rows(f, w, first, y, x, z, k)
+        if ended == DONE and p.by_increments:
+            ended = phi_by_increments(f, w, first, y, x, z, k)
         elif ended == DONE and p.tied:
             ended = call(f[RATE], w, first + 1 + k, state[0], state[1], address(z.rows[PHI_RATE, k]), 1, 0, 0)
     return ended
@@ -344,7 +347,7 @@ def residuals(f, w, first, p, t, h, y, x, z):
 
 @fast
 def into_modes(t, z):
-    """The residuals of the modes."""
+    """Transform the residuals of the stages to the modes."""
     stages, real = z.r.shape[0], t.real_row.shape[0] > 0
     for i in range(z.right.shape[0]):
         one, pair = 0.0, 0.0j
@@ -365,7 +368,7 @@ def into_modes(t, z):
 
 @fast
 def from_modes(t, z):
-    """The corrections of the stages."""
+    """Transform the corrections of the modes to the stages, in z.r."""
     for k in range(z.r.shape[0]):
         real, pair = t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k]
         for i in range(z.r.shape[1]):
@@ -374,7 +377,7 @@ def from_modes(t, z):
 
 @part
 def add_multipliers(t, z, g, lam):
-    """Add the modes' multipliers of one kind to those of the stages."""
+    """Add the modes' multipliers g (0: lam, 1: mu) to those of the stages."""
     for k in range(lam.shape[0]):
         for e in range(lam.shape[1]):
             lam[k, e] += 2.0 * (t.pair_column[k] * z.multipliers_pair[g, e]).real
@@ -384,20 +387,20 @@ def add_multipliers(t, z, g, lam):
 
 @part
 def solve_real(f, w, middle, lam, z):
-    """The correction of the real mode."""
+    """Correction of the real mode. Returns a status."""
     return call(f[REAL], w, middle, address(z.right), address(z.closing), address(lam), address(z.dq), address(z.multipliers), 0)
 
 
 @part
 def solve_pair(f, w, middle, lam, z):
-    """That of the complex mode."""
+    """Correction of the complex mode. Returns a status."""
     given = address(z.right_pair), address(z.closing_pair), address(lam), address(z.dq_pair), address(z.multipliers_pair)
     return call(f[PAIR], w, middle, given[0], given[1], given[2], given[3], given[4], 0)
 
 
 @part
 def iterate(f, w, first, p, t, h, y, x, z):
-    """One Newton iteration: (how it ended, |dq|, |dv| h with it, root mean square by mass)."""
+    """One Newton iteration: (status, norm of dq and h dv: root mean square over stages, weighted by mass)."""
     ended = residuals(f, w, first, p, t, h, y, x, z)
     if ended != DONE:
         return ended, 0.0
@@ -415,7 +418,7 @@ def iterate(f, w, first, p, t, h, y, x, z):
     from_modes(t, z)
     if f[TURN]:
         call(f[TURN], w, first, address(z.r), 1, 0, 0, 0, 0)
-    through(t.W, 1.0, z.r, x.dv)
+    stage_rates(t.W, 1.0, z.r, x.dv)
     total = 0.0
     for k in range(stages):
         for i in range(n):
@@ -428,11 +431,11 @@ def iterate(f, w, first, p, t, h, y, x, z):
 
 @part
 def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
-    """Iterations until they leave `allowed` of q: (how it ended, their number); the stages are in x."""
+    """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in x."""
     size = np.sqrt(mean_square(y.past[SHARES], y.past[Q])) + h * np.sqrt(mean_square(y.past[SHARES], y.past[V]))
-    contraction = min(2.0 * y.marks[CONTRACTION], 1.0) if y.marks[AGE] < CARRIED else 1.0
+    contraction = min(2.0 * y.marks[CONTRACTION], 1.0) if y.marks[AGE] < MAX_AGE else 1.0
     last, worst, round_off = np.inf, 0.0, max(ROUND * size, p.least)
-    noise = 0.0 if p.carries else NOISE * size
+    noise = 0.0 if p.by_increments else NOISE * size
     for iteration in range(1, p.max_iterations + 1):
         counts[RESIDUALS] += x.e.shape[0]
         counts[ITERATIONS] += 1
@@ -445,7 +448,7 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
             worst = max(worst, contraction) if moved > noise or worst == 0.0 else worst
         z.seen[MOVED], z.seen[SPEED] = moved, contraction
         left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
-        spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > SLOW
+        spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > STALLED
         rounded = iteration > 1 and moved <= noise
         if left <= allowed or moved == 0.0 or rounded or (moved <= round_off and (stalled or spent)):
             if iteration > 1:
@@ -460,16 +463,16 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
 
 
 @part
-def stages(f, w, first, p, t, h, y, x, z, allowed, counts):
-    """The stages of a step from y: (how it ended, iterations)."""
+def solve_stages(f, w, first, p, t, h, y, x, z, allowed, counts):
+    """Solve the stages of a step from y: (status, iterations)."""
     ended = call(f[HOLD], w, first, address(y.past[Q]), address(y.past[V]), address(z.times), 0, 0, 0)
     if ended != DONE:
         return ended, 0
-    if not p.guessed:
+    if not p.has_guess:
         predict(t, h, y, x, z)
-    through(t.W, h, x.e, x.dv)
+    stage_rates(t.W, h, x.e, x.dv)
     k = x.e.shape[0] // 2
-    place(t, h, y, x, z, k)
+    stage_state(t, h, y, x, z, k)
     ended = call(f[ROWS], w, first + 1 + k, address(z.q), address(z.v), 0, 0, 0, 0)
     if ended != DONE:
         return ended, 0
@@ -477,17 +480,17 @@ def stages(f, w, first, p, t, h, y, x, z, allowed, counts):
 
 
 @part
-def close(f, w, first, p, t, h, y, x, z):
-    """Bring v and v' up to the last correction, and the step's end onto its constraints, along M^-1 B^T."""
-    ended = follow(f, w, first, t, h, y, x, z)
+def project_end(f, w, first, p, t, h, y, x, z):
+    """Update v and v' after the last correction, and project q and v of the step's end onto phi = 0 and phi' = 0 in the metric of M."""
+    ended = stage_velocities(f, w, first, t, h, y, x, z)
     if not x.lam.shape[1] or ended != DONE:
         return ended
     k = x.e.shape[0] - 1
     size, at = p.extent + largest(y.past[Q]), first + 1 + k
     phi, rate, made = z.rows[PHI, k], z.rows[PHI_RATE, k], False
-    place(t, h, y, x, z, k)
-    ended = closed_rows(f, w, first, y, x, z, k)
-    for _ in range(MOVES):
+    stage_state(t, h, y, x, z, k)
+    ended = phi_by_increments(f, w, first, y, x, z, k)
+    for _ in range(MAX_PROJECTIONS):
         worst = largest(phi)
         if ended != DONE or worst <= ROUND_OFF * size:
             break
@@ -497,26 +500,27 @@ def close(f, w, first, p, t, h, y, x, z):
             ended = call(f[PROJECT], w, at, address(phi), address(x.e[k]), 0, 0, 0, 0)
         if ended != DONE:
             break
-        place(t, h, y, x, z, k)
+        stage_state(t, h, y, x, z, k)
         made = worst <= AGAIN * size
-        ended = closed_rows(f, w, first, y, x, z, k)
+        ended = phi_by_increments(f, w, first, y, x, z, k)
     if ended != DONE or not p.moves_v:
         return ended
-    if not (p.carries and made):
-        given = z.spare if p.carries else rate
+    if not (p.by_increments and made):
+        given = z.spare if p.by_increments else rate
         ended = call(f[RATE], w, at, address(z.q), address(z.v), address(given), 0, 0, 0)
     if ended == DONE and largest(rate) > 0.0:
         ended = call(f[PROJECT], w, at, address(rate), address(x.dv[k]), 0, 0, 0, 0)
-        if ended == DONE and p.carries:
-            ended = closed_rows(f, w, first, y, x, z, k)
+        if ended == DONE and p.by_increments:
+            ended = phi_by_increments(f, w, first, y, x, z, k)
     return ended
 
 
 @part
 def local_error(f, w, first, t, h, y, x, z, counts):
-    """(how it ended, |q_ - q| of the step's end against a method of order s).
+    """(status, local error of q at the step's end: the norm of its difference to a method of order s).
 
-    It is what v_0 and v' at the last step's end are off the stages' polynomial, freed by a solve of what no step resolves.
+    It is the difference of v_0, and of v' at the end of the last step, to the stages' polynomial, filtered by a solve with the step matrix, so
+    that unresolved stiff modes do not count.
     """
     count, n = x.e.shape
     middle, lam, real = first + 1 + count // 2, x.lam[count // 2], t.real_row.shape[0] > 0
@@ -547,8 +551,8 @@ def local_error(f, w, first, t, h, y, x, z, counts):
 
 
 @part
-def end(f, w, first, h, y, x, z):
-    """The state at the step's end in z, with a and lam of the equations of motion, or of the last stage where these are singular."""
+def end_state(f, w, first, h, y, x, z):
+    """The state at the step's end in z, with a and lam of the equations of motion, or of the last stage if these are singular."""
     k, n = x.e.shape[0] - 1, x.e.shape[1]
     total = 0.0
     for i in range(n):
@@ -574,9 +578,9 @@ def end(f, w, first, h, y, x, z):
 
 
 @part
-def take(h, error, y, x, z):
-    """Go on from the step's end."""
-    take_miss(y, x, z)
+def advance(h, error, y, x, z):
+    """Make the step's end the start of the next step."""
+    store_prediction_error(y, x, z)
     k = x.e.shape[0] - 1
     for i in range(z.q.shape[0]):
         y.past[Q, i], y.past[V, i], y.past[A, i] = z.q[i], z.v[i], x.a[k, i]
@@ -584,7 +588,7 @@ def take(h, error, y, x, z):
             y.stages_v[j, i] = x.dv[j, i]
     for e in range(z.lam.shape[0]):
         y.lam[e] = x.lam[k, e]
-        y.closed[PHI, e], y.closed[PHI_RATE, e] = z.rows[PHI, k, e], z.rows[PHI_RATE, k, e]
+        y.phi_start[PHI, e], y.phi_start[PHI_RATE, e] = z.rows[PHI, k, e], z.rows[PHI_RATE, k, e]
         for j in range(k + 1):
             y.stages_lam[j, e] = x.lam[j, e]
     y.marks[LAST], y.marks[ERROR] = h, error

@@ -10,9 +10,9 @@ import numpy as np
 
 
 class Mode(NamedTuple):
-    """An eigenvalue of W = A^-1: real, or the one of a pair with positive imaginary part.
+    """An eigenvalue of W = A^-1: a real one, or the one of a complex pair with positive imaginary part.
 
-    row x is its part of stages x (s, ...); outer(column, .) leads back, of a pair twice its real part.
+    row @ x is the part of stages x (s, ...) in this mode; outer(column, y) transforms y back, for a pair twice its real part.
     """
 
     value: complex
@@ -21,17 +21,17 @@ class Mode(NamedTuple):
 
     @property
     def paired(self):
-        """Whether its conjugate stands for it."""
+        """True if it represents a complex pair."""
         return isinstance(self.value, complex)
 
     def back(self, x):
-        """Its share (s, n) of the stages, from its part x (n,)."""
+        """The contribution (s, n) to the stages of a part y (n,) of this mode."""
         share = np.outer(self.column, x)
         return 2.0 * share.real if self.paired else share
 
 
 class Tableau(NamedTuple):
-    """Nodes c (s,), A and W = A^-1 (s, s), the modes of W, and -1 times the slopes at 0 of the polynomials that are 1 at one node (s,)."""
+    """Nodes c (s,), A and W = A^-1 (s, s), the modes of W, and minus the slopes at 0 of the Lagrange polynomials on the nodes (s,)."""
 
     c: np.ndarray
     A: np.ndarray
@@ -46,7 +46,7 @@ class Tableau(NamedTuple):
 
     @property
     def middle(self):
-        """Number of the middle stage, whose constraint rows serve all."""
+        """Number of the middle stage, whose constraint rows are used for all stages."""
         return len(self.c) // 2
 
 
@@ -63,23 +63,23 @@ def radau(stages):
 
 
 def _modes(W):
-    """The real modes first."""
+    """The modes of W, real ones first."""
     values, columns = np.linalg.eig(W)
-    rows, found = np.linalg.inv(columns), []
+    rows, modes = np.linalg.inv(columns), []
     for k in np.argsort(np.abs(values.imag), kind="stable"):
         if abs(values[k].imag) < 1e-9:
-            found.append(Mode(float(values[k].real), rows[k].real, columns[:, k].real))
+            modes.append(Mode(float(values[k].real), rows[k].real, columns[:, k].real))
         elif values[k].imag > 0:
-            found.append(Mode(complex(values[k]), rows[k], columns[:, k]))
-    return tuple(found)
+            modes.append(Mode(complex(values[k]), rows[k], columns[:, k]))
+    return tuple(modes)
 
 
 def through_zero(c, s):
-    """Weights (..., s) of values at the nodes in the polynomial that is zero at 0, at s (...): that of q - q_0 and v - v_0."""
+    """Weights (..., s) at s of the polynomial through values at the nodes and zero at 0: for q - q_0 and v - v_0."""
     return np.asarray(s)[..., None] / c * through(c, s)
 
 
 def through(c, s):
-    """Weights (..., s) of values at the nodes in the polynomial through them alone, at s (...): that of a and lam."""
+    """Weights (..., s) at s of the polynomial through values at the nodes alone: for a and lam."""
     s, others = np.asarray(s)[..., None], [np.delete(c, i) for i in range(len(c))]
     return np.stack([np.prod((s - rest) / (c[i] - rest), axis=-1) for i, rest in enumerate(others)], axis=-1)

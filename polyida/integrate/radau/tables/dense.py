@@ -44,10 +44,11 @@ CHOSEN, MADE, TIED = range(
 
 @pack
 class DenseStages(NamedTuple):
-    """The workspace of a model: a Dense; of the slots K, C, M (slots, n, n) and the typical size of S; the rows of the middle stage.
+    """The workspace of a model: a Dense; K, C, M (slots, n, n); the rows of the middle stage B, H, N, G (m, n).
 
-    levels (k, 3): what phi, phi' and phi'' count for in each of k blocks of m rows; of two blocks the second has mu. rows (s, m, n): B of the stages;
-    D (n,): D^-1; c (3,): as SELECT has it; B, H, N, G (m, n); real, pair (N, N): the factored matrices of the modes.
+    levels (k, 3): factors of phi, phi' and phi'' in each of k blocks of m rows; with two blocks the second belongs to mu. rows (s, m, n): B of
+    the stages; D (n,): diagonal of D^-1; c (3,): argument of SELECT; sizes (2,): typical size of S of each mode; real, pair (N, N): factored
+    matrices of the modes.
     """
 
     dense: dense.Dense
@@ -91,7 +92,7 @@ def complex_vector(at, size):
 
 @part
 def copy(source, target):
-    """target becomes source, (k, n) each."""
+    """Copy source to target, (k, n) each."""
     for k in range(source.shape[0]):
         for i in range(source.shape[1]):
             target[k, i] = source[k, i]
@@ -99,7 +100,7 @@ def copy(source, target):
 
 @entry
 def prepare(w, first, times, b, c, d, e, f):
-    """Take the times of a step."""
+    """Store the times of a step."""
     given = vector(times, 3 + w.rows.shape[0])
     for i in range(1 + w.rows.shape[0]):
         w.dense.times[first + i, INNER] = w.dense.times[first + i, END] = given[2 + i]
@@ -108,7 +109,7 @@ def prepare(w, first, times, b, c, d, e, f):
 
 @entry
 def reaction(w, instant, q, mu, dv, known, e, f):
-    """dv += D^-1 B^T mu; B is kept for the residual there, or is that of the middle stage."""
+    """dv += D^-1 B^T mu. B at q is stored for the residual there; known: B of the middle stage is used."""
     n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
     if not known:
         take(w.dense, instant, q, address(w.dense.v))
@@ -125,7 +126,7 @@ def reaction(w, instant, q, mu, dv, known, e, f):
 
 @part
 def hold_rows(w, instant):
-    """Go on with B of a stage."""
+    """Use the stored B of a stage in the next call."""
     if w.state[TIED]:
         copy(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
         w.dense.flags[HELD] = 1
@@ -142,7 +143,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
 
 @entry
 def hold(w, instant, q, v, c, d, e, f):
-    """Nothing: phi is taken from positions."""
+    """No effect: phi is computed from positions."""
     return DONE
 
 
@@ -154,7 +155,7 @@ def close(w, instant, q, dd, dv, phi, rate, f):
 
 @entry
 def rate(w, instant, q, v, found, known, e, f):
-    """phi_q v + phi_t; known: at the q of the last REACTION there."""
+    """phi_q v + phi_t; known: with B of the last REACTION of this stage."""
     if known:
         hold_rows(w, instant)
     ended = dense.rate(w.dense, instant, q, v, found, 0, 0, 0)
@@ -170,7 +171,7 @@ def project(w, instant, rows, x, anew, d, e, f):
 
 @entry
 def accept(w, instant, q, b, c, d, e, f):
-    """What the model says of the state."""
+    """Status of a state: accepted or rejected by the model."""
     return dense.accept(w.dense, instant, q, 0, 0, 0, 0, 0)
 
 
@@ -202,13 +203,13 @@ def bend(w, q, a):
 
 @part
 def row_size(w, c, level):
-    """What the rows of a block are divided by: the size of B in them."""
+    """Divisor of the rows of a block: the factor of B in them."""
     return abs(w.levels[level, 0] + c * (w.levels[level, 1] + c * w.levels[level, 2]))
 
 
 @part
 def whole(A, w, c, size):
-    """A: the matrix of a mode, with lam in units of the typical size of S, mu in those of |c|, the blocks of rows in those of B in them."""
+    """Fill A with the matrix of a mode. lam is in units of the typical size of S, mu in those of |c|; rows are divided by `row_size`."""
     k, n, m, scale = w.state[CHOSEN], w.K.shape[1], w.B.shape[0], abs(c)
     K, C, M = w.K[k], w.C[k], w.M[k]
     for i in range(n):
@@ -240,7 +241,7 @@ def whole(A, w, c, size):
 
 @part
 def factored(w, c, number, A):
-    """The factors of a mode. False where they are singular."""
+    """Factor the matrix of a mode. False if it is singular."""
     k, total = w.state[CHOSEN], 0.0
     for i in range(w.K.shape[1]):
         total += abs(w.K[k, i, i] + c * (w.C[k, i, i] + c * w.M[k, i, i]))
@@ -327,7 +328,7 @@ def bias(w, instant, q, v, a, found, e, f):
 
 @entry
 def off(w, instant, v, a, r, p, q, rows):
-    """r = C v + M a, p = M v, rows = what the blocks of rows are on v."""
+    """r = C v + M a, p = M v, rows = the blocks of rows times v."""
     k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
     slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n if p else 0)
     for i in range(n):
@@ -356,7 +357,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 @entry
 def factor(w, instant, q, v, a, lam, slot, f):
-    """K, C and M of a state."""
+    """Evaluate K, C and M at a state."""
     d, n = w.dense, w.K.shape[1]
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
     take(d, instant, q, v)
@@ -378,7 +379,7 @@ def factor(w, instant, q, v, a, lam, slot, f):
 
 @entry
 def select(w, slot, c, b, d, e, f, g):
-    """Go on with the matrices of a slot."""
+    """Use the matrices of a slot."""
     given = vector(c, 3)
     same = w.state[CHOSEN] == slot
     for i in range(3):
@@ -392,7 +393,7 @@ def select(w, slot, c, b, d, e, f, g):
 
 @cache
 def addresses():
-    """{number: address} of all functions, for every DenseStages."""
+    """{number of the entry: address} of all functions, valid for every DenseStages."""
     example = workspace(dense.example(), 3, np.eye(1, 3))
     functions = {
         of.PREPARE: prepare, of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project,

@@ -1,4 +1,4 @@
-"""Tables of models that are written in Python, or whose matrices are made there: callbacks, which keep an exception for the caller."""
+"""Tables of models whose functions or matrices are in Python: callbacks that keep an exception for the caller."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_
 
 
 class Stages:
-    """What tables of Radau IIA have in common if the driver tells them the times step by step."""
+    """Attributes and methods that all tables of Radau IIA share; defaults for tables that get the times step by step."""
 
     lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
     renewal = 20.0  # iterations that cost as much as new factors
@@ -24,15 +24,15 @@ class Stages:
         """The instant at which a stretch begins."""
         return 0
 
-    def told(self, ended, engine, control):
-        """(status, reason) of how a step ended."""
+    def end_reason(self, ended, engine, control):
+        """(status, reason) for a status of the driver."""
         return REASONS[ended]
 
 
 class PythonStages(Stages, PythonTable):
-    """The table of any model, and its matrices: `kind(model, modes, h, made_at)`; each entry is a callback.
+    """The table of any model and its matrices, `kind(model, modes, h, made_at)`; each entry is a callback.
 
-    lift (n,): D^-1. A stretch is of one step, for matrices that are made within it are counted at its end.
+    lift (n,): the diagonal of D^-1. A stretch has one step, because matrices that are made within it are counted at its end.
     """
 
     most = 1
@@ -45,7 +45,7 @@ class PythonStages(Stages, PythonTable):
         self._fill_stages()
 
     def _fill(self):
-        """Nothing: the entries are others."""
+        """No entry: _fill_stages sets them."""
 
     def _fill_stages(self):
         entries = {of.PREPARE: self._prepare, of.HOLD: self._hold, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
@@ -54,12 +54,12 @@ class PythonStages(Stages, PythonTable):
         for number, function in (entries | {of.SELECT: self._select}).items():
             self.functions[number] = self._address(function)
 
-    def weigh(self, lift):
-        """Take D^-1."""
+    def set_lift(self, lift):
+        """Set the diagonal of D^-1."""
         self.lift = lift
 
     def hold_constant(self, t, q):
-        """Nothing: every call is one of the model."""
+        """No effect: every call evaluates the model."""
 
     def make(self, slot, h, made_at, counts):
         """Make the matrices of a slot. Raises SingularSystem."""
@@ -67,9 +67,9 @@ class PythonStages(Stages, PythonTable):
         matrices.make()
         self.counts, counts.backend = counts, matrices.backend
 
-    def told(self, ended, engine, control):
-        """(status, reason) of how a step ended."""
-        status, reason = super().told(ended, engine, control)
+    def end_reason(self, ended, engine, control):
+        """(status, reason) for a status of the driver."""
+        status, reason = super().end_reason(ended, engine, control)
         return status, self.reason if ended == SINGULAR and self.reason else reason
 
     def _prepare(self, first, times, *_):
@@ -182,7 +182,7 @@ class PythonStages(Stages, PythonTable):
 
 
 class DenseStages(Stages, DenseTable):
-    """The table of a small model: compiled code, which calls the model's functions back."""
+    """The table of a small model: compiled code that calls back the model's functions."""
 
     def __init__(self, model, tableau, levels):
         super().__init__(model, False)
@@ -192,16 +192,16 @@ class DenseStages(Stages, DenseTable):
         self.workspace = self.stages.address
 
     def stand(self, t):
-        """All instants are t."""
+        """Set the time of all instants."""
         self.w.times[:] = t
 
-    def weigh(self, lift):
-        """Take D^-1, and what does not change."""
+    def set_lift(self, lift):
+        """Set the diagonal of D^-1."""
         self.stages.D[:] = lift
         self.made = False
 
     def make(self, slot, h, made_at, counts):
-        """Make K, C and M of a slot anew."""
+        """Compute K, C and M of a slot."""
         w, n = self.stages, self.model.n
         self.hold_constant(float(made_at[0]), made_at[1 : 1 + n])
         self.times[0] = made_at[0]
@@ -217,12 +217,12 @@ class CompiledStages(DenseStages, CompiledTable):
 
 
 def table_of(model, linear, tableau, tied, kind):
-    """The table of a model. linear: as the integrator has it; kind: makes its matrices where no compiled code does."""
+    """The table of a model. linear: the setting of the integrator; kind: class of its matrices unless compiled code makes them."""
     if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
     return dense_table(model, tableau, np.eye(1 + tied, 3))
 
 
 def dense_table(model, tableau, levels):
-    """The table of a small model; levels: of polyida.system's workspace (radau/tables/dense.py)."""
+    """The table of a small model; levels: as of DenseStages in radau/tables/dense.py."""
     return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, levels)

@@ -1,7 +1,7 @@
 """The table of a scene: its compiled kernels as C functions, one real and one complex solve for the corrections of all stages.
 
-The factors are made in the frame of the nodes, and each stage has a frame of its own: its residual is turned from there to the middle
-stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is turned the other way.
+The factors are made in the frames of the nodes, and each stage has frames of its own: its residual is rotated to those of the middle stage,
+R(q_k) R(q_i)^T node by node, and the correction is rotated back.
 """
 
 import ctypes
@@ -39,7 +39,7 @@ FEW = 40  # nodes of a scene whose M^-1 is a full matrix
 
 @pack
 class Solver(NamedTuple):
-    """What kernels take of the factored matrix of a mode; c (1,): its own; massive, border: of the border with mu, or None."""
+    """Factor and workspace of a mode for kernels; c (1,): c of the mode; massive, border: of the border with mu, or None."""
 
     c: np.ndarray
     factored: corotated.Corotated
@@ -50,12 +50,13 @@ class Solver(NamedTuple):
 
 @pack
 class SceneWork(NamedTuple):
-    """The workspace of a scene and s stages: its arrays, the factors of the modes (None where there is none) and scratch.
+    """The workspace of a scene and s stages: its arrays, the factors of the modes (None without one) and scratch.
 
-    damp, laws, tie: None where there is nothing of the kind. moves: the profiles that have formulas. drives, gains (instants, profiles, 3): of
-    the profiles, at each instant and from the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2);
-    vz (points, 2): velocities in the middle stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M,
-    complex, or (0, 0); anew (2,): whether the border of the real mode, of the pair, is to be made with the next solve.
+    damp, laws, tie: None if the scene has none. moves: profiles with formulas. drives, gains (instants, profiles, 3): values of the profiles at
+    each instant, and their changes since the start of the step. rotation (s, nodes, 2): rotations of the nodes; turn (s, nodes, 2): from those
+    of a stage to the middle one. points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle stage; c: of the tableau;
+    h (1,); still (nodes, 2), level (m,): zeros; inverse (nodes, nodes): M^-1, complex, or (0, 0); anew (2,): 1 if the border of the real or
+    complex mode must be computed at the next solve.
     """
 
     scene: tuple
@@ -91,7 +92,7 @@ def pairs(w, at):
 
 @part
 def complex_pairs(w, at):
-    """The same of complex numbers."""
+    """The complex coordinates at an address as (nodes, 2)."""
     return carray(complex_pointer(at), w.turn.shape[1:])
 
 
@@ -109,7 +110,7 @@ def stage(w, instant):
 
 @entry
 def prepare(w, first, times, b, c, d, e, f):
-    """Take the loads and motors of a step."""
+    """Evaluate loads and motors for a step."""
     given = carray(pointer(times), (3 + w.c.shape[0],))
     take_step(w.moves, given[0], given[1], given[2], given[3:], w.c, w.drives[first:], w.gains[first:])
     return DONE
@@ -117,7 +118,7 @@ def prepare(w, first, times, b, c, d, e, f):
 
 @entry
 def hold(w, first, q, v, times, d, e, f):
-    """Take up h, and the points where a step begins."""
+    """Store h, and positions and velocities of the points at the start of the step."""
     w.h[0] = carray(pointer(times), (1,))[0]
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
@@ -152,7 +153,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
 
 @entry
 def close(w, instant, q, dd, dv, phi, rate, f):
-    """phi and its rate, by what the step adds to those where it begins."""
+    """phi and phi' from those at the start of the step and the increments of q and v."""
     s, k, points = w.scene.links, stage(w, instant), w.points
     joints.point_values(s, pairs(w, dd), points[DX])
     joints.point_values(s, pairs(w, dv), points[DV])
@@ -163,7 +164,7 @@ def close(w, instant, q, dd, dv, phi, rate, f):
 
 @entry
 def rate(w, instant, q, v, found, known, e, f):
-    """The slopes of the rows, for `project`; the rate is carried."""
+    """Compute the slopes of the rows for `project`; phi_rate itself comes from increments."""
     s, dz = w.scene.links, w.dz[stage(w, instant)]
     joints.point_values(s, pairs(w, q), dz)
     take_slopes(s, w.tie, w.drives[instant], dz)
@@ -172,33 +173,33 @@ def rate(w, instant, q, v, found, known, e, f):
 
 @part
 def take_slopes(s, t, drives, dz):
-    """What is None is not compiled."""
+    """Compute phi_z, unless there are no rows (t is None)."""
     if t is not None:
         joints.joint_jacobian(s, drives, dz, t.slopes)
 
 
 @entry
 def project(w, instant, wanted, x, anew, d, e, f):
-    """B x falls by rows, by a change of x of the least M-norm."""
+    """Change x by the least M-norm, so that B x falls by rows."""
     return DONE if moved(w.scene.links, w.tie, rows(w, wanted), pairs(w, x)) else SINGULAR
 
 
 @part
 def moved(s, t, wanted, x):
-    """The same with the slopes in t. False if it is singular."""
+    """Apply the projection with the slopes in t. False if it is singular; True without rows (t is None)."""
     return True if t is None else project_rows(s, t, wanted, x)
 
 
 @entry
 def middle_rows(w, instant, q, v, c, d, e, f):
-    """Have the borders of both modes made at the next residual, for all iterations of a step."""
+    """Have both borders computed at the next solve, for all iterations of a step."""
     w.anew[0] = w.anew[1] = 1
     return DONE
 
 
 @entry
 def turn(w, first, r, back, c, d, e, f):
-    """Turn residuals into the frame of the middle stage, or corrections back."""
+    """Rotate residuals into the frame of the middle stage, or corrections back."""
     r = carray(pointer(r), w.turn.shape)
     for k in range(r.shape[0]):
         if back:
@@ -210,7 +211,7 @@ def turn(w, first, r, back, c, d, e, f):
 
 @fast
 def turn_to(own, middle, turn, r):
-    """turn (nodes, 2): cosine and sine of the nodes' way from their rotation in a stage to that in the middle one; r goes it."""
+    """Rotate r (nodes, 2) from the frames `own` to the frames `middle`; turn (nodes, 2) becomes cosine and sine."""
     for i in range(r.shape[0]):
         mx, my, x, y = middle[i, 0], middle[i, 1], own[i, 0], own[i, 1]
         size = 1.0 / np.sqrt((mx * mx + my * my) * (x * x + y * y))
@@ -222,7 +223,7 @@ def turn_to(own, middle, turn, r):
 
 @fast
 def turn_back(turn, dq):
-    """dq goes that way back."""
+    """Rotate dq by the inverse of turn."""
     for i in range(dq.shape[0]):
         p, q, c, n = dq[i, 0], dq[i, 1], turn[i, 0], turn[i, 1]
         dq[i, 0], dq[i, 1] = c * p + n * q, c * q - n * p
@@ -306,7 +307,7 @@ def momentum(w, b, r):
 
 @entry
 def off(w, instant, v, a, r, p, q, rates):
-    """r = C v + M a, p = M v, C of the plates at q; rates (2, m) = (0, B v), B where the last residual of the stage was."""
+    """r = C v + M a, p = M v, C at q; rates (2, m) = (0, B v), B of the stage's last residual."""
     slow, force = pairs(w, v), pairs(w, r)
     clear(force)
     momentum(w, pairs(w, a), force)
@@ -325,7 +326,7 @@ def off(w, instant, v, a, r, p, q, rates):
 
 @part
 def row_rates(s, t, drives, dz, vz, rates):
-    """What is None is not compiled."""
+    """rates[1] = B v, unless there are no rows (t is None)."""
     if t is not None:
         joints.joint_jacobian(s, drives, dz, t.slopes)
         for k in range(rates.shape[1]):
@@ -401,14 +402,14 @@ class SceneStages:
         self.renewal = PAIR + CALL / model.n
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
-    def weigh(self, lift):
-        """Nothing: D = 1."""
+    def set_lift(self, lift):
+        """No effect: D = 1."""
 
     def hold_constant(self, t, q):
-        """Nothing."""
+        """No effect."""
 
     def begin(self, engine, state, control, ends):
-        """Get ready for steps of a stretch, in which loads and motors are looked at before where it is known which are to come."""
+        """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step."""
         if not self.model.profiles:
             return 0
         self.prepared, self.clamp = not control.adaptive, engine.clamp
@@ -421,7 +422,7 @@ class SceneStages:
         return 0
 
     def _compile_prepare(self):
-        """Take loads and motors in compiled code, if steps ask for them, all of them have formulas, and there is a workspace."""
+        """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
         if self.functions[of.PREPARE] and self.formulas and self.kind:
             self.functions[of.PREPARE] = c_address(prepare, self.kind)
 
@@ -441,7 +442,7 @@ class SceneStages:
         self.w["gains"][: shape[0] * shape[1]].reshape(shape)[:, 1:] = gains
 
     def make(self, slot, h, made_at, counts):
-        """Make the factors of a slot, where they are not those, and go on with them. Raises SingularSystem."""
+        """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
         known = self.slots.get(slot)
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
             known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
@@ -449,7 +450,7 @@ class SceneStages:
         self.take(known.real, known.pair)
 
     def take(self, real, pair):
-        """Go on with these Solvers, or None, of the modes; functions are compiled for the type of the workspace."""
+        """Use these Solvers of the modes, or None; functions are compiled for the type of the workspace."""
         self.work = SceneWork(real=real, pair=pair, **self.w)
         self.workspace, kind = self.work.address, typeof(self.work)
         if kind != self.kind:
@@ -458,8 +459,8 @@ class SceneStages:
                 self.functions[number] = c_address(function, kind)
             self._compile_prepare()
 
-    def told(self, ended, engine, control):
-        """(status, reason) of how a step ended: what the model objects to at the first stage that it objects to, with the names of what is there."""
+    def end_reason(self, ended, engine, control):
+        """(status, reason) for a status of the driver. For an invalid deformation, the model's reason at the first stage that it rejects."""
         status, reason = REASONS[ended]
         if ended not in (INVERTED, HALF_TURN):
             return status, reason
@@ -468,7 +469,7 @@ class SceneStages:
         return status, next(filter(None, (self.model.rejection_reason(*at) for at in stages)), None) or reason
 
     def raise_left(self):
-        """Raise what a profile raised."""
+        """Raise the exception of a profile."""
         error, self.raised = self.raised, None
         if error is not None:
             raise error
