@@ -25,10 +25,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint.history import replayed_state, step_history
+from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
 from polyida.adjoint.run import RunAdjoint
-from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint, swept
+from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint, sweep_with_fallback
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
 from polyida.integrate.alpha.start import started
@@ -47,9 +47,9 @@ SEEN, SHARE = range(2)  # of Memory.marks
 MARKS = 3
 W, RIGHT, BAR, STIFF, DAMPED = range(5)  # rows of Trial.now, which has one more
 MU, BELOW = range(2)  # of Trial.rows
-WILD = 16.0  # shares of differences above which a prediction is worth nothing: w has grown out of zero
-OF_NEWTON = 1e-2  # of Newton's tolerance: what refinement leaves of w
-SAMPLES = 300  # coordinates by which shares are found
+WILD = 16.0  # a prediction with larger coefficients of differences is useless: w has grown from zero
+OF_NEWTON = 1e-2  # accepted error of w over Newton's tolerance
+SAMPLES = 300  # coordinates used to fit the coefficients
 
 
 class AdjointState(NamedTuple):
@@ -62,9 +62,9 @@ class AdjointState(NamedTuple):
 
 
 class SweepResult(NamedTuple):
-    """Of a sweep over steps: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
+    """Results of a sweep: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
 
-    In the stabilised form kappa (count, m), multipliers of phi's rate, and (y', slip, eta) of `y' . (M slip + B^T eta)`; else None.
+    In the stabilised form also kappa (count, m), multipliers of phi's rate, and (y', slip, eta) of `y' . (M slip + B^T eta)`; else None.
     """
 
     bars: AdjointState
@@ -99,9 +99,9 @@ class FrameSlopes(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """From step to step: bars (4, n), and w (3, n) and mu (3, m), those of the last step with their first and second backward differences.
+    """State of the sweep: bars (4, n); w (3, n) and mu (3, m): those of the last step with first and second backward differences.
 
-    marks: SEEN, the steps since there was nothing to predict from, and from SHARE on the shares of both differences in a prediction.
+    marks: SEEN, number of steps since the prediction started; from SHARE on the coefficients of both differences in a prediction.
     """
 
     bars: np.ndarray
@@ -119,8 +119,8 @@ class Trial(NamedTuple):
 
 
 @pack
-class Found(NamedTuple):
-    """What the steps leave: w (count, n), mu (count, m), and y and z (count, n), or (0, n) where nobody asks for them."""
+class SweepOutput(NamedTuple):
+    """Results of the steps: w (count, n), mu (count, m), and y and z (count, n), or (0, n) if they are not needed."""
 
     w: np.ndarray
     mu: np.ndarray
@@ -130,7 +130,7 @@ class Found(NamedTuple):
 
 @fast
 def begin(p, j, k, y, z):
-    """The right-hand sides of step k, and the predictions of w and mu."""
+    """Set the right-hand sides of step k, and predict w and mu."""
     right, bar, below, bars = z.now[RIGHT], z.now[BAR], z.rows[BELOW], y.bars
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
@@ -164,7 +164,7 @@ def add_slope(j, k, factor, out):
 
 @fast
 def finish(p, j, k, y, z, out):
-    """Write w, mu, y and z of step k, and the bars for the step before."""
+    """Write w, mu, y and z of step k, and the bars of the step's start."""
     bars, now, h, scale = y.bars, z.now, p.h, 1.0 / (1.0 - p.alpha_m)
     add_slope(j.v, k, 1.0, bars[V])
     for i in range(bars.shape[1]):
@@ -183,7 +183,7 @@ def finish(p, j, k, y, z, out):
 
 @fast
 def shift(now, past):
-    """Take up one more value, with its backward differences."""
+    """Store one more value, with its backward differences."""
     for i in range(now.shape[0]):
         change = now[i] - past[0, i]
         past[0, i], past[1, i], past[2, i] = now[i], change, change - past[1, i]
@@ -191,7 +191,7 @@ def shift(now, past):
 
 @fast
 def fit(y, w):
-    """The shares of the differences that come nearest to the change of w; 0 for differences of steps that are not there."""
+    """The coefficients of the differences that fit the change of w best; 0 while too few steps are known."""
     aa = ab = bb = ad = bd = 0.0
     n, past = w.shape[0], y.w
     for i in range(0, n, n // SAMPLES | 1):
@@ -211,7 +211,7 @@ def fit(y, w):
 
 @entry
 def stretch(f, workspace, p, j, first, last, y, z, out):
-    """Steps backward from the one before `last` to `first`, into out: (the first step that is done, how the one before ended).
+    """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before).
 
     f: addresses of the table's functions; workspace: address of the model's.
     """
@@ -231,7 +231,7 @@ def stretch(f, workspace, p, j, first, last, y, z, out):
 
 
 def adjoint_table(model, settings, h, counts):
-    """The table of a model for steps of h. counts: what counts its work."""
+    """The table of a model for steps of h. counts: Counts to be increased."""
     to_a, to_v = settings.coefficients.rates(h)
     if settings.form == "index3" and settings.linear != "kkt":
         if model.compiled:
@@ -252,7 +252,7 @@ def adjoint_table(model, settings, h, counts):
 
 
 class Sweep:
-    """Steps of h of a model, backward. counts: what counts its work."""
+    """Backward sweep over steps of h of a model. counts: Counts to be increased."""
 
     def __init__(self, model, settings, h, counts):
         c, n, m = settings.coefficients, model.n, model.m
@@ -265,30 +265,35 @@ class Sweep:
     def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
         """The SweepResult of steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
 
-        slopes: the objective's own at these states; bars: the AdjointState that the step behind the last one sends. keep: where to write y
-        and z, (count, n) each, or None. slips (count, n): of the stabilised form, what eta adds to q.
+        slopes: of the objective at these states; bars: the AdjointState from the step behind the last one. keep: arrays for y and z, (count, n)
+        each, or None. slips (count, n): of the stabilised form, the part of q from eta.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             self._forget()
         self.memory.bars[:], self.before = bars, t[0] - self.method.h
         table, states, n, m = self.table, (t, q, v, a, lam), self.model.n, self.model.m
-        self.out = Found(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, n))))
+        self.out = SweepOutput(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, n))))
         parts = (slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m)
-        own = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
-        self.own, done = own, len(t)
+        slopes_here = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
+        self.frame_slopes, done = slopes_here, len(t)
         table.take(*states, slips)
 
-        def exact():
+        def exact_table():
             self._forget()
             made = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
             made.take(*states)
             return made
 
-        swept(table, exact, done, lambda *at: stretch(*at[:2], self.method, self.own, *at[2:], self.memory, self.trial, self.out))
+        sweep_with_fallback(
+            table,
+            exact_table,
+            done,
+            lambda *at: stretch(*at[:2], self.method, self.frame_slopes, *at[2:], self.memory, self.trial, self.out),
+        )
         return SweepResult(AdjointState(*self.memory.bars.copy()), self.out.w, self.out.mu, table.kappa, table.slips)
 
     def _forget(self):
-        """Predict nothing from the steps so far."""
+        """Restart the prediction."""
         self.memory.w[:], self.memory.mu[:], self.memory.marks[:] = 0.0, 0.0, 0.0
 
 
@@ -299,7 +304,7 @@ SMALL = 1e-4  # of h, by which it is changed in differences
 
 
 class AlphaAdjoint(RunAdjoint):
-    """A run backward; ready: of each segment's first number (its State, the State `started` made of it), where these are asked for."""
+    """Backward sweep over a run; ready: {first number of a segment: (its State, the State after `started`)}, if needed."""
 
     history_of = staticmethod(step_history)
 
@@ -310,9 +315,9 @@ class AlphaAdjoint(RunAdjoint):
         if self.stabilised or self.events.speeds:
             ahead = None
             for segment in self.history.segments:
-                state = replayed_state(self.history, segment.first, segment.memory(ahead))
+                state = stored_state(self.history, segment.first, segment.memory(ahead))
                 self.ready[segment.first] = state, started(self.settings, self.model, state, segment.h)
-                ahead = deque(self._formula_steps(segment), maxlen=1).pop()[1]
+                ahead = deque(self._newmark_slips(segment), maxlen=1).pop()[1]
 
     @staticmethod
     def require_settings(settings):
@@ -320,7 +325,7 @@ class AlphaAdjoint(RunAdjoint):
         if settings.extrapolate:
             raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
 
-    def _formula_steps(self, segment):
+    def _newmark_slips(self, segment):
         """(slip, A) at the end of each step of a segment: `slip = q_1 - (q_0 + h v_0 + h^2 ((1/2 - beta) A_0 + beta A_1))`."""
         (_, ready), c, h, end = self.ready[segment.first], self.settings.coefficients, segment.h, segment.first + segment.count + 1
         q, v, a, ahead = ready.q, ready.v, ready.a, ready.memory["a_alg"]
@@ -331,60 +336,60 @@ class AlphaAdjoint(RunAdjoint):
                 yield q1 - (q + h * v + h * h * ((0.5 - c.beta) * ahead + c.beta * ahead_1)), ahead_1
                 q, v, a, ahead = q1, v1, a1, ahead_1
 
-    def through(self, progress):
+    def sweep_backward(self, progress):
         """The bars of q, v, a and lam of the run's first state."""
         bars, lam = AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
         for segment in reversed(self.history.segments):
             bars = self._steps(segment, bars, lam, progress)
             if self.events.speeds:
-                self._stretch_beginning(segment, bars)
-            bars, lam, entries = self._beginning(segment, bars)
+                self._add_start_slopes(segment, bars)
+            bars, lam, entries = self._segment_start(segment, bars)
             if entries:
                 at = stacked(entries)
                 self.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
         return *bars[:3], lam
 
     def _steps(self, segment, bars, lam, progress):
-        """The AdjointState of what a segment began with; lam: the bar of the multipliers of its last state."""
+        """The AdjointState at the start of a segment, by sweeping over it; lam: the bar of the multipliers of its last state."""
         key, end = f"{segment.h:.9e}", segment.first + segment.count
         sweep = self.sweeps.take(key) or Sweep(self.model, self.settings, segment.h, self.counts)
         self.sweeps.keep(key, sweep)
-        slips = np.array([slip for slip, _ in self._formula_steps(segment)]) if self.stabilised else None
+        slips = np.array([slip for slip, _ in self._newmark_slips(segment)]) if self.stabilised else None
         longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         for last in range(end, segment.first, -longest):
             first = max(segment.first, last - longest)
             t, q, v, a, rows = self.history.states(first + 1, last + 1)
-            own, inner = self.own.of(first + 1, last + 1), t
+            slopes_here, inner = self.objective_slopes.at_states(first + 1, last + 1), t
             if last == end:
                 inner = np.append(t[:-1], inner_side(self.model, t[-1], segment.h))
                 if lam.any():
-                    own = replace(own, lam=np.zeros(rows.shape) if own.lam is None else np.array(own.lam))
-                    own.lam[-1] += lam
+                    slopes_here = replace(slopes_here, lam=np.zeros(rows.shape) if slopes_here.lam is None else np.array(slopes_here.lam))
+                    slopes_here.lam[-1] += lam
             slip = slips[first - segment.first : last - segment.first] if self.stabilised else None
             keep = tuple(np.empty((2, *q.shape))) if self.events.speeds else None
-            swept = sweep.back(inner, q, v, a, rows, own, bars, keep, slip)
-            self.add(AdjointMultipliers(inner, q, v, a, rows, swept.w, swept.mu, swept.kappa), t)
+            result = sweep.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
+            self.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
             if self.stabilised:
-                (ahead, slipped, eta), still = swept.slips, np.zeros_like(q)
+                (ahead, slipped, eta), still = result.slips, np.zeros_like(q)
                 self.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)
                 self.add(AdjointMultipliers(inner, q, still, still, np.zeros_like(eta), -ahead), t)
             if keep:
-                self._stretch(segment, first, q - slip if self.stabilised else q, v, *keep)
-                if (by_time := own.by_time()) is not None:
-                    self.events.at(t, by_time)
-            bars = swept.bars
+                self._add_step_slopes(segment, first, q - slip if self.stabilised else q, v, *keep)
+                if (by_time := slopes_here.by_time()) is not None:
+                    self.events.add_at(t, by_time)
+            bars = result.bars
             progress(float(t[0]))
         return bars
 
-    def _stretch(self, segment, first, q, v, y, z):
-        """Add the slope in h of steps from state number `first` to q and v, slips of q left out, with their multipliers y and z."""
+    def _add_step_slopes(self, segment, first, q, v, y, z):
+        """Add the slope in h of steps from state number `first`, with multipliers y and z; q and v: their ends without slips."""
         _, q0, v0, _, _ = self.history.states(first, first + len(q))
         if first == segment.first:
             v0 = np.concatenate([self.ready[first][1].v[None], v0[1:]])
-        self.events.stretch(segment, -(np.sum(y * (2.0 * (q - q0) / segment.h - v0)) + np.sum(z * (v - v0)) / segment.h))
+        self.events.add_step_slope(segment, -(np.sum(y * (2.0 * (q - q0) / segment.h - v0)) + np.sum(z * (v - v0)) / segment.h))
 
-    def _stretch_beginning(self, segment, bars):
-        """Add the slopes in h, and in h of the segment before, of what a segment's first step began with."""
+    def _add_start_slopes(self, segment, bars):
+        """Add the slopes of a segment's start in h, and in h of the segment before."""
         (state, _), slopes = self.ready[segment.first], [0.0, 0.0]
         for k, h in enumerate((segment.h, segment.before)[: 1 + (segment.kind == "on")]):
             for s, weight in ((SMALL, 0.5), (-SMALL, -0.5)):
@@ -392,11 +397,11 @@ class AlphaAdjoint(RunAdjoint):
                 ready = started(self.settings, self.model, moved, segment.h * (1.0 + s) if k == 0 else segment.h)
                 made = ready.q, ready.v, ready.a, ready.memory["a_alg"]
                 slopes[k] += weight * sum(float(bar @ x) for bar, x in zip(bars, made)) / (SMALL * h)
-        self.events.stretch(segment, *slopes)
+        self.events.add_step_slope(segment, *slopes)
 
-    def _beginning(self, segment, bars):
-        """(AdjointState, bar of lam, entries for parameters) of the state that a segment began from; bars: of what its first step began with."""
-        state, tape = replayed_state(self.history, segment.first), Tape()
+    def _segment_start(self, segment, bars):
+        """(AdjointState, bar of lam, entries for parameters) of the state before a segment's start procedure; bars: of the state after it."""
+        state, tape = stored_state(self.history, segment.first), Tape()
         taped = TapedModel(self.model, tape)
         q, v, a, lam, ahead = (tape.var(x) for x in (state.q, state.v, state.a, state.lam, state.a))
         ready = started(self.settings, taped, State(state.t, q, v, a, lam, segment.memory(ahead)), segment.h)

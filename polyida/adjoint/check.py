@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from polyida.adjoint.gradient import gradient
-from polyida.adjoint.history import replayed_state, step_history
+from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau import begun, exact_steps, within
+from polyida.adjoint.radau import exact_steps, step_start_state, time_limits
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.errors import InputError
@@ -28,11 +28,11 @@ from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
 from polyida.validation import is_whole, named_keywords
 
-LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
-STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `along` takes
-TIGHT = 1e-11  # Newton's tolerance in runs that are taken again
-TOLERANCE = 1e-13  # of that of equilibria
-ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
+MIN_CHANGE = 1e-3  # of J over the parameter: smaller slopes do not serve as scale of errors
+STEP = 1e-3 / 7e-4  # change of a parameter, about a thousandth, in units of the step of `along`
+TIGHT = 1e-11  # Newton's tolerance of repeated runs
+TOLERANCE = 1e-13  # of repeated equilibria
+ITERATIONS = 25  # least limit of Newton iterations with this tolerance
 
 
 @named_keywords
@@ -77,62 +77,64 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
         raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
     of_run = ReplayedRadauRun if isinstance(run, Trajectory) and isinstance(run.integrator, RadauIIA) else ReplayedRun
-    again: Any
-    objective, again = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
+    replayed: Any
+    objective, replayed = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
     random, errors = np.random.default_rng(seed), {}
     for name in found:
         if name == "v0":
-            way, made, room = _way(run.v[0], random), lambda change: again.frames(run.model, change), EVERYWHERE
+            direction, compute, bounds = _direction(run.v[0], random), lambda change: replayed.frames(run.model, change), EVERYWHERE
         else:
-            parameter, way = known[name], _way(known[name].value, random)
-            made = lambda change, p=parameter: again.frames(p.replaced(p.value + change))  # noqa: E731
-            room = parameter.room
-            if not all(again.begins(parameter.replaced(parameter.value + s * way)) for s, _ in central(STEP) if s > room[0]):
+            parameter, direction = known[name], _direction(known[name].value, random)
+            compute = lambda change, p=parameter: replayed.frames(p.replaced(p.value + change))  # noqa: E731
+            bounds = parameter.bounds
+            if not all(replayed.can_start(parameter.replaced(parameter.value + s * direction)) for s, _ in central(STEP) if s > bounds[0]):
                 continue
-        errors[name] = _error(found, name, way, lambda s, way=way, made=made: objective(made(s * way)), room)
+        errors[name] = _error(
+            found, name, direction, lambda s, direction=direction, compute=compute: objective(compute(s * direction)), bounds
+        )
     return errors
 
 
-def _way(value, random):
-    """A direction in which a parameter is changed, of its size."""
+def _direction(value, random):
+    """The direction in which a parameter is changed, of its size: random for an array."""
     size = float(np.abs(value).max()) or 1.0
     return size * random.uniform(-1.0, 1.0, np.shape(value)) if np.ndim(value) else size
 
 
-def _error(found, name, way, objective, room):
-    slope = float(np.sum(found[name] * way))
-    difference = float(along(objective, STEP, room))
-    return abs(slope - difference) / max(abs(difference), LITTLE * abs(found.value), 1e-300)
+def _error(found, name, direction, objective, bounds):
+    slope = float(np.sum(found[name] * direction))
+    difference = float(along(objective, STEP, bounds))
+    return abs(slope - difference) / max(abs(difference), MIN_CHANGE * abs(found.value), 1e-300)
 
 
 class ReplayedRun:
-    """A run of generalized-alpha, to be taken again by the steps of its history, at a Newton's tolerance of 1e-11."""
+    """A run of generalized-alpha that is solved again with the steps of its history and a Newton tolerance of 1e-11."""
 
     history_of = staticmethod(step_history)
 
     def __init__(self, run):
         self.run, self.model = run, guard(run.model)
         self.history = self.history_of(run, self.model)
-        self.state = replayed_state(self.history, 0)
-        self.given, self.own = given_velocity(self.model, self.state)
+        self.state = stored_state(self.history, 0)
+        self.given_v, self.by_bodies = given_velocity(self.model, self.state)
 
-    def frames(self, model, moved=0.0):
-        """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
+    def frames(self, model, change=0.0):
+        """The run of another model with frames at the same steps; change: added to its initial velocities."""
         guarded, state = guard(model), self.state
         if self.run.plan.get("began") != "state":
-            given = self.given
-            if self.own:
+            given_v = self.given_v
+            if self.by_bodies:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # that joints change what bodies were given, which the run has told
-                    given = guarded.initial_velocity(state.t, state.q)
-            state = restarted(guarded, replace(state, v=given + moved))
-        states = self._taken(guarded, state, self._times(guarded))
+                    given_v = guarded.initial_velocity(state.t, state.q)
+            state = restarted(guarded, replace(state, v=given_v + change))
+        states = self._replay(guarded, state, self._times(guarded))
         kept = [states[k] for k in np.flatnonzero(self.history.frames >= 0)]
         vectors = {name: np.array([getattr(state, name) for state in kept]) for name in ("t", "q", "v", "a", "lam")}
         return replace(self.run, model=model, **vectors)
 
-    def _taken(self, model, state, times):
-        """The states of the history, of another model that begins with a state; times: a function of their numbers."""
+    def _replay(self, model, state, times):
+        """The states of the history, of another model and initial state; times: function of their numbers."""
         settings = self.run.integrator
         tolerance, most = min(TIGHT, settings.tolerance or TIGHT), max(ITERATIONS, settings.max_iterations)
         settings = replace(settings, tolerance=tolerance, max_iterations=most)
@@ -144,51 +146,51 @@ class ReplayedRun:
             states += chain.from_iterable(engine.run(grid))
         return states
 
-    def begins(self, model):
-        """Whether a run of another model can begin where this one did, and take its steps between as many kinks."""
+    def can_start(self, model):
+        """True if a run of another model can start from the same state and has as many kinks."""
         phi = guard(model).phi(self.state.t, self.state.q)
-        near = np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max())
-        return bool(near) and len(self._edges(model)) == len(self._edges(self.model))
+        consistent = np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max())
+        return bool(consistent) and len(self._edges(model)) == len(self._edges(self.model))
 
     def _times(self, model):
-        """A function of the number of a state: its time, which moves evenly with the kinks about it."""
+        """A function of the number of a state: its time, which moves linearly with the kinks around it."""
         own, others = self._edges(self.model), self._edges(model)
         return lambda k: float(np.interp(self.history.states(k, k + 1)[0][0], own, others))
 
     def _edges(self, model):
-        """The times at which the segments of a run of a model between kinks begin and end."""
+        """Start and end times of the segments between kinks, for a model."""
         return edges(model, float(self.run.t[0]), float(self.run.t[-1]))
 
 
 class ReplayedRadauRun(ReplayedRun):
-    """A run of Radau IIA, each step solved to round-off."""
+    """A run of Radau IIA that is solved again, each step to round-off."""
 
     history_of = staticmethod(radau_history)
 
-    def _taken(self, model, state, times):
+    def _replay(self, model, state, times):
         states, engine = [state], exact_steps(model, self.run.integrator, state, float(self.run.t[-1]), Counts())
         for k in range(1, len(self.history.frames)):
-            state, t = begun(model, states[-1]), times(k)
-            engine.limits = within(model, state.t, t)
+            state, t = step_start_state(model, states[-1]), times(k)
+            engine.limits = time_limits(model, state.t, t)
             states.append(engine.step(state, t - state.t, t))
         return states
 
 
 class ReplayedState:
-    """An Equilibrium, or Modes, to be found again; state: the equilibrium itself, or what the modes are about."""
+    """An Equilibrium, or Modes, that is computed again; state: the equilibrium, or the state of the modes."""
 
     def __init__(self, subject):
         self.subject, self.state = subject, subject.state if isinstance(subject, Modes) else subject
 
     def frames(self, model):
-        """What is found of another model: from the same state, or about the same where that is no equilibrium."""
+        """The result for another model: from the same initial guess, or modes about the same state if it is no equilibrium."""
         state = self.state
         if isinstance(state, Equilibrium):
             state = static(model, state.t, state.q, tolerance=TOLERANCE, linear=state.linear)
         return modes(model, state, count=len(self.subject.roots)) if isinstance(self.subject, Modes) else state
 
-    def begins(self, model):
-        """Whether a state that is held is one of another model too."""
+    def can_start(self, model):
+        """True if the constraints of another model hold at a fixed state too."""
         if isinstance(self.state, Equilibrium):
             return True
         phi = guard(model).phi(self.state.t, self.state.q)

@@ -156,7 +156,7 @@ def gradient_of_state(subject, objective, names=None):
     """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
     totals, counts = Totals(subject.model, names), Counts()
     own = objective.slopes(subject)(slice(0, 1))
-    totals.own(own)
+    totals.add_own(own)
     equilibrium = subject.state if isinstance(subject, Modes) else subject
     if isinstance(equilibrium, Equilibrium) and any(slope is not None and slope.any() for slope in (own.q, own.lam)):
         _add_static(equilibrium, own, totals, counts)

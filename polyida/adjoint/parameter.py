@@ -1,4 +1,4 @@
-"""A parameter of a model: its slope in a sum over a run, and the model with another value of it."""
+"""A parameter of a model: its slope in a sum over a run, and the model with another value of the parameter."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -17,10 +17,10 @@ from polyida.system.python import small_own, small_table
 
 
 class AdjointMultipliers(NamedTuple):
-    """States t (k,), q, v, a (k, n), lam (k, m), and what multiplies each of their equations.
+    """States t (k,), q, v, a (k, n), lam (k, m), and the multipliers of their equations.
 
     w (k, n) multiplies the residual r, mu (k, m) the constraints phi, kappa (k, m) their rate `phi_q v + phi_t` and nu (k, m)
-    their bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`; None where all of that is zero.
+    their bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`; None if all are zero.
     """
 
     t: NDArray
@@ -35,15 +35,15 @@ class AdjointMultipliers(NamedTuple):
 
 
 def stacked(entries):
-    """One AdjointMultipliers of entries of single states, or None where there is none."""
+    """One AdjointMultipliers of those of single states, or None for none."""
     if not entries:
         return None
     return AdjointMultipliers(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:]))
 
 
 @dataclass(eq=False)
-class Shared:
-    """`make(model, work)`, kept for the last AdjointMultipliers that it was asked for."""
+class CachedByMultipliers:
+    """`make(model, work)`, cached for the last AdjointMultipliers."""
 
     make: Callable[[Any, Any], Any]
     model: Any
@@ -59,53 +59,54 @@ class Shared:
 class Parameter:
     """A number, or an array of numbers, of a model.
 
-    name: as in "arm.E". value: a float or an array. model: that it is a parameter of. asked: whether it is taken only where somebody
-    asks for it by name: its slope is made of differences of models, or another parameter says the same.
+    name: such as "arm.E". value: a float or an array. model: whose parameter it is. only_by_name: True if `gradient` takes it only if it is
+    named, because its slope needs differences of models or another parameter is equivalent; reason: why. changes_coordinates: True if the same
+    q may be another position with another value. bounds: interval in which the value may change.
     """
 
     name: str
     value: Any
     model: Any
-    asked = False
-    why = "its slope takes differences of the model"  # where it is `asked`: the reason why it is not taken without its name
-    changes_coordinates = False  # whether the same q may be another position with it
-    room = EVERYWHERE  # in which it may be changed
+    only_by_name = False
+    reason = "its slope takes differences of the model"  # of only_by_name
+    changes_coordinates = False
+    bounds = EVERYWHERE
 
     def slope(self, work: AdjointMultipliers) -> Any:
-        """The slope, of the shape of the value, of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`.
+        """The slope of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`, of the shape of the value.
 
-        Times stay; entries beside a kink stay on their side of it.
+        Times are held; entries beside a kink stay on their side of it.
         """
         raise NotImplementedError
 
     def of_model(self, function: Callable[[Any], float]) -> float:
-        """The slope of a function of the model; 0 where objectives say it by the parameter's name (Slopes)."""
+        """The slope of a function of the model; 0 if objectives give it under the name of the parameter (Slopes.direct)."""
         return 0.0
 
     def replaced(self, value: Any) -> Any:
-        """The model with another value of it, all else the same. Raises InputError where no model has it."""
+        """A copy of the model with another value of this parameter. Raises InputError if no model has this value."""
         raise NotImplementedError
 
     def start(self, t: float, q: NDArray, bar: NDArray) -> Any:
-        """The slope of `bar . initial_velocity(t, q)`, of the shape of the value; None where that does not depend on it."""
+        """The slope of `bar . initial_velocity(t, q)`, of the shape of the value; None if it does not depend on the parameter."""
         return None
 
     def kinks(self, t0: float, t1: float) -> dict[float, float]:
-        """{time of a kink in (t0, t1), s: by how much it moves with the parameter}, without those that stay."""
+        """{time of a kink in (t0, t1), s: its derivative with respect to the parameter}, without zeros."""
         return {}
 
 
 @dataclass(frozen=True, eq=False)
-class OfPart(Parameter):
-    """A number, or numbers, in a field of a part of a scene. part: its name. path: the names of the fields, from the part inwards."""
+class PartParameter(Parameter):
+    """A number, or numbers, in a field of a part of a scene. part: name of the part. path: names of the fields, outermost first."""
 
     part: str
     path: tuple
 
     def replaced(self, value):
-        """The scene with the part of another value."""
+        """A copy of the scene with another value in this field of the part."""
         given = tuple(value) if np.ndim(value) else value
-        return with_part(self.model, self.part, changed(self.model.parts[self.part], self.path, given))
+        return with_part(self.model, self.part, with_field(self.model.parts[self.part], self.path, given))
 
 
 def total(model: Any, work: AdjointMultipliers) -> float:
@@ -121,10 +122,10 @@ def total(model: Any, work: AdjointMultipliers) -> float:
     return float(result)
 
 
-def values_of(model):
-    """A function (work) that gives all that its factors multiply, r, phi, rate and bias of all entries, one behind the other.
+def equation_values(model):
+    """Return a function (work) -> values of r, phi, rate and bias of all entries, concatenated, without those whose multipliers are None.
 
-    In compiled code where numba compiled the functions of a guarded model of one's own.
+    It calls compiled code if numba compiled the functions of a user's model.
     """
     table = small_table(model) if unguarded(model).by_numba and small_own(model) else None
 
@@ -145,43 +146,43 @@ def values_of(model):
     return values
 
 
-def entries_of(work, which):
-    """The entries of some numbers."""
+def select_entries(work, which):
+    """The entries with the given indices."""
     return AdjointMultipliers(*(x if x is None else x[which] for x in work))
 
 
-def rebuilt(model, parts, gravity=None):
-    """The model of other parts of the same names, with the factors of this one."""
+def with_parts(model, parts, gravity=None):
+    """A copy of the model with other parts of the same names and the same factors of cells."""
     made = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
     return made.with_factors(**model.factors) if model.factors else made
 
 
-def changed(part, path, value):
-    """The part with another value in a field, or in that of what stands in a field: path, their names."""
+def with_field(part, path, value):
+    """A copy of the part with another value in a field; path: names of nested fields, outermost first."""
     key, *inner = path
-    return replace(part, **{key: changed(getattr(part, key), inner, value) if inner else value})
+    return replace(part, **{key: with_field(getattr(part, key), inner, value) if inner else value})
 
 
 def with_part(model, name, new):
-    """The model with a part changed; what holds on to a body holds on to the changed one."""
+    """A copy of the model with one part replaced; attachments to a replaced body move to the new one."""
     old = model.parts[name]
     on_new = lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value  # noqa: E731
-    return rebuilt(model, {known: new if part is old else _with(part, on_new) for known, part in model.parts.items()})
+    return with_parts(model, {known: new if part is old else _with_values(part, on_new) for known, part in model.parts.items()})
 
 
 def with_profile(model, old, new):
-    """The model with another profile wherever it has this one."""
-    parts = {name: holding_profile(part, old, new) for name, part in model.parts.items()}
-    return rebuilt(model, parts, tuple(new if g is old else g for g in model.gravity))
+    """A copy of the model with a profile replaced wherever it occurs."""
+    parts = {name: part_with_profile(part, old, new) for name, part in model.parts.items()}
+    return with_parts(model, parts, tuple(new if g is old else g for g in model.gravity))
 
 
-def holding_profile(part, old, new):
-    """The part with another profile in its fields, alone or in a tuple, in place of one; itself where it has not that."""
-    return _with(part, lambda value: new if value is old else value)
+def part_with_profile(part, old, new):
+    """A copy of the part with a profile replaced in its fields and in tuples of them; the part itself if it does not have it."""
+    return _with_values(part, lambda value: new if value is old else value)
 
 
-def _with(part, change):
-    """The part with `change` done to its fields and to what tuples among them hold; itself where that changes nothing."""
+def _with_values(part, change):
+    """A copy of the part with `change` applied to its fields and to items of tuples; the part itself if nothing changes."""
     given = {field.name: getattr(part, field.name) for field in fields(part) if field.init}
     found = {name: tuple(map(change, value)) if isinstance(value, tuple) else change(value) for name, value in given.items()}
     different = {name: value for name, value in found.items() if not _same(value, given[name])}

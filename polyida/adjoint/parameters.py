@@ -1,4 +1,4 @@
-"""What a model depends on, by name: parameters of a scene's parts, whose slopes have formulas or are differences, and of a user's model."""
+"""The parameters of a model by name: of a scene's parts, with slopes by formulas or differences, and of a user's model."""
 
 import warnings
 from collections.abc import Callable
@@ -8,8 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameter import AdjointMultipliers, OfPart, Parameter, Shared, changed, entries_of, total, values_of, with_part
-from polyida.adjoint.profile_parameters import drive_works, element_work, in_time, of_profiles, over
+from polyida.adjoint.parameter import (
+    AdjointMultipliers,
+    CachedByMultipliers,
+    Parameter,
+    PartParameter,
+    equation_values,
+    select_entries,
+    total,
+    with_field,
+    with_part,
+)
+from polyida.adjoint.profile_parameters import element_work, in_time, over, profile_parameters, profile_works
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
@@ -31,55 +41,56 @@ FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 
 
 @dataclass(frozen=True, eq=False)
-class OfCells(OfPart):
-    """The factor of each polygon's stiffness or mass, (cells,).
+class CellFactors(PartParameter):
+    """Factors of the stiffness or mass of each cell, (cells,).
 
-    path: ("stiffness",) or ("mass",). by_cell: of AdjointMultipliers, {plate: slope in the factors (cells,)}. starts: of (t, q, bar), the
-    same of the start's velocities, or None.
+    path: ("stiffness",) or ("mass",). by_cell: function of AdjointMultipliers -> {plate: slope (cells,)}. starts: function (t, q, bar) -> the
+    same of the initial velocities, or None.
     """
 
     by_cell: Callable[[Any], dict]
     starts: Callable
 
     def slope(self, work):
-        """`w_e . f_e` or `w_e^T M_e (a + drag v - gravity)` of each polygon e at factor 1."""
+        """`w_e . f_e` or `w_e^T M_e (a + drag v - gravity)` of each cell e at factor 1."""
         return self.by_cell(work)[self.part]
 
     def start(self, t, q, bar):
-        """Of the masses, where joints change the motions that bodies were given, or a spin is one about their centre."""
+        """Slope by the masses, if joints change the given motions or a body has a spin about its centre of mass."""
         found = self.starts(t, q, bar) if self.path == ("mass",) else None
         return found and found[self.part]
 
     def replaced(self, value):
-        """The scene with other factors."""
+        """A copy of the scene with other factors."""
         stiffness, mass = self.model.factors[self.part]
         changed = (stiffness, value) if self.path == ("mass",) else (value, mass)
         return self.model.with_factors(**{**self.model.factors, self.part: changed})
 
 
 @dataclass(frozen=True, eq=False)
-class OfPlate(OfPart):
-    """A number p of a plate with which forces grow alike: the slope is the sum of their works over p.
+class PlateNumber(PartParameter):
+    """A number p of a plate to which forces are proportional: the slope is the sum of their works over p.
 
-    works: of AdjointMultipliers, each the sum over the plate of one kind of force. starts: of (t, q, bar), the same of the start's velocities.
+    works: functions of AdjointMultipliers, each the work of one kind of force on the plate. starts: as of CellFactors.
     """
 
     works: tuple
     starts: Callable
 
     def slope(self, work):
-        """Of the forces that grow with it."""
+        """Sum of the works over p."""
         return sum(each(work) for each in self.works) / self.value
 
     def start(self, t, q, bar):
-        """As of the masses of all cells."""
+        """Slope by the masses of all cells."""
         found = self.starts(t, q, bar)
         return found and float(self.model.factors[self.part][1] @ found[self.part]) / self.value
 
 
-def of_plates(model, slopes):
-    """The parameters of all full plates of a scene. slopes: of (t, q, bar), the MotionSlopes of the start."""
-    stiffness, mass = Shared(lambda model, work: stiffness_work(model, work.q, work.v, work.w), model), Shared(_mass, model)
+def plate_parameters(model, slopes):
+    """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start."""
+    stiffness = CachedByMultipliers(lambda model, work: stiffness_work(model, work.q, work.v, work.w), model)
+    mass = CachedByMultipliers(_mass_works, model)
 
     def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
         if (found := slopes(t, q, bar)) is None:
@@ -90,22 +101,22 @@ def of_plates(model, slopes):
     loads = [(key, part) for key, part in model.parts.items() if isinstance(part, EdgeTraction)]  # which grow with the thickness
     for body in model.bodies:
         name, plate, factors = body.name, body.plate, model.factors[body.name]
-        stiff, heavy = (partial(_whole, name, *each) for each in zip(factors, (stiffness, mass)))
+        stiff, heavy = (partial(_plate_total, name, *each) for each in zip(factors, (stiffness, mass)))
         pulls = [lambda work, key=key: load_work(model, key, work) for key, part in loads if part.at.body is plate]
-        yield OfCells(f"{name}.stiffness", factors[0], model, name, ("stiffness",), stiffness, starts)
-        yield OfCells(f"{name}.mass", factors[1], model, name, ("mass",), mass, starts)
-        yield OfPlate(f"{name}.E", plate.material.E, model, name, ("material", "E"), (stiff,), lambda *_: None)
-        yield OfPlate(f"{name}.thickness", plate.thickness, model, name, ("thickness",), (stiff, heavy, *pulls), starts)
-        yield OfPlate(f"{name}.rho", plate.material.rho, model, name, ("material", "rho"), (heavy,), starts)
+        yield CellFactors(f"{name}.stiffness", factors[0], model, name, ("stiffness",), stiffness, starts)
+        yield CellFactors(f"{name}.mass", factors[1], model, name, ("mass",), mass, starts)
+        yield PlateNumber(f"{name}.E", plate.material.E, model, name, ("material", "E"), (stiff,), lambda *_: None)
+        yield PlateNumber(f"{name}.thickness", plate.thickness, model, name, ("thickness",), (stiff, heavy, *pulls), starts)
+        yield PlateNumber(f"{name}.rho", plate.material.rho, model, name, ("material", "rho"), (heavy,), starts)
 
 
-def _whole(name, factors, by_cell, work):
-    """The sum over the cells of a plate."""
+def _plate_total(name, factors, by_cell, work):
+    """Sum over the cells of a plate."""
     return float(factors @ by_cell(work)[name])
 
 
-def _mass(model, work):
-    """What M is multiplied by: accelerations, less gravity, and of a damped plate velocities times its drag."""
+def _mass_works(model, work):
+    """Works of M on accelerations less gravity, plus drag times velocities in a damped plate."""
     b = work.a
     for body in model.bodies:
         if drag := body.plate.material.mass_damping:
@@ -115,7 +126,7 @@ def _mass(model, work):
 
 
 def load_work(model, name, work, given=None):
-    """`-w . F` of a load's forces F over all entries; given: another force or traction (2,) of it."""
+    """Sum of `-w . F` over all entries, with the forces F of a load; given: another force or traction (2,) in its place."""
     load = model.parts[name]
     part = load if given is None else replace(load, **{FIELDS[type(load)]: given})
     pairs, forces = model.places[id(load.at.body)].loaded(load.at, part.nodal())
@@ -123,17 +134,17 @@ def load_work(model, name, work, given=None):
     return -float(over(load.profile, work.t) @ np.einsum("kie,ie->k", w, forces))
 
 
-class OfLoad(OfPart):
+class LoadForce(PartParameter):
     """The force, N, or traction, Pa, of a load, (2,)."""
 
     def slope(self, work):
-        """Of a force of one along each axis."""
+        """Works of unit forces along both axes."""
         return np.array([load_work(self.model, self.part, work, tuple(axis)) for axis in np.eye(2)])
 
 
 @dataclass(frozen=True, eq=False)
-class OfMass(OfPart):
-    """A point mass, kg. slopes: of (t, q, bar), the MotionSlopes of the start."""
+class PointMassNumber(PartParameter):
+    """A point mass, kg. slopes: function (t, q, bar) -> MotionSlopes of the start."""
 
     slopes: Callable
 
@@ -144,7 +155,7 @@ class OfMass(OfPart):
         return float(np.vdot(w, a - pull).real)
 
     def start(self, t, q, bar):
-        """Where joints change the motions that bodies were given, in the metric of M."""
+        """Slope if joints change the given motions, in the metric of M."""
         slopes = self.slopes(t, q, bar)
         return slopes and float(np.vdot(self._at_point(slopes.left[None]), self._at_point(slopes.right[None])).real)
 
@@ -153,39 +164,39 @@ class OfMass(OfPart):
         return complex_of_pairs(x.reshape(len(x), -1, 2)[:, pairs]) @ weights
 
 
-def of_loads(model, slopes):
-    """The parameters of the loads and point masses of a scene."""
+def load_parameters(model, slopes):
+    """Yield the parameters of the loads and point masses of a scene."""
     for name, part in model.parts.items():
         if type(part) in FIELDS:
             key = FIELDS[type(part)]
-            yield OfLoad(f"{name}.{key}", np.array(getattr(part, key)), model, name, (key,))
+            yield LoadForce(f"{name}.{key}", np.array(getattr(part, key)), model, name, (key,))
         elif isinstance(part, PointMass):
-            yield OfMass(f"{name}.mass", part.mass, model, name, ("mass",), slopes)
+            yield PointMassNumber(f"{name}.mass", part.mass, model, name, ("mass",), slopes)
 
 
 @dataclass(frozen=True, eq=False)
-class OfMotion(OfPart):
-    """Velocity (2,), m/s, or spin, rad/s, that a body starts with.
+class InitialMotion(PartParameter):
+    """Initial velocity (2,), m/s, or spin, rad/s, of a body.
 
-    place: among the motions of all bodies. slopes: of (t, q, bar), the MotionSlopes. asked: where the body was given no motion.
+    place: index in the motions of all bodies. slopes: function (t, q, bar) -> MotionSlopes. only_by_name: True if the body was given no motion.
     """
 
     place: int | slice
     slopes: Callable
-    asked: bool = False
-    why = "the body was given no velocity and no spin"
+    only_by_name: bool = False
+    reason = "the body was given no velocity and no spin"
 
     def slope(self, work):
-        """Nothing: no equation has it."""
+        """Zero: no equation depends on it."""
         return np.zeros_like(self.value) if np.ndim(self.value) else 0.0
 
     def start(self, t, q, bar):
-        """Of the velocities that the bodies' joints make of it."""
+        """Slope of the velocities that the joints make of the given motions."""
         return self.slopes(t, q, bar).motions[self.place]
 
 
-def of_motions(model, slopes):
-    """Velocity and spin of all bodies that can be given them."""
+def motion_parameters(model, slopes):
+    """Yield velocity and spin of all bodies that have these fields."""
     for k, placed in enumerate((*model.bodies, *model.few)):
         part, (velocity, spin) = model.parts[placed.name], motion_of(model.parts[placed.name])
         inside = ("plate",) if "plate" in (field.name for field in fields(part)) else ()
@@ -194,7 +205,7 @@ def of_motions(model, slopes):
         for key, value, place in each:
             if key in known:
                 rests = not (velocity or spin)
-                yield OfMotion(f"{placed.name}.{key}", value, model, placed.name, (*inside, key), place, slopes, rests)
+                yield InitialMotion(f"{placed.name}.{key}", value, model, placed.name, (*inside, key), place, slopes, rests)
 
 
 POSITIVE = (0.0, float("inf"))
@@ -204,23 +215,23 @@ OF_REDUCED = ("E", "rho", *MATERIAL)
 SHAPES = "nu"  # of numbers of a material the one that changes the modes of a plate: E and rho change their frequencies only
 
 
-class OfField(OfPart):
-    """A number in a field of a part, or of what stands in a field."""
+class FieldNumber(PartParameter):
+    """A number in a field of a part, or in a nested field."""
 
-    asked = True
+    only_by_name = True
 
     @property
     def changes_coordinates(self):
-        """Of bodies."""
+        """True for bodies."""
         return isinstance(self.model.parts[self.part], Body)
 
     @property
-    def room(self):
-        """Of what is not negative."""
+    def bounds(self):
+        """Values of at least 0 if the number is 0; else all."""
         return POSITIVE if self.value == 0.0 else EVERYWHERE
 
     def slope(self, work):
-        """By differences of fourth order, which for the zero of what is not negative look ahead only."""
+        """Differences of fourth order, one-sided at a bound."""
         part = self.model.parts[self.part]
         if isinstance(part, ForceElement):
             own = OwnForce(self.part, part, self.model)
@@ -228,7 +239,7 @@ class OfField(OfPart):
         return self._slope(lambda value: total(self.replaced(value), work))
 
     def start(self, t, q, bar):
-        """The same, where the scene begins in motion, which is changed in the metric of M."""
+        """Differences of the initial velocities, if the scene starts in motion."""
         if isinstance(self.model.parts[self.part], ForceElement) or not moves_at(self.model, t, q):
             return None
         with warnings.catch_warnings():
@@ -236,79 +247,81 @@ class OfField(OfPart):
             return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
 
     def of_model(self, function):
-        """By differences."""
+        """Differences."""
         return self._slope(lambda value: function(self.replaced(value)))
 
     def _slope(self, function):
-        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, self.room))
+        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, self.bounds))
 
     def _part(self, value):
-        """The part of another number; a reduced plate with the fields that it has, or, where these change with it, with those nearest to
-        them in the new span: in it the motion is the same whatever its fields are.
+        """A copy of the part with another number.
+
+        A reduced plate keeps its fields; if they depend on the number (nu), it gets those of its new span that are nearest to the old ones, so that
+        the motion does not depend on the choice.
         """
         part: Any = self.model.parts[self.part]
         placed = next((placed for placed in self.model.few if placed.user is part), None)
         made = part.fields_to_store(placed.body) if placed else {}
         if made and self.path[-1] == SHAPES:
-            anew = with_part(self.model, self.part, changed(replace(part, **dict.fromkeys(made)), self.path, value))
+            anew = with_part(self.model, self.part, with_field(replace(part, **dict.fromkeys(made)), self.path, value))
             made = part.fields_to_store(next(other for other in anew.few if other.name == placed.name).body, placed.body)
-        return changed(replace(part, **made), self.path, value)
+        return with_field(replace(part, **made), self.path, value)
 
     def replaced(self, value):
-        """The scene with the part of another number."""
+        """A copy of the scene with another number in the part."""
         return with_part(self.model, self.part, self._part(value))
 
 
-def of_fields(model):
-    """The parameters of the numbers of all parts but loads, point masses, and what the drawing must agree with."""
+def field_parameters(model):
+    """Yield the numbers in the fields of all parts, except loads, point masses and placements of bodies."""
     for name, part in model.parts.items():
-        for path, value in _numbers(part):
-            yield OfField(f"{name}.{path[-1]}", value, model, name, path)
+        for path, value in _named_numbers(part):
+            yield FieldNumber(f"{name}.{path[-1]}", value, model, name, path)
 
 
-def _numbers(part):
-    """(names of fields, number) of a part."""
+def _named_numbers(part):
+    """Yield (names of the fields, number) of a part."""
     if isinstance(part, Plate):
-        yield from _inner(part, ("material",), MATERIAL)
-        yield from _inner(part, (), ("tau",) if part.element == "virtual" else ())
+        yield from _with_path(part, ("material",), MATERIAL)
+        yield from _with_path(part, (), ("tau",) if part.element == "virtual" else ())
     elif isinstance(part, FieldBody):
-        yield from _inner(part, ("plate", "material"), OF_REDUCED)
-        yield from _inner(part, ("plate",), ("thickness",))
+        yield from _with_path(part, ("plate", "material"), OF_REDUCED)
+        yield from _with_path(part, ("plate",), ("thickness",))
     elif isinstance(part, (Body, ForceElement)) or isinstance(part, Joint) and all(row.driven for row in rows_of(part.facing().rows())):
         known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
-        yield from _inner(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
+        yield from _with_path(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
 
 
-def _inner(part, path, keys):
+def _with_path(part, path, keys):
     for key in keys:
         yield (*path, key), reduce(getattr, (*path, key), part)
 
 
-class OfOwnModel(Parameter):
-    """An attribute of a model, a number or an array."""
+class UserModelParameter(Parameter):
+    """An attribute of a user's model, a number or an array."""
 
     @cached_property
     def _values(self):
-        """{value: `values_of` the copy of the model that has it}."""
+        """{value: `equation_values` of the copy of the model with it}."""
         return {}
 
     def slope(self, work):
-        """By the model's residual_p and phi_p as far as it writes these; by differences of copies of the model."""
+        """The model's residual_p and phi_p if it has them, else differences of copies of the model."""
         result, own = np.zeros(np.shape(self.value)), unguarded(self.model)
         if writes(own, "residual_p"):
-            result = result + self._written("residual_p", work.w, *work[:5])
+            result = result + self._by_model_functions("residual_p", work.w, *work[:5])
             work = work._replace(w=np.zeros_like(work.w))
         if writes(own, "phi_p") and work.mu is not None:
-            result = result + self._written("phi_p", work.mu, *work[:2])
+            result = result + self._by_model_functions("phi_p", work.mu, *work[:2])
             work = work._replace(mu=None)
         near = work.t if writes(own, "kinks") else np.zeros(0)
         for t in np.unique(near).tolist():
-            result = result + self._by_differences(entries_of(work, near == t), t)
+            result = result + self._by_differences(select_entries(work, near == t), t)
         result = result if len(near) else result + self._by_differences(work, None)
         return result if result.ndim else float(result)
 
-    def _written(self, function, factors, times, *states):
-        """Of entries with these factors, by a function that the model writes: it is guarded only if its results are wrong."""
+    def _by_model_functions(self, function, factors, times, *states):
+        """Slope of entries by a function of the model (residual_p, phi_p); the guarded one is called only if its results are wrong."""
         which = np.flatnonzero(factors.any(axis=1))
         at = list(zip(times[which].tolist(), *(read_only(x[which]) for x in states)))
         shape, own = (len(which), factors.shape[1], *np.shape(self.value)), unguarded(self.model)
@@ -327,7 +340,7 @@ class OfOwnModel(Parameter):
 
         def values(model):
             key = np.asarray(model.parameter(self.name), float).tobytes()
-            found = self._values.get(key) or values_of(guard(model))
+            found = self._values.get(key) or equation_values(guard(model))
             if t is None:  # the same few values for all entries
                 self._values[key] = found
             return found(work)
@@ -335,21 +348,21 @@ class OfOwnModel(Parameter):
         return np.tensordot(weights, self.model.slope_p(self.name, values, t), 1)
 
     def of_model(self, function):
-        """By differences of copies of the model."""
+        """Differences of copies of the model."""
         slope = self.model.slope_p(self.name, lambda model: np.array([function(model)]))[0]
         return slope if np.ndim(slope) else float(slope)
 
     def replaced(self, value):
-        """The model with the attribute changed."""
+        """A copy of the model with the attribute changed."""
         return self.model.replaced(self.name, value)
 
     def start(self, t, q, bar):
-        """By differences of the velocities that the model gives."""
+        """Differences of the model's initial velocities."""
         found = bar @ self.model.slope_p(self.name, lambda model: model.initial_velocity(t, q))
         return found if found.any() else None
 
     def kinks(self, t0, t1):
-        """By differences of the model's kinks."""
+        """Differences of the model's kinks."""
         if np.ndim(self.value):
             return {}
         step = NEARBY * (abs(self.value) or 1.0)
@@ -361,11 +374,11 @@ class OfOwnModel(Parameter):
         return {kink: speed for kink, speed in zip(known, moved.tolist()) if speed}
 
 
-def of_own(model: Any) -> list[Parameter]:
-    """A Parameter for each name that a model lists. Raises InputError for one that is no number or array of numbers."""
+def user_model_parameters(model: Any) -> list[Parameter]:
+    """The Parameters of the names in a user's `model.parameters`. Raises InputError for one that is no number or array of numbers."""
     if isinstance(model.parameters, str):
         raise InputError(f"{model!r}: parameters = {model.parameters!r} must be a tuple of names, such as ({model.parameters!r},)")
-    return [OfOwnModel(name, _value(model, name), model) for name in model.parameters]
+    return [UserModelParameter(name, _value(model, name), model) for name in model.parameters]
 
 
 def _value(model, name):
@@ -379,20 +392,20 @@ __all__ = ["Parameter", "in_time", "parameters_of"]
 
 
 def parameters_of(model: Any) -> dict[str, Parameter]:
-    """{name: Parameter} of a model: of a scene those of its parts, of a model of one's own those that its `parameters` names."""
-    found = _of_scene(model) if model.is_scene else of_own(model)
+    """{name: Parameter} of a scene's parts, or of a user's model by its `parameters`."""
+    found = _scene_parameters(model) if model.is_scene else user_model_parameters(model)
     return {parameter.name: parameter for parameter in found}
 
 
-def _of_scene(model):
+def _scene_parameters(model):
     def slopes(t, q, bar):
         return motion_slopes(model, t, q, bar)
 
     def changes(t, q, bar):
         return slopes(t, q, bar) if moves_at(model, t, q) else None
 
-    yield from of_fields(model)
-    yield from of_plates(model, changes)
-    yield from of_loads(model, changes)
-    yield from of_motions(model, slopes)
-    yield from of_profiles(model, Shared(drive_works, model), changes)
+    yield from field_parameters(model)
+    yield from plate_parameters(model, changes)
+    yield from load_parameters(model, changes)
+    yield from motion_parameters(model, slopes)
+    yield from profile_parameters(model, CachedByMultipliers(profile_works, model), changes)

@@ -13,11 +13,11 @@ from polyida.linear.dense import clear
 
 @pack
 class Scratch(NamedTuple):
-    """Of products at a state: nodal rotations, what was made of the points and of bodies of few coordinates, and the results.
+    """Workspace of products at a state: nodal rotations, matrices of the points and of bodies of few coordinates, and the results.
 
-    points (5, points, 2): displacements, velocities, those of w, forces, masses times those of w. curvature, slack
-    (., 2, 2): blocks of K and C on the coupled points, of rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few
-    coordinates. stiff, heavy, slowing (nodes, 2): K^T w + B^T mu, M w, C^T w; rows (m,): B w.
+    points (4, points, 2): displacements, velocities, those of w, forces. curvature, slack (., 2, 2): blocks of K and C on the coupled points, of
+    rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few coordinates. stiff, heavy, slowing (nodes, 2): K^T w + B^T mu,
+    M w, C^T w; rows (m,): B w.
     """
 
     rotation: np.ndarray
@@ -36,7 +36,7 @@ DZ, VZ, WZ, FORCES = range(4)
 
 
 def arrays_of(model):
-    """Its arrays, the blocks of the bodies of few coordinates counted from the first of these."""
+    """The arrays of the model, with blocks of the bodies of few coordinates numbered from the first of these."""
     compact = model.arrays.compact
     return model.arrays._replace(compact=compact._replace(block=compact.block - compact.block[0]))
 
@@ -61,7 +61,7 @@ def scratch(model, tied=False):
 
 @part
 def hold_state(s, laws, drives, u, v, lam, x):
-    """What products at a state are made of, beside the plates: its points, their curvature, the matrices of bodies of few coordinates."""
+    """Evaluate everything at a state except the plates: points, their curvature, matrices of bodies of few coordinates."""
     joints.point_values(s.links, u, x.points[DZ])
     x.curvature[:] = 0.0
     joints.joint_curvature(s.links, drives, lam, x.curvature)
@@ -92,7 +92,7 @@ def few_products(c, few, w, r):
 
 @part
 def body_products(s, viscosity, u, v, w, rotation, x):
-    """Fill x.stiff, x.heavy and x.slowing with what the bodies give; rotation: x.rotation, or (0, 2) where it is at hand."""
+    """Fill x.stiff, x.heavy and x.slowing with the parts of the bodies; rotation: x.rotation, or (0, 2) if it is already computed."""
     clear(x.stiff)
     clear(x.heavy)
     clear(x.slowing)
@@ -109,7 +109,7 @@ def body_products(s, viscosity, u, v, w, rotation, x):
 
 @part
 def plate_products(s, viscosity, u, v, w, rotation, x):
-    """The plates' part."""
+    """Add the parts of the plates."""
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         p, e = s.at[o], s.at[o + 1]
@@ -131,7 +131,7 @@ def plate_products(s, viscosity, u, v, w, rotation, x):
 
 @part
 def point_products(s, laws, slopes, w, mu, x):
-    """Add what masses, rows and force elements give at the points; x.rows = B w. slopes: phi_z."""
+    """Add the parts of point masses, rows and force elements; x.rows = B w. slopes: phi_z."""
     wz, forces = x.points[WZ], x.points[FORCES]
     joints.point_values(s, w, wz)
     pull_back(s.coupling, x.curvature, wz, forces)
@@ -164,7 +164,7 @@ def pull_back(coupling, blocks, wz, forces):
 
 @entry
 def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
-    """All of them at one state, into x; slopes is scratch for phi_z."""
+    """All products at one state, into x; slopes is workspace for phi_z."""
     hold_state(s, laws, drives, u, v, lam, x)
     body_products(s, viscosity, u, v, w, x.rotation, x)
     joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
@@ -172,7 +172,7 @@ def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
 
 
 def products_at(model, drives, q, v, lam, w, mu):
-    """The Scratch that holds them at a state of a compiled scene; drives: the model's of its time."""
+    """The Scratch with the products at a state of a compiled scene; drives: of its time."""
     x, arrays, slopes = model.once(scratch), model.once(arrays_of), np.empty(len(model.arrays.links.row_columns))
     u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
     viscosity = model.arrays.plates.body_viscosity if model.damped else None

@@ -1,7 +1,7 @@
-"""Sums of multipliers by the profiles of a scene and by time.
+"""Parameters of the profiles of a scene, and slopes in time.
 
-What the values, rates and second derivatives of profiles are multiplied by in `sum w . r + mu . phi + kappa . rate + nu . bias`, how
-profiles change with their numbers, and slopes of the entries of that sum in their own times.
+The module sums multipliers by profile (`sum w . r + mu . phi + kappa . rate + nu . bias`), differentiates profiles in their numbers, and the
+entries of that sum in their own times.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.adjoint.parameter import AdjointMultipliers, Parameter, entries_of, holding_profile, total, with_profile
+from polyida.adjoint.parameter import AdjointMultipliers, Parameter, part_with_profile, select_entries, total, with_profile
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_forces import OwnForce
 from polyida.assembly.placement import GRAVITY
@@ -37,10 +37,9 @@ def over(profile, t, order=0):
 
 
 def slope_over(profile, made, scale, speeds, orders, t):
-    """What `made(s)`, which is the profile at s = 0, changes by with s, in value and derivatives of these orders at times t, (k, orders).
+    """The derivative of `made(s)` in s at s = 0, in value and derivatives of these orders at times t, (k, orders).
 
-    speeds: of its kinks. Differences are taken along times that move as the kinks do, so that none of them crosses one; what that is too
-    much is taken back by the derivatives in time.
+    speeds: of its kinks. Differences follow the kinks, so that none crosses one; the derivatives in time correct for this shift.
     """
     moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
     if moved.any():
@@ -55,7 +54,7 @@ def slope_over(profile, made, scale, speeds, orders, t):
 
 
 def _beside_kink(profile, t):
-    """t, or of a kink the time on the side of which the profile has its values there: both move, and round-off would choose the side."""
+    """t; at a kink the time just beside it on the side whose values the profile takes, since round-off would choose the side."""
     if not any(abs(kink - t) <= 8 * np.spacing(max(1.0, abs(t))) for kink in profile.kinks):
         return t
     at = np.array([beside(t, -1), t, beside(t, 1)])
@@ -64,24 +63,24 @@ def _beside_kink(profile, t):
 
 
 def kink_speeds(made, scale):
-    """By how much the kinks of `made(s)` move with s at s = 0, (kinks,): evenly."""
+    """The derivatives of the kinks of `made(s)` in s, (kinks,), assumed constant."""
     return np.subtract(made(scale / 4).kinks, made(-scale / 4).kinks) / (scale / 2)
 
 
 def at_sides(own, x):
-    """What x (k, n) is at the sides of an OwnForce, (k, sides, 2)."""
+    """Values (k, sides, 2) of x (k, n) at the sides of an OwnForce."""
     return (own.A @ x.T).T.reshape(len(x), -1, 2)
 
 
 def element_work(own, element, work):
-    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce, which is of one like it."""
+    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce."""
     x, v = own.rest + at_sides(own, work.q), at_sides(own, work.v)
     forces = [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
     return -np.einsum("kie,kie->k", at_sides(own, work.w), np.reshape(forces, x.shape))
 
 
-def drive_works(model, work):
-    """(k, profiles, 3): the slopes of each entry of the sum in value, rate and second derivative of every profile of a scene."""
+def profile_works(model, work):
+    """Slopes (k, profiles, 3) of each entry of the sum in value, rate and second derivative of every profile of a scene."""
     found = np.zeros((len(work.t), len(model.profiles), 3))
     s, links = model.arrays.plates, model.arrays.links
     w = work.w.reshape(len(work.t), -1, 2)
@@ -153,7 +152,7 @@ def _dot(a, b):
 
 
 def _add_element(model, name, element, work, found):
-    """Profiles of a force element, by differences of its forces, which take their rates too if they are Python."""
+    """Add the slopes of a force element in its profiles, by differences of its forces; in rates too if it is Python."""
     own = OwnForce(name, element, model)
     for drive, profile in enumerate(model.profiles):
         if not any(known is profile for known in profiles_of(element)):
@@ -163,7 +162,7 @@ def _add_element(model, name, element, work, found):
 
             def pushed(s, profile=profile, function=function, of_time=of_time):
                 other = replace(profile, formula=(), **{function: lambda t: of_time(t) + s})
-                return element_work(own, holding_profile(element, profile, other), work)
+                return element_work(own, part_with_profile(element, profile, other), work)
 
             found[:, drive, order] += along(pushed, size)
 
@@ -172,17 +171,17 @@ SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's 
 
 
 def in_time(model, work):
-    """The slope of `w . r + mu . phi + kappa . rate + nu . bias` of each entry in its time, its state as it is, (k,).
+    """The slope of `w . r + mu . phi + kappa . rate + nu . bias` of each entry in its time at fixed state, (k,).
 
-    Of a scene by its profiles' derivatives; of models and force elements of one's own by differences.
+    By derivatives of profiles for a scene, by differences for users' models and force elements.
     """
     result = np.zeros(len(work.t))
     if not model.is_scene:
         for k, t in enumerate(work.t.tolist()):
-            entry = entries_of(work, slice(k, k + 1))
+            entry = select_entries(work, slice(k, k + 1))
             result[k] = along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), SCALE, model._smooth(t))
         return result
-    each = drive_works(model, work)
+    each = profile_works(model, work)
     for drive, profile in enumerate(model.profiles):
         for order in range(len(ORDERS)):
             used = np.flatnonzero(each[:, drive, order])
@@ -198,7 +197,7 @@ def in_time(model, work):
             held = element
             for profile in profiles_of(element):
                 late = {order: lambda t, f=f: f(t - s) for order in ORDERS for f in [getattr(profile, order)]}
-                held = holding_profile(held, profile, replace(profile, formula=(), **late))
+                held = part_with_profile(held, profile, replace(profile, formula=(), **late))
             return element_work(own, held, work._replace(t=work.t + s))
 
         result += along(later, SCALE)
@@ -209,12 +208,12 @@ DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads
 
 
 @dataclass(frozen=True, eq=False)
-class OfProfile(Parameter):
-    """A number of a profile, wherever the scene has that.
+class ProfileNumber(Parameter):
+    """A number of a profile, wherever the scene has this profile.
 
-    drive: which of the model's profiles. made: the profile of another number. scale: over which it varies with that. works: of AdjointMultipliers,
-    what the drives are multiplied by. slopes: of (t, q, bar), the MotionSlopes of the start. asked: where the profile's own numbers say
-    the same.
+    drive: number of the profile in the model. made: function of the number -> profile. scale: size over which the profile varies with it. works:
+    function of AdjointMultipliers -> `profile_works`. slopes: function (t, q, bar) -> MotionSlopes of the start. only_by_name: True if other numbers of
+    the profile are equivalent.
     """
 
     drive: int
@@ -222,12 +221,12 @@ class OfProfile(Parameter):
     scale: Callable[[Any], float]
     works: Callable
     slopes: Callable
-    asked: bool = False
-    why = "the numbers of the profile have slopes of their own"
+    only_by_name: bool = False
+    reason = "the numbers of the profile have slopes of their own"
 
     @property
     def profile(self):
-        """The profile as it is."""
+        """The current profile."""
         return self.model.profiles[self.drive]
 
     def slope(self, work):
@@ -239,7 +238,7 @@ class OfProfile(Parameter):
         return np.tensordot(each[np.ix_(used, orders)], self._slopes(orders, work.t[used]), 2)
 
     def start(self, t, q, bar):
-        """Where driven joints change the motions that bodies were given."""
+        """Slope if driven joints change the given motions."""
         found = self.slopes(t, q, bar)
         if found is None:
             return None
@@ -253,25 +252,25 @@ class OfProfile(Parameter):
 
     @cached_property
     def _speeds(self):
-        """By how much the profile's kinks move, (kinks,)."""
+        """The derivatives of the profile's kinks, (kinks,)."""
         return kink_speeds(self._near, self.scale(np.zeros(0)))
 
     def _near(self, s):
         return self.made(self.value + s)
 
     def replaced(self, value):
-        """The scene with the profile of another number."""
+        """A copy of the scene with another number in the profile."""
         if not is_number(value):
             raise InputError(f"{self.name}: {value!r} must be a finite number")
         return with_profile(self.model, self.profile, self.made(float(value)))
 
     def kinks(self, t0, t1):
-        """Those of the profile that move with its begin and duration."""
+        """The kinks of the profile that depend on the number."""
         moving = zip(self.profile.kinks, self._speeds.tolist())
         return {kink: speed for kink, speed in moving if speed and t0 < kink < t1}
 
 
-class Coefficients(OfProfile):
+class PolynomialCoefficients(ProfileNumber):
     """The coefficients of a polynomial, (k,)."""
 
     def _slopes(self, orders, t):
@@ -279,39 +278,39 @@ class Coefficients(OfProfile):
         return np.stack([np.stack([over(unit, t, order) for order in orders], axis=1) for unit in units], axis=2)
 
     def replaced(self, value: ArrayLike):
-        """The scene with other coefficients, as many."""
+        """A copy of the scene with as many other coefficients."""
         given = floats(value)
         if given is None or given.shape != self.value.shape:
             raise InputError(f"{self.name}: {value!r} must be {len(self.value)} finite numbers")
         return with_profile(self.model, self.profile, polynomial(given))
 
     def kinks(self, t0, t1):
-        """There are none."""
+        """Empty: a polynomial has no kinks."""
         return {}
 
 
-def of_profiles(model, works, slopes):
-    """The parameters of all profiles that parts of a scene, or its gravity, were given."""
+def profile_parameters(model, works, slopes):
+    """Yield the parameters of all profiles of the parts of a scene and of gravity."""
     for drive, name in named_drives(model).items():
         profile, shared = model.profiles[drive], (works, slopes)
         if any(profile is default for default in DEFAULTS):
             continue
         kind, *given = profile.formula or ("",)
         if kind == "polynomial" and len(given) > 1:
-            yield Coefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, *shared)
+            yield PolynomialCoefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, *shared)
         elif kind:
             keys = ["value"] if kind == "polynomial" else list(signature(MAKERS[kind]).parameters)
             for i, key in enumerate(keys):
                 made = lambda value, i=i, kind=kind, given=given: MAKERS[kind](*given[:i], value, *given[i + 1 :])  # noqa: E731
-                yield OfProfile(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), *shared)
+                yield ProfileNumber(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), *shared)
         times = lambda value, profile=profile: scaled(profile, value)  # noqa: E731
-        yield OfProfile(f"{name}.scale", 1.0, model, drive, times, lambda t: 1.0, *shared, bool(kind))
+        yield ProfileNumber(f"{name}.scale", 1.0, model, drive, times, lambda t: 1.0, *shared, bool(kind))
 
 
 def named_drives(model):
-    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several.
+    """{number of a profile: its name}: the first part that has it, with the field or axis if the part has several.
 
-    Not those of a joint of one's own that turns two vectors of one row by two of them: the row then has their difference.
+    Without profiles of a user's joint that turns two vectors in one row: the row depends on their difference.
     """
     given = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
     named = [(name, _named(name, values)) for name, values in given]
@@ -330,13 +329,13 @@ def _fields(part):
 
 
 def _named(name, given):
-    """{id of a profile: name} of what a part is given."""
+    """{id of a profile: name} of the values of a part."""
     held = [(key, value) for key, value in given if isinstance(value, Profile)]
     return {id(value): name if len(held) == 1 else f"{name}.{key}" for key, value in held}
 
 
 def _scale_of(key, given):
-    """Of times t, the size over which a profile varies with one of its numbers."""
+    """Function of times t: the size over which a profile varies with one of its numbers."""
     if key in ("begin", "duration"):
         return lambda t: given["duration"]
     if key == "frequency":

@@ -28,11 +28,11 @@ class StageEquations(PythonTable, AdjointTable):
         self.functions[ADJOINT] = self._address(self._solve)
 
     def scale(self, h):
-        """Go on with steps of h."""
+        """Set the step h."""
         self.h = h
 
     def take(self, *stages):
-        """Take the stages of some steps, (count, s, .) each."""
+        """Set the stages of some steps, (count, s, .) each."""
         self.stages = stages
 
     @contextmanager
@@ -70,11 +70,11 @@ class StageEquations(PythonTable, AdjointTable):
         self.counts.factorizations += 1
 
     def parts(self, x):
-        """(w, mu, kappa), or (e, lam, mu), of all of their numbers in order."""
+        """Split a solution into (w, mu, kappa), or (e, lam, mu)."""
         return [part.reshape(shape) for part, shape in zip(np.split(x, self.cuts), self.shapes)]
 
     def newton(self, t, q, v, a, lam, mu):
-        """The changes of e, lam and mu of the stages, (s, .) each, that Newton's method subtracts. Raises SingularSystem."""
+        """The corrections of e, lam and mu of the stages, (s, .) each, to be subtracted by Newton's method. Raises SingularSystem."""
         self.at(t, q, v, a, lam, mu)
         model, here = self.model, (t.tolist(), q)
         r = [model.residual(*state) for state in zip(*here, v, a, lam)]

@@ -33,7 +33,7 @@ from polyida.system import ADJOINT, MATRICES, PREPARE
 
 @pack
 class States(NamedTuple):
-    """States at the ends of steps, the beginning of the first one included: t (count + 1,), q, v, a (count + 1, n), lam (count + 1, m)."""
+    """States at the ends of steps and at the start of the first one: t (count + 1,), q, v, a (count + 1, n), lam (count + 1, m)."""
 
     t: np.ndarray
     q: np.ndarray
@@ -59,8 +59,8 @@ class Stages(NamedTuple):
 
 
 @entry
-def between(c, h, b, k, x):
-    """Stages to begin with: on the cubic through q and v of both ends of step k, lam on a line."""
+def initial_stages(c, h, b, k, x):
+    """Initial stages for step k: e from the cubic through q and v of both ends, lam linear, mu zero."""
     for j in range(c.shape[0]):
         s = c[j]
         for i in range(b.q.shape[1]):
@@ -73,10 +73,10 @@ def between(c, h, b, k, x):
 
 
 @entry
-def again(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
-    """The stages of steps of h from number `done` on: (steps that are done, how the next one ended).
+def solve_stages(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
+    """Solve the stages of steps of h from number `done` on: (number of solved steps, status of the next one).
 
-    f, w, p, t, y, x, z, slots, fresh, counts: as of `loop.stretch`; at: number of the instant where the first step begins; b: the States.
+    f, w, p, t, y, x, z, slots, fresh, counts: as of `loop.stretch`; at: number of the instant at which the first step starts; b: the States.
     """
     apart = t.c.shape[0] + 1
     for k in range(done, out.e.shape[0]):
@@ -84,7 +84,7 @@ def again(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
             y.past[Q, i], y.past[V, i], y.past[A, i] = b.q[k, i], b.v[k, i], b.a[k, i]
         for i in range(b.lam.shape[1]):
             y.lam[i] = b.lam[k, i]
-        between(t.c, h, b, k, x)
+        initial_stages(t.c, h, b, k, x)
         now[STEP], now[TIME], now[TARGET] = h, b.t[k], b.t[k + 1]
         first = at if f[PREPARE] else at + k * apart
         ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, fresh, y, x, z, counts)
@@ -92,18 +92,18 @@ def again(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
             slot = reserve_slot(slots, h, b.t[k], y)
             ended, counts[3] = make_factors(f, w, first, y, slot), counts[3] + 1
             if ended == DONE:
-                between(t.c, h, b, k, x)
+                initial_stages(t.c, h, b, k, x)
                 ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, True, y, x, z, counts)
         if ended != DONE:
             return k, ended
         fresh = False
-        write(t.c, z, k, y, x, out)
+        record_stages(t.c, z, k, y, x, out)
     return out.e.shape[0], DONE
 
 
 @part
-def write(c, z, k, y, x, out):
-    """Note the stages of step k."""
+def record_stages(c, z, k, y, x, out):
+    """Write the stages of step k to out."""
     for j in range(c.shape[0]):
         out.t[k, j] = z.times[3 + j]
         for i in range(x.e.shape[1]):
@@ -126,7 +126,7 @@ class Slopes(NamedTuple):
 
 @pack
 class Sweep(NamedTuple):
-    """What goes from step to step, and scratch of one: bars (2, n) of q and v, their trial values, right (s, n), below (s, m), found (3, s, n)."""
+    """State and scratch of the sweep: bars (2, n) of q and v, those of the current step, right (s, n), below (s, m), found (3, s, n)."""
 
     bars: np.ndarray
     trial: np.ndarray
@@ -136,8 +136,8 @@ class Sweep(NamedTuple):
 
 
 @pack
-class Found(NamedTuple):
-    """What the steps leave: w, v* (count, s, n), multipliers (count, 1 or 2, s, m), mu* and kappa; the slopes in h (count,)."""
+class SweepOutput(NamedTuple):
+    """Results of the sweep: w, v* (count, s, n); multipliers mu* and kappa (count, 1 or 2, s, m); slopes in h (count,)."""
 
     w: np.ndarray
     v: np.ndarray
@@ -147,7 +147,7 @@ class Found(NamedTuple):
 
 @fast
 def begin(W, h, j, k, y, out):
-    """The bars of the end of step k, with the objective's own, and the right-hand side; its multipliers are zero to begin with."""
+    """Add the objective's slopes to the bars of the end of step k, and set the right-hand side; the multipliers start from zero."""
     out.w[k], out.multipliers[k] = 0.0, 0.0
     for i in range(y.bars.shape[1]):
         y.trial[0, i], y.trial[1, i] = y.bars[0, i], y.bars[1, i]
@@ -165,7 +165,7 @@ def begin(W, h, j, k, y, out):
 
 @fast
 def finish(c, W, h, b, x, k, y, out):
-    """The bars for the step before, v* and the slope in h."""
+    """The bars of the step's start, v* and the slope in h."""
     q, v, a, last, slope = y.found[0], y.found[1], y.found[2], W.shape[0] - 1, 0.0
     for i in range(y.bars.shape[1]):
         q[last, i] += y.trial[0, i]
@@ -189,7 +189,7 @@ def finish(c, W, h, b, x, k, y, out):
 
 @entry
 def stretch(f, workspace, first, last, c, W, h, j, b, x, y, out):
-    """Steps backward from the one before `last` to `first`, into out: (the first step that is done, how the one before ended)."""
+    """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before)."""
     right, below, bar, found = address(y.right), address(y.below), address(y.trial[1]), address(y.found)
     for k in range(last - 1, first - 1, -1):
         begin(W, h, j, k, y, out)

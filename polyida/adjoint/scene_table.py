@@ -42,10 +42,10 @@ CONTRACTION, AGE, SOLVES, LARGEST, SLOWEST = range(5)  # of SceneAdjointWork.mar
 MU, KAPPA = range(2)  # of multipliers and of rows
 FRESHEN = 30  # steps after which the contraction is measured again
 ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
-NOTHING = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
+NEGLIGIBLE = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which the factor solves, ends at 1e-38
 EXACT = 1e-11  # of |w|: refinement leaves no less
-MOST = 60  # corrections of a step with one factor
+MAX_CORRECTIONS = 60  # corrections of a step with one factor
 OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and above which one that was made for the step does not serve
 
 
@@ -71,8 +71,8 @@ class Mode(NamedTuple):
 
 
 @pack
-class Tied(NamedTuple):
-    """Of steps with mu: mu (count, s, m), blocks of (B^T mu)_q on the coupled points (s, ., 2, 2), slopes of the rates of the rows (s, .),
+class MuTerms(NamedTuple):
+    """Arrays of steps with mu: mu (count, s, m), blocks of (B^T mu)_q on the coupled points (s, ., 2, 2), slopes of the rates of the rows (s, .),
     v* (s, nodes, 2), values and forces at points (2, points, 2).
     """
 
@@ -87,12 +87,11 @@ class Tied(NamedTuple):
 class SceneAdjointWork(NamedTuple):
     """The workspace of a scene.
 
-    viscosity, laws, real, pair, tied: None where there is nothing of the kind, which is not compiled then. drives (count, s, profiles, 3),
-    q, v, lam (count, s, .): of the stages. enough: the error of w, over |w|, that is left. first, second, third: products of the stages and w.
-    slopes (s, .): phi_z; turn (s, nodes, 2): from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): what is left of the
-    equations, and corrections of w and of the multipliers. marks:
-    CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| so far that no constraint held; SLOWEST, the contraction
-    that is accepted.
+    viscosity, laws, real, pair, tied: None if the scene has none; the code for it is then not compiled. drives (count, s, profiles, 3),
+    q, v, lam (count, s, .): of the stages. enough: accepted error of w over |w|. first, second, third: products of the stages and w.
+    slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): residuals,
+    and corrections of w and of the multipliers. marks: CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| of a
+    solve without constraints; SLOWEST, the largest accepted contraction.
     """
 
     scene: tuple
@@ -100,7 +99,7 @@ class SceneAdjointWork(NamedTuple):
     laws: Laws | None
     real: Mode | None
     pair: Mode | None
-    tied: Tied | None
+    tied: MuTerms | None
     drives: np.ndarray
     q: np.ndarray
     v: np.ndarray
@@ -138,8 +137,8 @@ def pairs(w, x):
 
 
 @part
-def hold_ties(w, t, k, i):
-    """What stage i of a step with mu has besides. What is None is not compiled."""
+def evaluate_mu_terms(w, t, k, i):
+    """Evaluate the terms of mu at stage i, unless the step has none (t is None)."""
     if t is not None:
         s, x, drives = w.scene.links, stage(w, i), w.drives[k, i]
         joints.point_values(s, pairs(w, w.v[k, i]), x.points[VZ])
@@ -149,8 +148,8 @@ def hold_ties(w, t, k, i):
 
 
 @part
-def hold_mode(w, mode, i):
-    """The frames of a mode's factor, and its border, at stage i, whose products are held."""
+def prepare_mode(w, mode, i):
+    """The frames of a mode's factor, and its border, at stage i."""
     if mode is not None:
         corotated.turn_frames(w.scene.links, mode.factored, mode.workspace, stage(w, i).rotation)
         fill_border(w, mode, mode.massive, mode.before, mode.border, w.tied, i)
@@ -158,7 +157,7 @@ def hold_mode(w, mode, i):
 
 @part
 def fill_border(w, mode, massive, before, border, tied, i):
-    """What is None is not compiled."""
+    """Fill the border of a mode: with the rates of the rows if there is mu (massive is not None)."""
     s, c, workspace = w.scene.links, mode.factored, mode.workspace
     if massive is None:
         corotated.points_matrix(s, c, workspace, c.border, workspace.border.blocks, 0)
@@ -175,7 +174,7 @@ def fill_border(w, mode, massive, before, border, tied, i):
 
 @part
 def fill(w, mode, i, slopes, curvature):
-    """phi_z of stage i, and the curvature on the points, transposed, `S^T` of the point masses included."""
+    """phi_z of stage i, and the transposed curvature on the points with the point masses."""
     mirror, x = w.scene.links.coupling.mirror, stage(w, i)
     slopes[:] = w.slopes[i]
     for e in range(mirror.shape[0]):
@@ -189,10 +188,10 @@ def fill(w, mode, i, slopes, curvature):
 
 @part
 def correct(w, mode):
-    """Correct w and the multipliers by a mode for what is left of the equations: the sum of |S^-1 r|, below zero if it is singular."""
+    """A mode's correction of w and of the multipliers for the residual: the sum of |S^-1 r|, or -1 if the border is singular."""
     if mode is None:
         return 0.0
-    r, dw, rows, size, free = mode.r, mode.dw, mode.rows, LEAST, 0.0
+    r, dw, rows, size, unconstrained = mode.r, mode.dw, mode.rows, LEAST, 0.0
     for a in range(r.shape[0]):
         for e in range(2):
             r[a, e] = 0.0
@@ -210,13 +209,13 @@ def correct(w, mode):
     for a in range(r.shape[0]):
         for e in range(2):
             r[a, e], dw[a, e] = -size * r[a, e], -size * dw[a, e]
-            free += magnitude(dw[a, e])
-    return free if close(w, mode, mode.massive, mode.before, mode.border) else -1.0
+            unconstrained += magnitude(dw[a, e])
+    return unconstrained if close(w, mode, mode.massive, mode.before, mode.border) else -1.0
 
 
 @part
 def close(w, mode, massive, before, border):
-    """The multipliers of a mode, and what their forces do to dw. False where its border is singular. What is None is not compiled."""
+    """The multipliers of a mode, and the effect of their forces on dw. False if the border is singular."""
     s, c, workspace = w.scene.links, mode.factored, mode.workspace
     if massive is None:
         if not workspace.border.x.shape[0]:
@@ -247,14 +246,14 @@ def add_change(w, mode, twice):
 
 
 @part
-def add_ties(w, t, now, multipliers, bar):
-    """Add what kappa and mu of the step give to the products; B v* into w.rows. What is None is not compiled."""
+def add_mu_terms(w, t, now, multipliers, bar):
+    """Add the terms of kappa and mu to the products, and B v* to w.rows, unless the step has no mu (t is None)."""
     if t is None:
         return
     s, stages, values, forces = w.scene.links, w.r.shape[0], t.points[0], t.points[1]
     for i in range(stages):
         x = stage(w, i)
-        slide(s, w.slopes[i], multipliers[KAPPA, i], forces)
+        weighted_rows(s, w.slopes[i], multipliers[KAPPA, i], forces)
         joints.spread(s, forces, x.slowing)
         for a in range(x.slowing.shape[0]):
             for e in range(2):
@@ -277,7 +276,7 @@ def add_ties(w, t, now, multipliers, bar):
 
 
 @part
-def slide(s, slopes, factors, forces):
+def weighted_rows(s, slopes, factors, forces):
     """forces = slopes^T factors at the points."""
     for f in range(forces.shape[0]):
         forces[f, 0] = forces[f, 1] = 0.0
@@ -289,19 +288,19 @@ def slide(s, slopes, factors, forces):
 
 @part
 def multiply(w, k, now, multipliers, bar, anew):
-    """All products of w and the multipliers at the stages; anew: True if the bodies' rotations are not at hand."""
+    """All products of w and the multipliers at the stages; anew: True if the bodies' rotations must be computed."""
     for i in range(w.r.shape[0]):
         x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
         products.body_products(w.scene, w.viscosity, u, v, now[i], x.rotation if anew else x.rotation[:0], x)
         products.point_products(w.scene.links, w.laws, w.slopes[i], now[i], multipliers[MU, i], x)
         for e in range(w.rows.shape[2]):
             w.rows[MU, i, e] = x.rows[e]
-    add_ties(w, w.tied, now, multipliers, bar)
+    add_mu_terms(w, w.tied, now, multipliers, bar)
 
 
 @fast
-def take_left(w, right, below):
-    """r (s, nodes, 2) = what is left of the first equations, and rows, turned to the middle stage."""
+def take_residuals(w, right, below):
+    """r (s, nodes, 2) and rows = residuals of the equations, rotated to the middle stage."""
     stages = w.r.shape[0]
     for i in range(stages):
         x, r = stage(w, i), w.r[i]
@@ -327,7 +326,7 @@ def take_left(w, right, below):
 
 @fast
 def add_correction(w, now, multipliers):
-    """w += dw, turned back, and the multipliers: the sums of |dw| and |w|, whose squares may be too small for a number."""
+    """w += dw, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow."""
     moved = size = 0.0
     for i in range(now.shape[0]):
         for a in range(now.shape[1]):
@@ -347,8 +346,8 @@ def add_correction(w, now, multipliers):
 
 
 @part
-def judge(w, moved, size, last, iteration):
-    """(True if the error behind a correction by `moved` after one by `last` is small enough or round-off, True if it will never be)."""
+def convergence(w, moved, size, last, iteration):
+    """(True if the error after a correction by `moved` following one by `last` is small enough or round-off, True if it will not become so)."""
     marks, measured = w.marks, last > 0.0
     rate = marks[CONTRACTION]
     if measured:
@@ -356,12 +355,12 @@ def judge(w, moved, size, last, iteration):
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
     slow = measured and not rate <= marks[SLOWEST]
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= w.enough * size
-    return small or (slow and moved <= ROUND_OFF * size) or moved <= NOTHING * marks[LARGEST], slow
+    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * marks[LARGEST], slow
 
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, found):
-    """Solve step k by refinement. Returns how it ended."""
+    """Solve step k by refinement. Returns a status."""
     (kinds, stages, m), (_, nodes, _), last = w.rows.shape, w.r.shape, 0.0
     middle, shape = stages // 2, (stages, nodes, 2)
     given, bar, wanted = carray(pointer(right), shape), carray(pointer(bar), (nodes, 2)), carray(pointer(below), (stages, m))
@@ -370,7 +369,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
         x, drives, speed = stage(w, i), w.drives[k, i], pairs(w, w.v[k, i])
         products.hold_state(w.scene, w.laws, drives, pairs(w, w.q[k, i]), speed, w.lam[k, i], x)
         joints.joint_jacobian(w.scene.links, drives, x.points[DZ], w.slopes[i])
-        hold_ties(w, w.tied, k, i)
+        evaluate_mu_terms(w, w.tied, k, i)
     multiply(w, k, now, multipliers, bar, True)
     for i in range(stages if stages > 1 else 0):
         own, mid = stage(w, i).rotation, stage(w, middle).rotation
@@ -378,21 +377,21 @@ def solve(w, k, right, below, bar, now, multipliers, found):
             size = 1.0 / np.sqrt((mid[a, 0] ** 2 + mid[a, 1] ** 2) * (own[a, 0] ** 2 + own[a, 1] ** 2))
             w.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
             w.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
-    hold_mode(w, w.real, middle)
-    hold_mode(w, w.pair, middle)
-    for iteration in range(MOST):
-        take_left(w, given, wanted)
-        free, other = correct(w, w.real), correct(w, w.pair)
-        if free < 0.0 or other < 0.0:
+    prepare_mode(w, w.real, middle)
+    prepare_mode(w, w.pair, middle)
+    for iteration in range(MAX_CORRECTIONS):
+        take_residuals(w, given, wanted)
+        unconstrained, other = correct(w, w.real), correct(w, w.pair)
+        if unconstrained < 0.0 or other < 0.0:
             return SINGULAR
         w.dw[:], w.change[:] = 0.0, 0.0
         add_change(w, w.real, 1.0)
         add_change(w, w.pair, 2.0)
-        w.marks[LARGEST] = max(w.marks[LARGEST], free + other)
+        w.marks[LARGEST] = max(w.marks[LARGEST], unconstrained + other)
         w.marks[SOLVES] += 1.0
         moved, size = add_correction(w, now, multipliers)
         multiply(w, k, now, multipliers, bar, False)
-        small, hopeless = judge(w, moved, size, last, iteration)
+        small, hopeless = convergence(w, moved, size, last, iteration)
         if small:
             out = carray(pointer(found), (3, stages, nodes, 2))
             for i in range(stages):
@@ -422,7 +421,8 @@ class SceneAdjoint(AdjointTable):
 
     def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False):
         self.model, self.modes, self.factor, self.counts, self.tied, self.h = model, modes, factor, counts, tied, 1.0
-        self.factors, self.kept, self.functions = (np.array(to_v, float), np.array(to_a, float)), FactorCache(), np.zeros(ENTRIES, np.int64)
+        self.factors, self.factor_cache = (np.array(to_v, float), np.array(to_a, float)), FactorCache()
+        self.functions = np.zeros(ENTRIES, np.int64)
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
         self.helpers = Helpers(threads() if s == 1 and model.n >= forward.SHARED else 1)
         scratches = [scratch(model, tied) for _ in range(s)]
@@ -440,10 +440,10 @@ class SceneAdjoint(AdjointTable):
             "change": np.zeros((kinds, s, model.m)),
             "marks": np.zeros(5),
         }
-        self.ties = {}
+        self.mu_terms = {}
         if tied:
             coupled, points = (s, len(model.arrays.links.coupling.columns), 2, 2), (2, model.n_points, 2)
-            self.ties = {
+            self.mu_terms = {
                 "curvature": np.zeros(coupled),
                 "rates": np.zeros((s, entries)),
                 "v": np.zeros((s, *nodes)),
@@ -452,21 +452,21 @@ class SceneAdjoint(AdjointTable):
         self.scale(1.0)
 
     def scale(self, h):
-        """Go on with steps of h times those that to_v and to_a are of."""
+        """Set the step h; to_v and to_a were given for h = 1."""
         self.h = h
         self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
 
     def take(self, t, q, v, a, lam, mu=None):
-        """Take the states of the stages of some steps, (count, s, .) each, or (count, .) where there is one."""
+        """Set the states of the stages of some steps, (count, s, .) each, or (count, .) for one stage."""
         count, s = len(t), len(self.factors[0])
         self.states = [np.ascontiguousarray(x, float).reshape(count, s, *np.shape(x)[np.ndim(t) :]) for x in (t, q, v, a, lam)]
         t, self.w["q"], self.w["v"], _, self.w["lam"] = self.states
         self.w["drives"] = drive_table(self.model, t.ravel(), (t[0, 0], t[-1, -1])).reshape(count, s, -1, 3)
-        self.w["tied"] = Tied(np.ascontiguousarray(mu, float), **self.ties) if self.tied else None
+        self.w["tied"] = MuTerms(np.ascontiguousarray(mu, float), **self.mu_terms) if self.tied else None
 
     def refresh(self, k):
         key = f"{self.h:.9e}"
-        found = self.kept.take(key)
+        found = self.factor_cache.take(key)
         if found is not None:
             self.w |= found
             self.w["marks"][SLOWEST] = OLD
@@ -477,7 +477,7 @@ class SceneAdjoint(AdjointTable):
         found = {"real": None, "pair": None}
         for (c_m, c_v, row, column), parts in zip(self.modes, made):
             found["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
-        self.kept.keep(key, found)
+        self.factor_cache.keep(key, found)
         self.w |= found
         self.w["marks"][[CONTRACTION, AGE, SLOWEST]] = 1.0, FRESHEN, FRESH
         return True
@@ -489,7 +489,7 @@ class SceneAdjoint(AdjointTable):
         return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, massive, before, border, *scratch)
 
     def drop(self):
-        self.kept.factors.pop(f"{self.h:.9e}", None)
+        self.factor_cache.factors.pop(f"{self.h:.9e}", None)
 
     @contextmanager
     def at_work(self):

@@ -1,4 +1,4 @@
-"""Tables for the backward sweeps: the C functions that solve the adjoint of one step, of any model by generalized-alpha and of a small one."""
+"""Tables for the backward sweeps: C functions that solve the adjoint of one step, of any model by generalized-alpha and of a small one."""
 
 from contextlib import contextmanager, suppress
 from typing import NamedTuple
@@ -20,28 +20,28 @@ ROUNDS = 8  # solves, at most, for what eta turns with q
 
 
 class AdjointTable:
-    """What a backward sweep asks of a table; one that keeps no factor needs no more of it than this.
+    """Interface of the tables of a backward sweep, with defaults for a table without a stored factor.
 
-    kappa, slips: of the stabilised form, which PythonAdjoint alone has.
+    kappa, slips: of the stabilised form, set by PythonAdjoint only.
     """
 
     kappa = slips = None
 
     def refresh(self, k):
-        """Factor the step matrix at state k if the table keeps it and has none: True if the matrix is made there. Raises SingularSystem."""
+        """Make sure that there is a factor; True if it was made for state k. Raises SingularSystem."""
         return True
 
     def drop(self):
-        """Forget the factor: it is too old."""
+        """Delete the factor: it is too old."""
 
     def raise_left(self):
-        """Raise what a function of Python has raised."""
+        """Raise the stored exception of a Python function."""
 
 
-def swept(table, exact, count, steps):
-    """Take `count` steps backward with a table, and with that of `exact()` each one that its solution does not converge for.
+def sweep_with_fallback(table, exact, count, steps):
+    """Sweep backward over `count` steps with a table; a step that does not converge is solved by the table of `exact()`.
 
-    steps: a function (addresses, workspace, first, last) -> (the first step that is done, how the one before ended).
+    steps: function (addresses, workspace, first, last) -> (the first step that is done, status of the one before).
     """
     done = count
     while done:
@@ -77,7 +77,7 @@ class PythonAdjoint(PythonTable, AdjointTable):
         self.functions[ADJOINT] = self._address(self._solve)
 
     def take(self, t, q, v, a, lam, slips=None):
-        """Take the states at the ends of some steps; slips (count, n): of the stabilised form, what eta adds to q."""
+        """Set the states at the ends of some steps; slips (count, n): of the stabilised form, the part of q from eta."""
         self.states = t, q, v, a, lam
         if self.stabilised:
             self.kappa, self.slips = np.empty_like(lam), (np.empty_like(q), np.array(slips), np.empty_like(lam))
@@ -103,9 +103,9 @@ class PythonAdjoint(PythonTable, AdjointTable):
             found[0], found[1] = saddle.K.T @ w + saddle.B.T @ mu, damped()
 
     def _stabilised(self, k, right, below, bar):
-        """(w, mu, what y loses beside bar, kappa, (y', slip, eta)).
+        """(w, mu, loss of y beside bar, kappa, (y', slip, eta)).
 
-        slip: the part of q that `M slip + B^T eta = 0` adds, as far as B tells it: by frames it has what Newton left.
+        slip: the part of q from `M slip + B^T eta = 0`, projected onto B: slips from frames also contain Newton's error.
         """
         saddle, model, (t, q, v, _, _) = self.saddle, self.model, self.saddle.here
         G, B, system = dense(model.phi_rate_q(t, q, v)), dense(saddle.B), model.mass_system(t, q)
@@ -171,7 +171,7 @@ class DenseAdjointWork(NamedTuple):
 
 @part
 def evaluate(w, k, i):
-    """K, C, M, T, B and H of stage i of step k. Returns how it ended."""
+    """K, C, M, T, B and H of stage i of step k. Returns a status."""
     d = w.model
     d.t[small.INNER] = d.t[small.END] = w.t[k, i]
     d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k, i], w.v[k, i], w.a[k, i], w.lam[k, i], 0.0, DONE
@@ -258,7 +258,7 @@ def assemble(w, size, unit):
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, found):
-    """Solve step k. Returns how it ended."""
+    """Solve step k. Returns a status."""
     (s, m, n), kinds = w.B.shape, 1 + (w.mu.shape[2] > 0)
     for i in range(s):
         ended = evaluate(w, k, i)
@@ -301,7 +301,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
 
 @part
 def products(w, now, multipliers, bar, found):
-    """What the multipliers add to q*, v* and a*."""
+    """Products of the multipliers with the matrices: their parts of q*, v* and a*."""
     (s, m, n), stiff, damped, heavy = w.B.shape, found[0], found[1], found[2]
     for i in range(s):
         for p in range(n):
@@ -325,9 +325,9 @@ def products(w, now, multipliers, bar, found):
 
 
 class DenseAdjoint(AdjointTable):
-    """The table of a small model for steps of s stages; table: that of its functions; to_v, to_a (s, s), lift: of the system that is solved.
+    """The table of a small model for steps of s stages; table: that of its functions; to_v, to_a (s, s), lift: of the system of `solve`.
 
-    tied: True if the steps have mu. counts: what counts its work.
+    tied: True if the steps have mu. counts: Counts to be increased.
     """
 
     def __init__(self, table, to_v, to_a, counts, lift=None, tied=False):
@@ -350,11 +350,11 @@ class DenseAdjoint(AdjointTable):
         self.scale(1.0)
 
     def scale(self, h):
-        """Go on with steps of h times those that to_v and to_a are of."""
+        """Set the step h; to_v and to_a were given for h = 1."""
         self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
 
     def take(self, t, q, v, a, lam, mu=None):
-        """Take the states of the stages of some steps, (count, s, .) each, or (count, .) where there is one."""
+        """Set the states of the stages of some steps, (count, s, .) each, or (count, .) for one stage."""
         given = {"t": t, "q": q, "v": v, "a": a, "lam": lam, "mu": np.zeros((*np.shape(t), 0)) if mu is None else mu}
         s = len(self.factors[0])
         self.w |= {k: np.ascontiguousarray(x, float).reshape(len(t), s, *([] if k == "t" else np.shape(x)[-1:])) for k, x in given.items()}

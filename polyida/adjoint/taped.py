@@ -1,7 +1,7 @@
-"""Reverse accumulation: vectors on a tape, and a model whose functions take them, so that a method's own code is differentiated backward.
+"""Reverse accumulation: vectors on a tape, and a model whose functions take such vectors, so that a method's own code is differentiated.
 
-Of each function of the model the vector-Jacobian products in q, v and its other vectors come from the model's own derivatives; the slope in
-parameters is left as an entry of `entries`: what multiplies r, phi, its rate and its bias in which state (see AdjointMultipliers).
+The vector-Jacobian products of the model's functions come from its own derivatives. For the slopes in parameters, `entries` gets the
+multipliers of r, phi, its rate and its bias in each state (AdjointMultipliers).
 """
 
 import numpy as np
@@ -15,57 +15,57 @@ from polyida.model.differences import along, central
 
 
 class Tape:
-    """What was done, in order; `back` goes through it in reverse."""
+    """Records of operations in order; `back` processes them in reverse."""
 
     def __init__(self):
-        self.done = []
+        self.records = []
 
     def var(self, value):
-        """A vector that others are made of."""
+        """A vector without predecessors."""
         return Var(self, np.array(value, float))
 
-    def noted(self, values, back):
-        """Vectors of these values, made together: back takes the bars of all of them, and adds to those of what they were made of."""
-        found = [self.var(value) for value in values]
-        self.done.append((found, back))
-        return found
+    def record(self, values, back):
+        """Vectors with these values, computed together; back takes all their bars and adds to those of the arguments."""
+        results = [self.var(value) for value in values]
+        self.records.append((results, back))
+        return results
 
     def back(self):
-        """Send all bars to where they come from; nothing is left on the tape, so that it keeps no model alive."""
-        while self.done:
-            found, back = self.done.pop()
-            if any(var.bar.any() for var in found):
-                back(*(var.bar for var in found))
+        """Propagate all bars. The tape is empty afterwards and holds no reference to a model."""
+        while self.records:
+            results, back = self.records.pop()
+            if any(var.bar.any() for var in results):
+                back(*(var.bar for var in results))
 
 
 class Var:
-    """A vector on a tape: value, and bar, the slope of the objective in it. Numbers and arrays may stand beside it in sums."""
+    """A vector on a tape: value, and bar, the slope of the objective in it. It can be added to numbers and arrays."""
 
     __array_ufunc__ = None  # numpy leaves sums and products to this class
 
     def __init__(self, tape, value):
         self.tape, self.value, self.bar = tape, value, np.zeros_like(value)
 
-    def _made(self, value, *terms):
-        """A vector that is a sum of terms, (vector, factor) each; value: its own."""
+    def _sum(self, value, *terms):
+        """The vector with this value, a sum of terms (vector, factor)."""
 
         def back(bar):
             for thing, factor in terms:
                 add_to(thing, factor * bar)
 
-        return self.tape.noted([value], back)[0]
+        return self.tape.record([value], back)[0]
 
     def __add__(self, other):
-        return self._made(self.value + value_of(other), (self, 1.0), (other, 1.0))
+        return self._sum(self.value + value_of(other), (self, 1.0), (other, 1.0))
 
     def __sub__(self, other):
-        return self._made(self.value - value_of(other), (self, 1.0), (other, -1.0))
+        return self._sum(self.value - value_of(other), (self, 1.0), (other, -1.0))
 
     def __rsub__(self, other):
-        return self._made(other - self.value, (self, -1.0))
+        return self._sum(other - self.value, (self, -1.0))
 
     def __mul__(self, factor):
-        return self._made(factor * self.value, (self, factor))
+        return self._sum(factor * self.value, (self, factor))
 
     def __truediv__(self, factor):
         return self * (1.0 / factor)
@@ -74,33 +74,33 @@ class Var:
         return self * -1.0
 
     def any(self):
-        """True: whether it is zero is not asked of a vector that may move."""
+        """True: code must not skip a vector because it is zero now."""
         return True
 
     __radd__, __rmul__ = __add__, __mul__
 
 
 def value_of(thing):
-    """The numbers of a Var, or what is given."""
+    """The value of a Var; anything else as it is."""
     return thing.value if isinstance(thing, Var) else thing
 
 
 def add_to(thing, bar):
-    """Add to the bar of a Var; what is none has no use for it."""
+    """Add to the bar of a Var; no effect on anything else."""
     if isinstance(thing, Var):
         thing.bar = thing.bar + bar
 
 
 class TapedModel:
-    """A model on a tape."""
+    """A model whose functions take vectors on a tape."""
 
     def __init__(self, model, tape):
         self.model, self.tape, self.entries = model, tape, []
         self.n, self.m, self.needs, self.kinks = model.n, model.m, model.needs, model.kinks
         self._none = np.zeros(self.n), np.zeros(self.m)
 
-    def note(self, t, q, v=None, a=None, lam=None, w=None, **more):
-        """Leave an entry for the parameters' slopes."""
+    def add_entry(self, t, q, v=None, a=None, lam=None, w=None, **more):
+        """Add multipliers for the parameters' slopes."""
         zero, rows = self._none
         vectors = [zero if x is None else value_of(x) for x in (v, a)]
         lam, w = (none if x is None else value_of(x) for x, none in ((lam, rows), (w, zero)))
@@ -114,9 +114,9 @@ class TapedModel:
             add_to(q, residual_q(self.model, *at, *self._none, bar))
             if self.needs.velocity_forces:
                 add_to(v, residual_v(self.model, *at, bar))
-            self.note(t, q, v, w=bar)
+            self.add_entry(t, q, v, w=bar)
 
-        return self.tape.noted([self.model.force(t, value_of(q), value_of(v))], back)[0]
+        return self.tape.record([self.model.force(t, value_of(q), value_of(v))], back)[0]
 
     def phi_rate(self, t, q, v):
         """phi_q v + phi_t."""
@@ -125,9 +125,9 @@ class TapedModel:
             at = t, value_of(q)
             add_to(q, self.model.phi_rate_q(*at, value_of(v)).T @ kappa)
             add_to(v, self.model.phi_q(*at).T @ kappa)
-            self.note(t, q, v, kappa=kappa)
+            self.add_entry(t, q, v, kappa=kappa)
 
-        return self.tape.noted([self.model.phi_rate(t, value_of(q), value_of(v))], back)[0]
+        return self.tape.record([self.model.phi_rate(t, value_of(q), value_of(v))], back)[0]
 
     def phi_t(self, t, q):
         """phi_t."""
@@ -141,12 +141,12 @@ class TapedModel:
             if self.needs.driven or self.needs.phi_q_varies:
                 add_to(q, self.model.phi_bias_q(*at).T @ nu)
                 add_to(v, 2.0 * (self.model.phi_rate_q(*at).T @ nu))
-            self.note(t, q, v, nu=nu)
+            self.add_entry(t, q, v, nu=nu)
 
-        return self.tape.noted([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]
+        return self.tape.record([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]
 
     def phi_q(self, t, q):
-        """B, to be multiplied with a vector."""
+        """B, for products with vectors."""
         return _Rows(self, t, q)
 
     def mass_system(self, t, q):
@@ -162,16 +162,16 @@ class _Rows:
         taped, model, t, q = self.taped, self.taped.model, self.t, value_of(self.q)
 
         def back(nu):
-            add_to(self.q, turned(model, t, q, nu, value_of(x)))
+            add_to(self.q, reaction_transposed(model, t, q, nu, value_of(x)))
             add_to(x, model.phi_q(t, q).T @ nu)
-            taped.note(t, q, x, kappa=nu)
-            taped.note(t, q, kappa=-nu)
+            taped.add_entry(t, q, x, kappa=nu)
+            taped.add_entry(t, q, kappa=-nu)
 
-        return taped.tape.noted([model.phi_q(t, q) @ value_of(x)], back)[0]
+        return taped.tape.record([model.phi_q(t, q) @ value_of(x)], back)[0]
 
 
 class _MassSystem:
-    """`M dq + B^T dlam = -r`, `B dq = -phi`; its adjoint is itself."""
+    """`M dq + B^T dlam = -r`, `B dq = -phi`, which is symmetric."""
 
     def __init__(self, taped, t, q):
         self.taped, self.t, self.q = taped, t, q
@@ -186,17 +186,17 @@ class _MassSystem:
             alpha, nu = self.system.solve(bar_q, bar_lam)  # of minus the adjoint's right-hand side: minus its solution
             add_to(r, alpha)
             add_to(phi, nu)
-            found = turned(model, t, q, dlam, alpha) + turned(model, t, q, nu, dq)
-            add_to(self.q, found + model.mass_a_q(q, dq).T @ alpha if model.needs.mass_varies else found)
-            taped.note(t, q, a=dq, lam=dlam, w=alpha)
-            taped.note(t, q, w=-alpha)
-            taped.note(t, q, dq, kappa=nu)
-            taped.note(t, q, kappa=-nu)
+            results = reaction_transposed(model, t, q, dlam, alpha) + reaction_transposed(model, t, q, nu, dq)
+            add_to(self.q, results + model.mass_a_q(q, dq).T @ alpha if model.needs.mass_varies else results)
+            taped.add_entry(t, q, a=dq, lam=dlam, w=alpha)
+            taped.add_entry(t, q, w=-alpha)
+            taped.add_entry(t, q, dq, kappa=nu)
+            taped.add_entry(t, q, kappa=-nu)
 
-        return tuple(taped.tape.noted([dq, dlam], back))
+        return tuple(taped.tape.record([dq, dlam], back))
 
 
-def turned(model, t, q, lam, x):
+def reaction_transposed(model, t, q, lam, x):
     """((B^T lam)_q)^T x, (n,)."""
     return model.reaction_q(t, q, lam).T @ x if model.needs.phi_q_varies and model.m else np.zeros(model.n)
 
@@ -219,20 +219,20 @@ def _(model: TapedModel, settings, state, h):
         def back(bar):
             alpha, nu = system.solve(bar, np.zeros(model.m), transposed=True)
             add_to(x, c_m * (mass @ alpha) + border.T @ nu)
-            _moved(model, state, (y, c_v * y, c_m * (y - value_of(x)), eta), alpha, nu, y - value_of(x))
+            _add_derivative_along(model, state, (y, c_v * y, c_m * (y - value_of(x)), eta), alpha, nu, y - value_of(x))
 
-        return model.tape.noted([y], back)[0]
+        return model.tape.record([y], back)[0]
 
     return resolve
 
 
-def _moved(taped, state, way, alpha, nu, gain):
-    """Take the slopes of `d/ds alpha . r(state + s way) + nu . B gain` from the state's bars."""
+def _add_derivative_along(taped, state, way, alpha, nu, gain):
+    """Subtract the slopes of `d/ds alpha . r(state + s way) + nu . B gain` from the state's bars."""
     model, t, q = taped.model, state.t, value_of(state.q)
     now = [value_of(x) for x in (state.q, state.v, state.a, state.lam)]
     at = lambda s: [x + s * d for x, d in zip(now, way)]  # noqa: E731
     reach = (1.0 + np.abs(q).max()) / max(np.abs(way[0]).max(), 1e-300)
-    add_to(state.q, -along(lambda s: residual_q(model, t, *at(s), alpha), reach) - turned(model, t, q, nu, gain))
+    add_to(state.q, -along(lambda s: residual_q(model, t, *at(s), alpha), reach) - reaction_transposed(model, t, q, nu, gain))
     if model.needs.velocity_forces:
         add_to(state.v, -along(lambda s: residual_v(model, t, *at(s)[:2], alpha), reach))
     if model.needs.mass_varies:
@@ -240,9 +240,9 @@ def _moved(taped, state, way, alpha, nu, gain):
     if model.needs.phi_q_varies:
         add_to(state.lam, -along(lambda s: model.phi_q(t, at(s)[0]) @ alpha, reach))
     for s, weight in central(reach):
-        taped.note(t, *at(s), w=-weight * alpha)
-    taped.note(t, q, gain, kappa=-nu)
-    taped.note(t, q, kappa=nu)
+        taped.add_entry(t, *at(s), w=-weight * alpha)
+    taped.add_entry(t, q, gain, kappa=-nu)
+    taped.add_entry(t, q, kappa=nu)
 
 
 @velocity_rate.register

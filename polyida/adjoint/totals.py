@@ -1,4 +1,4 @@
-"""What `pi.gradient` gives, and the slopes of an objective in the parameters of a model, added up as a sweep goes back."""
+"""Gradient, the result of `pi.gradient`, and sums of an objective's slopes in the parameters during a backward sweep."""
 
 from collections.abc import ItemsView, Iterator, KeysView
 from dataclasses import dataclass, field
@@ -72,29 +72,30 @@ class Gradient:
 
 
 class Totals:
-    """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself; given: whether v0, the
-    velocities that a run was given, is one too. left_out: {name: reason} of those that the model has and that are not taken without their
-    names.
+    """Sums of slopes by the names of parameters.
+
+    names: the requested ones, or None for all inexpensive ones; with_v0: True if v0, the initial velocities of the run, is a parameter too.
+    left_out: {name: reason} of parameters that are taken by name only.
     """
 
-    def __init__(self, model, names=None, given=False):
+    def __init__(self, model, names=None, with_v0=False):
         self.known = known = parameters_of(model)
-        unasked = [name for name, parameter in known.items() if not parameter.asked]
-        wanted = unasked if names is None else [_known(name, known, given).name for name in names if not (given and name == "v0")]
+        inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
+        wanted = inexpensive if names is None else [_find(name, known, with_v0).name for name in names if not (with_v0 and name == "v0")]
         self.parameters = {name: known[name] for name in wanted}
-        self.with_v0 = given and (names is None or "v0" in names)
+        self.with_v0 = with_v0 and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
-        self.left_out = {} if names is not None else {name: parameter.why for name, parameter in known.items() if parameter.asked}
+        self.left_out = {} if names is not None else {name: parameter.reason for name, parameter in known.items() if parameter.only_by_name}
 
     def add(self, multipliers):
-        """Add what multiplies the equations of some states."""
+        """Add the slopes of AdjointMultipliers."""
         for name, parameter in self.parameters.items():
             self.sums[name] = self.sums[name] + parameter.slope(multipliers)
 
-    def own(self, slopes):
-        """Add what an objective's own Slopes say of parameters."""
+    def add_own(self, slopes):
+        """Add the parts of an objective's Slopes that belong to parameters."""
         for name, slope in slopes.direct.items():
-            shape = np.shape(_known(name, self.known).value)
+            shape = np.shape(_find(name, self.known).value)
             if np.shape(slope) != shape:
                 raise InputError(f"gradient: the objective's own slope in {name!r} has shape {np.shape(slope)}, the parameter {shape}")
             if name in self.sums:
@@ -105,8 +106,8 @@ class Totals:
         if slopes.work is not None:
             self.add(AdjointMultipliers(*slopes.work))
 
-    def start(self, state, v0):
-        """Add what velocities that the run was given do."""
+    def add_start(self, state, v0):
+        """Add the slopes of the initial velocities with bar v0."""
         for name, parameter in self.parameters.items():
             found = parameter.start(state.t, state.q, v0)
             if found is not None:
@@ -120,21 +121,21 @@ class Totals:
 
 
 class OwnSlopes:
-    """An objective's own Slopes, by the states of a course, of which some are frames of the run."""
+    """An objective's Slopes by the states of a history, some of which are frames of the run."""
 
     def __init__(self, objective, run, frames, totals):
         self.slopes, self.frames, self.totals = objective.slopes(run), frames, totals
         self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
 
-    def of(self, first, end):
-        """Those of states first to end, zero in those that are no frames; what they say of parameters is added to the totals."""
+    def at_states(self, first, end):
+        """The Slopes at states first to end - 1, zero at states that are no frames; their parts in parameters are added to the totals."""
         frames = self.frames[first:end]
-        kept = frames[frames >= 0]
-        if not len(kept):
+        numbers = frames[frames >= 0]
+        if not len(numbers):
             return Slopes()
-        own = self.slopes(slice(int(kept[0]), int(kept[-1]) + 1))
-        self.totals.own(own)
-        if len(kept) == len(frames):
+        own = self.slopes(slice(int(numbers[0]), int(numbers[-1]) + 1))
+        self.totals.add_own(own)
+        if len(numbers) == len(frames):
             return own
         found = {}
         each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
@@ -145,9 +146,9 @@ class OwnSlopes:
         return Slopes(**found)
 
 
-def _known(name, known, given=False):
-    """The parameter of a name. Raises InputError where there is none."""
+def _find(name, known, with_v0=False):
+    """The parameter of a name. Raises InputError for an unknown one."""
     if not is_one_of(name, known):
-        names = [*known, "v0"] if given else known
+        names = [*known, "v0"] if with_v0 else known
         raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
     return known[name]

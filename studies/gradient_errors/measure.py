@@ -68,7 +68,7 @@ def differences(scene, cells, t_end):
     model, objectives = setting(scene, cells)
     result = {}
     for name, parameter in parameters_of(model).items():
-        if parameter.asked or not kind_of(name):
+        if parameter.only_by_name or not kind_of(name):
             continue
         way = np.abs(parameter.value) if np.ndim(parameter.value) else abs(parameter.value)
         runs = {s: _changed(parameter, s * STEP * way, t_end) for s in (-2, -1, 1, 2)}

@@ -8,7 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameter import AdjointMultipliers, total
-from polyida.adjoint.parameters import OfMotion, in_time, parameters_of
+from polyida.adjoint.parameters import InitialMotion, in_time, parameters_of
 from polyida.model.differences import along
 
 STEEL = pi.Material(E=2e7, nu=0.3, rho=1000.0, viscosity=1e-3, mass_damping=0.4)
@@ -92,11 +92,13 @@ def along_value(parameter, unit, function, linear=False):
     if linear:
         step = 1e-3 * size
         return (changed(step) - changed(-step)) / (2 * step)
-    return along(changed, 0.3 * size, (0.0, np.inf) if parameter.asked and not value.any() else (-np.inf, np.inf))
+    return along(changed, 0.3 * size, (0.0, np.inf) if parameter.only_by_name and not value.any() else (-np.inf, np.inf))
 
 
 SEEN = [
-    name for name, parameter in PARAMETERS.items() if not (isinstance(parameter, OfMotion) or parameter.asked and name.endswith(".scale"))
+    name
+    for name, parameter in PARAMETERS.items()
+    if not (isinstance(parameter, InitialMotion) or parameter.only_by_name and name.endswith(".scale"))
 ]
 
 

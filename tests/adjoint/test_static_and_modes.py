@@ -30,7 +30,7 @@ def compare(model, answer, objectives, gradient, asked=()):
     """Each slope against differences; answer: of a model, what the objectives are of. asked: further parameters."""
     here, random = answer(model), np.random.default_rng(2)
     known = parameters_of(model)
-    names = [name for name, one in known.items() if name in asked or not one.asked and np.any(one.value)]
+    names = [name for name, one in known.items() if name in asked or not one.only_by_name and np.any(one.value)]
     found = [gradient(here, objective, names) for objective in objectives]
     for name in names:
         value = np.array(known[name].value, float)

@@ -28,26 +28,26 @@ from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import KEPT as SLOTS
 from polyida.system import MATRICES, PREPARE, SELECT
 
-NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
-FAILURES = 20.0  # in a row
-MIN_STEP = 16.0  # times that a step is apart, at least
-SHARE = (
-    0.05  # of the local error that Newton may leave, times the relative error to the power ERROR_POWER: a step's true error is far below
-)
-ERROR_POWER = 0.6
-EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
-NOTHING = 1e-20  # the same behind a step without any error
+NEVER = 1e9  # LEAST of a factor that has solved no step; finite, since files need finite numbers
+FAILURES = 20.0  # most failed attempts in a row
+MIN_STEP = 16.0  # least step over the distance of neighbouring floating point times
+SHARE = 0.05  # Newton's tolerance over the local error, with fixed steps times the relative error to the power ERROR_POWER
+ERROR_POWER = 0.6  # because the true error of a step is far below the local error
+EXACT = 1e-15  # of the model's length: Newton's tolerance in the first fixed step
+NOTHING = 1e-20  # of the model's length: least tolerance of Newton's method
 ROUND_OFF = 2.0**-53  # of v, which is e over h
-MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(100, 105)  # how a stretch may end besides: what the caller is to do, or to say
+MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(
+    100, 105
+)  # further statuses of a stretch: requests to the caller, and failures
 H, PRICE, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
 LEVEL, TIME, FAILED, STEP, TARGET, REMAINING = range(6)  # of Control.now
-REJECTED = 4  # of the counts, beside those of step.py
+REJECTED = 4  # of the counts, after those of step.py
 COUNTS = 5
-# the steps that follow the local error are `first` 2^(k/2), k any whole number, so that factors are slots and come back
+# adaptive steps are `first` 2^(k/2), k any whole number, so that steps recur and their factors are used again
 SAFETY = 0.65
-LEVELS_PER_DOUBLING = 2.0  # a factor of two
-MOST_UP, MOST_DOWN = 6.0, 12.0  # levels at once
-CUT = 4.0  # levels down where a step fails
+LEVELS_PER_DOUBLING = 2.0
+MOST_UP, MOST_DOWN = 6.0, 12.0  # largest change in levels
+CUT = 4.0  # levels down after a failed step
 
 
 @pack

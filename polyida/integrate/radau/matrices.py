@@ -27,7 +27,7 @@ from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_ord
 from polyida.linear.saddle import Border, StepMatrix, typical
 from polyida.model.differences import bend, reach_along
 
-NOTHING = 1e-12  # of the largest mass: none
+NOTHING = 1e-12  # of the largest mass: smaller masses count as zero
 
 
 def lift(model, shares):

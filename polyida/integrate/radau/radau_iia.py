@@ -18,11 +18,9 @@ from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_ke
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")
-DEFAULT_RTOL, FREE_LENGTHS = (
-    1e-5,
-    30.0,
-)  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
-FIRST_STEP_SHARE = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
+DEFAULT_RTOL = 1e-5  # for a motion over at most FREE_LENGTHS of its own length; the error is then about ten times that
+FREE_LENGTHS = 30.0
+FIRST_STEP_SHARE = 0.3  # of length over speed: the first step for rtol = 1
 
 
 @named_keywords

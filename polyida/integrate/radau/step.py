@@ -26,19 +26,19 @@ from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.system import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
-STALLED = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
+STALLED = 0.9  # contraction above which corrections below ROUND times the size are round-off
 ROUND = 1e-11
-MAX_AGE = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
-UNKNOWN = np.array([1.0, MAX_AGE])  # the marks of a Newton that has none
+MAX_AGE = 10.0  # steps for which a measured contraction is used in the first iteration
+UNKNOWN = np.array([1.0, MAX_AGE])  # CONTRACTION and AGE without a measured contraction
 SAME_STEP = 1e-9  # of h: steps that differ by less have the same length
-MAX_EXTRAPOLATION = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
-NOISE = 1e-15  # of the size: a later correction below that is round-off of phi, where this is taken from positions
-MAX_PROJECTIONS = 3  # of q onto phi = 0, at most
-AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
+MAX_EXTRAPOLATION = 4.0  # steps over the last one: longer steps start from q_0 + c h v_0, not from its polynomial
+NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if this is computed from positions
+MAX_PROJECTIONS = 3  # of q onto phi = 0
+AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
 Q, V, A, SHARES = range(4)  # rows of Memory.past
 CONTRACTION, AGE, LAST, ERROR, AHEAD = range(5)  # of Memory.marks
 MARKS = 5
-UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no miss is known; its largest value
+UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no prediction error is known; its largest value
 MOVED, SPEED, EXTENDED = range(3)  # of Scratch.seen
 RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
 PHI, PHI_RATE = range(2)  # of rows

@@ -60,7 +60,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.system import ACCELERATION, STEPS
 
 COUNTED = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
-CHUNK = 4_000_000  # bytes that the steps of a stretch leave
+CHUNK = 4_000_000  # largest size of the record of a stretch, bytes
 
 
 def _no_memory(taken, k, level):

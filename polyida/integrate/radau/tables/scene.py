@@ -31,9 +31,9 @@ from polyida.linear.dense import clear
 from polyida.system import c_address
 from polyida.system.scene import add_forces
 
-START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
+START, VX, DX, DV = range(4)  # rows of SceneWork.points: displacements and velocities at the start of a step, and their increments
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
-CALL = 4000.0  # and of a scene of one coordinate: the Python code around them costs as much for every scene
+CALL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
 
 
