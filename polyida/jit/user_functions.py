@@ -9,6 +9,7 @@ import ctypes
 import hashlib
 import math
 from collections import namedtuple
+from contextlib import suppress
 from functools import cache, update_wrapper
 from inspect import signature
 from types import CellType, CodeType, FunctionType
@@ -148,21 +149,34 @@ def c_function_of(label, inner, mark, source, names, dimensions, of_complex=Fals
         return types.none(result), lambda context, builder, sig, args: context.get_dummy_value()
 
     names |= {"__name__": __name__, "np": np, "carray": carray, "pointer": pointer, "integers": integers, "real": real, "frozen": frozen}
-    exec(source, names | {"inner": inner, "require_result": require_result}, names)
-    called, digest = names["called"], hashlib.sha256(f"{mark} {dimensions} {of_complex} {source}".encode()).hexdigest()[:32]
-    called.__code__ = called.__code__.replace(co_filename=__file__)  # numba compares the time of this file, not of the user's
-    called.__qualname__ = digest
+    names |= {"inner": inner, "require_result": require_result}
+    digest = hashlib.sha256(f"{mark} {dimensions} {of_complex} {source}".encode()).hexdigest()[:32]
     kernel_cache.remove_old_own(__name__.rpartition(".")[2])
+
+    def address_of(source, name, cached):
+        exec(source, names)
+        called = names["called"]
+        called.__code__ = called.__code__.replace(co_filename=__file__)  # numba compares the time of this file, not of the user's
+        called.__qualname__ = name
+        return own_address(called, SIGNATURE, cached)
+
     try:
-        return own_address(called, SIGNATURE, mark is not None)
-    except NumbaError as error:
+        return address_of(source, digest, mark is not None)
+    except Exception as error:  # noqa: BLE001 numba raises more than NumbaError, AssertionError and AttributeError for example
         if wrong:
             number = "complex" if of_complex else "real"
             array = f"an array of {dimensions} dimension{'s' * (dimensions > 1)} of {number} numbers" if dimensions else "a number"
             raise InputError(f"{label} must return {array}, not {wrong[0]}") from None
-        text = " ".join(str(error).replace("Failed in nopython mode pipeline (step: nopython frontend)", "").split())
+        writes = None
+        with suppress(Exception):  # a function that compiles if its arguments are not read-only writes into them
+            writes = address_of(source.replace("frozen(", "("), f"{digest} writable", False)
+        if writes:
+            raise InputError(f"{label} writes into its arguments, or into arrays of self; take a copy first") from None
+        kind = "" if isinstance(error, NumbaError) else f"{type(error).__name__}: "
+        # numba's text goes on with the place of each call, down to the C function
+        text = str(error).replace("Failed in nopython mode pipeline (step: nopython frontend)", "").partition("\nDuring:")[0]
         advice = "leave out @polyida.compiled, or rewrite the function so that numba compiles it"
-        raise InputError(f"{label} cannot be compiled by numba: {text:.600}; {advice}") from None
+        raise InputError(f"{label} cannot be compiled by numba: {kind}{' '.join(text.split()):.600}; {advice}") from None
 
 
 def argument_of(at, shape=(), of_complex=False):

@@ -194,9 +194,22 @@ def test_a_compiled_force_that_fails_ends_the_run_at_its_time_and_is_named(scene
     assert not run.success and "push" in run.message and 2e-3 < run.t[-1] < 6.5e-3, run.message
 
 
+def scaling(self, t, x, v):
+    v *= -0.1
+    return v
+
+
+def setting(self, t, x, v):
+    v[0] = 0.0
+    return v
+
+
 @pytest.mark.parametrize(
     "functions, words",
     [
+        ({"forces": scaling}, "scaling writes into its arguments, or into arrays of self; take a copy first"),
+        ({"forces": setting}, "setting writes into its arguments, or into arrays of self; take a copy first"),
+        ({"forces": lambda self, t, x, v: np.nonsense(v)}, "cannot be compiled by numba: AttributeError: .*nonsense"),
         ({"forces": lambda self, t, x, v: np.zeros((1, 2)) * x.nonsense}, "cannot be compiled by numba.*nonsense"),
         ({"forces": lambda self, t, x, v: np.zeros((1, 2)) * self.nonsense}, "cannot be compiled by numba.*nonsense"),
         ({"forces": lambda self, t, x, v: 0.0}, "must return an array of 2 dimensions of real numbers"),
