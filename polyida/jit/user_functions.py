@@ -8,6 +8,7 @@ The last argument is the address of the result.
 import ctypes
 import hashlib
 import math
+import re
 from collections import namedtuple
 from contextlib import suppress
 from functools import cache, update_wrapper
@@ -239,13 +240,13 @@ def _names_read(function, seen):
 
 
 class OwnData:
-    """The values that functions read from an object as `self`.
+    """The values that functions read from an object, the owner, as `self`.
 
     words: the values as float64 words. profiles: [(index of the word of its value, Profile)]. python: True if a field is a Python function.
     """
 
     def __init__(self, owner, functions):
-        self.python, self.fields, self.functions, self.profiles, self._words = False, {}, [], [], []
+        self.owner, self.python, self.fields, self.functions, self.profiles, self._words = owner, False, {}, [], [], []
         for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
             value = getattr(owner, name, None)
             if name in getattr(owner, "__dict__", ()) or not callable(value):
@@ -304,7 +305,16 @@ class OwnData:
     return {DONE}
 """
         mark = machine_code_fingerprint(function, *self.functions)
-        return _c_function(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
+        try:
+            return _c_function(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
+        except InputError as error:
+            if not (unknown := re.search(r"Unknown attribute '(\w+)' of type self\(", str(error.__context__))):
+                raise
+            name, owner = unknown[1], self.owner
+            reason = f"`self.{name}` cannot be read in compiled code; numbers, arrays, profiles and compiled functions can"
+            if not hasattr(owner, name):
+                reason = f"{type(owner).__name__} has no field `{name}`; its fields: {', '.join(getattr(owner, '__dict__', ())) or 'none'}"
+            raise InputError(f"{function.__qualname__}: {reason}") from None
 
 
 @cache
