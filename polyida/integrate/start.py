@@ -57,7 +57,12 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
     if model.m:
         state = State(float(t0), q, v, v, np.zeros(model.m))
         if not (model.is_scene and model.looks_apart == 1 and UnitRows(model, state).begin(state)):  # else proved in linear time
-            require_independent(model, rows_at(model, t0, q), q)
+            try:
+                require_independent(model, rows_at(model, t0, q), q)
+            except InputError as error:
+                if q0 is None and not model.is_scene:
+                    raise InputError(f"{error}; q0 was not given and is zero") from None
+                raise
         drawn = q0 is None and model.is_scene
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
         require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)), remedy)

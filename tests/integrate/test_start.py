@@ -135,3 +135,8 @@ def test_a_drawing_off_its_path_is_named_with_what_helps():
     scene.add(pi.PrescribedPosition(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0))
     scene.assemble()
     assert np.allclose(pi.consistent_state(scene.build()).v[::2].max(), 1.0)
+
+
+def test_a_start_without_q0_that_cannot_be_says_that_q0_is_zero():
+    with pytest.raises(pi.InputError, match="q0 was not given and is zero"):
+        pi.consistent_state(pi.problems.get("pendulum").model)
