@@ -305,7 +305,7 @@ class Stored:
             try:
                 values = frames.rows(first, min(first + step, count))
             except OSError as error:
-                return first, f"{name}: {'its checksum does not fit' if 'filter' in str(error) else error}"
+                return first, f"{name}: {'its checksum does not fit' if 'filter' in str(error) or 'Fletcher32' in str(error) else error}"
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
             falls = np.diff(values, prepend=last) < 0 if name == "t" else wrong
             if (wrong | falls).any():
