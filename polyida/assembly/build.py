@@ -16,7 +16,7 @@ from polyida.element.elements import operator_of, stabilisation_factor
 from polyida.errors import InputError, LockingWarning
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.joint.attachment import Attachment, Ground
-from polyida.joint.formula import in_words, rows_of
+from polyida.joint.formula import advice_on, in_words, rows_of
 from polyida.joint.joint import Joint
 from polyida.validation import pairs_of
 
@@ -159,7 +159,7 @@ def given_rows(name, part):
     except InputError as error:
         raise error if repr(name) in str(error) else InputError(f"{what}{_line(error)}: {error}") from error
     except Exception as error:
-        raise InputError(f"{what} raised {type(error).__name__}{_line(error)}: {error}") from error
+        raise InputError(f"{what} raised {type(error).__name__}{_line(error)}: {error}{advice_on(error)}") from error
     if not found and isinstance(part, Joint):
         raise InputError(f"{what}: it must give a list of rows, at least one")
     for number, row in enumerate(found, 1):

@@ -4,6 +4,7 @@ A `Vector` is linear in the coordinates; parts of it may be turned by a profile 
 `Row`s of vectors. Vectors and rows are data: the assembly translates them into tables for compiled kernels.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.profile import Profile, difference
 from polyida.validation import is_number, named_keywords
+
+ADVICE = "a row is a sum of products of at most two factors, so use pi.dot and pi.cross, and square the condition of a length: `pi.dot(w, w) - r**2`"
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +295,12 @@ def in_words(value):
 
 
 def _most(value):
-    return "; a row is a sum of products of at most two factors" if isinstance(value, (Row, Vector)) else ""
+    return f"; {ADVICE}" if isinstance(value, (Row, Vector)) else ""
+
+
+def advice_on(error):
+    """Advice about an exception in `rows()`: of the operations that rows and vectors do not have, such as roots, powers, `@` and indices."""
+    return f"; {ADVICE}" if isinstance(error, TypeError) and re.search(r"\b(Row|Vector)\b", str(error)) else ""
 
 
 def _inverse(what, number):

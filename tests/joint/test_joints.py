@@ -190,6 +190,7 @@ def test_a_formula_of_two_turned_vectors_and_sums(scenes):
     assert max(pi.check_derivatives(model, t, q=q).values()) < 1e-6
 
 
+SQUARED = r"at most two factors, so use pi.dot and pi.cross, and square the condition of a length: `pi.dot\(w, w\) - r\*\*2`"
 MISTAKES = {
     "a number": (lambda a, b: [a.x - b.x, 1.0], "entry 2 of 2 is 1.0; the list needs a vector there, .* or a row"),
     "text": (lambda a, b: ["x"], "entry 1 of 1 is the text 'x'"),
@@ -208,7 +209,13 @@ MISTAKES = {
     "a number less a vector": (lambda a, b: [2.0 - b.x], "needs a vector here.*not 2.0"),
     "an array times a vector": (lambda a, b: [np.ones(2) * b.x], "multiplied by an array"),
     "a division": (lambda a, b: [pi.dot(a.d, b.d) / 0.0], "divided by 0.0"),
-    "a power": (lambda a, b: [pi.dot(a.d, b.d) ** 2], "raised TypeError.*in `return self.formula"),
+    "a power": (lambda a, b: [pi.dot(a.d, b.d) ** 2], "raised TypeError.*in `return self.formula.*at most two factors"),
+    "a root": (lambda a, b: [np.sqrt(pi.dot(b.x, b.x)) - 1.0], SQUARED),
+    "a root as a power": (lambda a, b: [pi.dot(b.x, b.x) ** 0.5 - 1.0], SQUARED),
+    "a norm": (lambda a, b: [np.linalg.norm(b.x) - 1.0], SQUARED),
+    "a matrix product": (lambda a, b: [b.x @ b.x - 1.0], SQUARED),
+    "an index": (lambda a, b: [b.x[0] - 1.0], SQUARED),
+    "another error": (lambda a, b: [len(3)], r"has no len\(\)$"),
     "no label": (lambda a, b: [pi.dot(a.d, b.d).named(3)], "named: label 3"),
 }
 
