@@ -63,7 +63,8 @@ class Gradient:
 
     def __repr__(self):
         more = f"; left out, to be asked for by name: {counted(self.left_out)}" if self.left_out else ""
-        return f"Gradient(value={self.value:.9g}, {counted(self.slopes)}{more})"
+        slopes = counted(name if np.ndim(slope) else f"{name}: {slope:.6g}" for name, slope in self.slopes.items())
+        return f"Gradient(value={self.value:.9g}, {slopes}{more})"
 
     def _repr_html_(self):
         rows = [(name, np.shape(slope) or "", short(slope)) for name, slope in self.slopes.items()]

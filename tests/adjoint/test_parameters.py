@@ -183,3 +183,8 @@ def test_entries_beside_a_kink_stay_on_their_side():
         work = one._replace(t=np.array([t]))
         per_unit = known["load.scale"].slope(work._replace(t=np.array([0.6])))
         assert known["load.begin"].slope(work) == pytest.approx(-inside * speed * per_unit, rel=1e-9, abs=1e-12)
+
+
+def test_a_gradient_shows_its_scalar_slopes():
+    found = pi.Gradient(value=2.5, slopes={"bob.mass": -1.25, "arm.stiffness": np.ones(8)}, left_out={"v0": "why"})
+    assert repr(found) == "Gradient(value=2.5, bob.mass: -1.25, arm.stiffness; left out, to be asked for by name: v0)"
