@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
+from inspect import signature
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -318,8 +319,12 @@ def declared(given: object, part: str = "solve") -> Integrator:
     """A user's integrator with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
     if isinstance(given, Integrator):
         return given
-    if isinstance(given, type) or not hasattr(given, "steps"):
-        raise InputError(f"{part}: {given!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    if not hasattr(given, "steps"):
+        lacking = "it has no method steps(model, state, t_end, counts)"
+        raise InputError(f"{part}: {given!r} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    if isinstance(given, type):
+        needed = ", ".join(f"{one.name}=..." for one in signature(given).parameters.values() if one.default is one.empty)
+        raise InputError(f"{part}: {given.__name__} is a class: give an instance, {given.__name__}({needed})")
     name = type(given).__name__
     if not callable(given.steps):
         wanted = "must be a function, steps(model, state, t_end, counts), that yields a State a step"

@@ -1,6 +1,6 @@
 """An integrator of a user's own: states that are wrong stop the run, and the good ones before them are kept."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -151,6 +151,29 @@ def test_counts_that_are_none_stop_the_run(name, tmp_path):
 def test_steps_with_other_arguments_are_refused_before_the_run(steps):
     with pytest.raises(pi.InputError, match=r"solve: steps of .* must take \(model, state, t_end, counts\)"):
         solved(SimpleNamespace(steps=steps))
+
+
+@dataclass
+class WithStep:
+    h: float
+    order: int = 1
+
+    def steps(self, model, state, t_end, counts):
+        yield state
+
+
+@pytest.mark.parametrize(
+    "given, words",
+    [
+        (WithStep, r"solve: WithStep is a class: give an instance, WithStep\(h=\.\.\.\)$"),
+        (pi.IDA, r"solve: IDA is a class: give an instance, IDA\(\)$"),
+        (3.0, r"3\.0 is no integrator, it has no method steps\(model, state, t_end, counts\)"),
+        (SimpleNamespace, "is no integrator, it has no method steps"),
+    ],
+)
+def test_a_class_and_an_object_without_steps_are_refused(given, words):
+    with pytest.raises(pi.InputError, match=words):
+        solved(given)
 
 
 class Declared(Mine, pi.Integrator):
