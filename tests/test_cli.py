@@ -295,6 +295,11 @@ def test_a_model_that_raises_in_the_run_is_a_failed_row_of_each_integrator(folde
     assert all(f"{label}: RuntimeError: too low" in out + err for label in ("generalized-alpha", "refined run"))
 
 
+def test_python_m_polyida_is_the_command_line():
+    done = subprocess.run([sys.executable, "-m", "polyida", "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"polyida {pi.__version__}\n"), done.stderr
+
+
 def test_list_names_every_scene_with_what_is_compared_and_its_source(capsys, monkeypatch):
     from polyida import problems
 
