@@ -19,7 +19,7 @@ from polyida.jit.pack import pack
 
 __all__ = ["FAST", "bound", "c_address", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
 
-TESTED = (0, 63), (0, 68)  # first and last version of numba with which compilers.py is tested
+TESTED = (0, 65), (0, 68)  # first and last version of numba with which compilers.py is tested
 FAST = {"contract", "reassoc", "nsz"}  # without "nnan": kernels test for NaN
 _COMMON = {"nogil": True, "error_model": "numpy"}  # release the GIL; division by zero as in numpy
 _INNER = _COMMON | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}

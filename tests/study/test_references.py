@@ -174,7 +174,7 @@ def test_a_force_that_both_methods_step_over_is_not_known(push):
     work = push * 1e-3 * 16 / 15
     gap = abs(found["v"][0] - (np.sqrt(1.0 - 2.0 * work) if work < 0.5 else -1.0))
     assert gap <= found["known_to"]["v"] and found["sampling"] == pytest.approx(1.0 / 4000)
-    assert "is not seen" in unresolved_pulse_notes(found)[0]
+    assert "can miss a force" in unresolved_pulse_notes(found)[0]
 
 
 def test_a_contact_is_known_as_well_as_two_methods_agree():
