@@ -51,7 +51,7 @@ class StepFailure(Exception):
         Values of the failed step, such as `residual=1e-3`; they follow in the message.
     """
 
-    def __init__(self, status, reason, t=float("nan"), **seen):
+    def __init__(self, status: str, reason: str, t: float = float("nan"), **seen: object) -> None:
         self.status, self.reason, self.t, self.seen = status, reason, t, seen
         detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
         super().__init__(f"{reason} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

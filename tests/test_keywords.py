@@ -16,6 +16,7 @@ NOT_CALLED = {
     "Body",
     "Trajectory",
     "InputError",
+    "StepFailure",
     "LockingWarning",
     "ReductionWarning",
     "ground",
