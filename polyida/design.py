@@ -210,20 +210,20 @@ def threshold(mesh: PolygonMesh, rho: "ArrayLike", at: float = 0.5, keep: Iterab
     if not is_one_of(hanging, ("raise", "leave out")):
         raise InputError(f"threshold: hanging = {hanging!r} must be 'raise' or 'leave out'")
     cell, edges = topology.corner_cells(mesh.offsets), topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
-    held = {}  # cells with an edge in a section to keep, and all cells of its nodes without edge
+    cells_of_section = {}  # cells with an edge in a section to keep, and all cells of its nodes without edge
     for name in [keep] if isinstance(keep, str) else list(keep) if np.iterable(keep) else [keep]:
         if not is_one_of(name, mesh.sections):
             known = ", ".join(map(repr, mesh.sections)) or "none"
             raise InputError(f"threshold: keep names {name!r}, which is no section; the mesh's sections are {known}")
         within = sections.edges_within(mesh, mesh.sections[name])
         along = np.isin(edges @ [mesh.n_nodes, 1], within.astype(np.int64) @ [mesh.n_nodes, 1])
-        held[name] = np.unique(cell[along | np.isin(mesh.nodes, np.setdiff1d(mesh.sections[name], within))])
+        cells_of_section[name] = np.unique(cell[along | np.isin(mesh.nodes, np.setdiff1d(mesh.sections[name], within))])
     solid = density >= at
-    for cells in held.values():
+    for cells in cells_of_section.values():
         solid[cells] = True
     if not solid.any():
         raise InputError(f"threshold: no cell has a density of at least {at:g}; the largest is {density.max():.6g}")
-    solid = _main_piece(mesh, solid, held, hanging)
+    solid = _main_piece(mesh, solid, cells_of_section, hanging)
     used, nodes = np.unique(mesh.nodes[solid[cell]], return_inverse=True)
     offsets = np.concatenate([[0], np.cumsum(np.diff(mesh.offsets)[solid])])
     points, nodes, offsets, number = topology.renumber(mesh.points[used], nodes, offsets)
@@ -234,7 +234,7 @@ def threshold(mesh: PolygonMesh, rho: "ArrayLike", at: float = 0.5, keep: Iterab
     return PolygonMesh(points, nodes, offsets, named, *at_nodes)
 
 
-def _main_piece(mesh, solid, held, hanging, most=5):
+def _main_piece(mesh, solid, cells_of_section, hanging, most=5):
     """Mask of the solid cells of the largest piece connected by edges; InputError or a MeshWarning lists at most `most` other pieces."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -252,7 +252,7 @@ def _main_piece(mesh, solid, held, hanging, most=5):
     main = int(np.argmax(area))
     if len(area) == 1:
         return solid
-    for name, cells in held.items():
+    for name, cells in cells_of_section.items():
         if (piece[cells] != main).any():
             raise InputError(f"threshold: section {name!r}, which is to be kept, is not connected to the largest piece")
     others, words = [k for k in np.argsort(-area) if k != main], []

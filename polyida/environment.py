@@ -21,13 +21,13 @@ PACKAGES = ("numpy", "scipy", "numba", "scikit-sundae")
 @cache
 def versions():
     """{package: version} of Python, of polyida and of the installed packages that compute."""
-    found = {"python": platform.python_version(), "polyida": __version__}
+    result = {"python": platform.python_version(), "polyida": __version__}
     for name in PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            result[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return result
 
 
 def machine_info():

@@ -164,12 +164,12 @@ class _Reader:
         """The parts of an object in pickle, without cached properties."""
         try:
             reduce = copyreg.dispatch_table.get(type(thing))
-            found = reduce(thing) if reduce else thing.__reduce_ex__(4)
+            reduced = reduce(thing) if reduce else thing.__reduce_ex__(4)
         except Exception as error:  # noqa: BLE001, of a user's object
             raise NoFingerprint(f"a {type(thing).__name__}, of which nobody can say whether it changed ({error})") from None
-        if isinstance(found, str):
-            return [type(thing), found]
-        make, arguments, state, entries, items = (*found, None, None, None)[:5]
+        if isinstance(reduced, str):
+            return [type(thing), reduced]
+        make, arguments, state, entries, items = (*reduced, None, None, None)[:5]
         if isinstance(state, dict):
             state = {name: value for name, value in state.items() if not isinstance(getattr(type(thing), name, None), cached_property)}
         return [make, arguments, state, tuple(entries or ()), tuple(items or ())]
@@ -285,10 +285,10 @@ def _named(function, closed, by_name):
     """{name: value} of the names in a function's code: globals, and attributes of the user's modules, also of `closed` ones."""
     names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
     known = function.__globals__
-    found = {name: known[name] for name in names if name in known}
+    values = {name: known[name] for name in names if name in known}
     modules = {
         value.__name__: value
-        for value in [*found.values(), *closed.values(), *_imported(function, by_name)]
+        for value in [*values.values(), *closed.values(), *_imported(function, by_name)]
         if isinstance(value, ModuleType)
     }
     waiting = list(modules.values())
@@ -296,16 +296,16 @@ def _named(function, closed, by_name):
         module = waiting.pop(0)
         if not by_name(module.__name__):
             parts = {name: vars(module)[name] for name in names if name in vars(module)}
-            found |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
+            values |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
             further = {value.__name__: value for value in parts.values() if isinstance(value, ModuleType)}
             waiting += [value for name, value in further.items() if name not in modules]
             modules |= further
-    return found
+    return values
 
 
 def _imported(function, by_name):
     """The user's modules that a function imports when it is called."""
-    found = []
+    modules = []
     for code in _codes(function.__code__):
         if dis.opmap["IMPORT_NAME"] not in code.co_code[::2]:
             continue
@@ -314,8 +314,8 @@ def _imported(function, by_name):
             if step.opname == "IMPORT_NAME":
                 with suppress(Exception):  # a failing import raises when the function is called
                     name = importlib.util.resolve_name("." * level.argval + step.argval, function.__globals__.get("__package__"))
-                    found += [] if by_name(name) else [importlib.import_module(name)]
-    return found
+                    modules += [] if by_name(name) else [importlib.import_module(name)]
+    return modules
 
 
 def _installed(name):

@@ -17,14 +17,14 @@ HUGE = 1 << 21  # bytes of a large page
 LEAST = 1 << 17  # bytes: less is an ordinary array
 WIDE = 1 << 12  # bytes of a row from which on large pages pay
 LINE = 64  # bytes, between which arrays begin
-KEPT = 2  # unused mappings of a size
+UNUSED = 2  # unused mappings of a size
 MOST = 1 << 44  # bytes, of addresses alone
 LAZY = hasattr(mmap, "MAP_PRIVATE") and hasattr(mmap, "MADV_FREE")  # True if untouched memory costs nothing
 
 _unused: defaultdict[int, list[mmap.mmap]] = defaultdict(list)
 
 
-def room(shapes, dtypes, limit):
+def allocate(shapes, dtypes, limit):
     """Uninitialised arrays (rows, *shape) of each dtype, with as many rows as `limit` bytes hold, at least one.
 
     They are in one range of addresses; of half the size and so on if the system refuses it.
@@ -73,4 +73,4 @@ def _give_back(mapping):
         return
     unused = _unused[len(mapping)]
     unused.append(mapping)
-    del unused[:-KEPT]
+    del unused[:-UNUSED]

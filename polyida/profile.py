@@ -10,7 +10,6 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida import registry
 from polyida.errors import InputError
 from polyida.model.differences import around, within
 from polyida.reprs import cut
@@ -111,12 +110,12 @@ def polynomial(coefficients: ArrayLike) -> Profile:
     Profile
         The polynomial.
     """
-    given = floats(coefficients)
-    if given is None or given.ndim != 1 or not given.size:
+    numbers = floats(coefficients)
+    if numbers is None or numbers.ndim != 1 or not numbers.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
-    c = np.polynomial.Polynomial(given)
+    c = np.polynomial.Polynomial(numbers)
     first, second = c.deriv(1), c.deriv(2)
-    return Profile(c, first, second, formula=("polynomial", *given.tolist()), shortest=np.inf)
+    return Profile(c, first, second, formula=("polynomial", *numbers.tolist()), shortest=np.inf)
 
 
 @named_keywords
@@ -198,8 +197,8 @@ def _moved(function, factor, start, span, duration, begin, t):
     s = (np.asarray(t, float) - begin) / duration
     if not s.ndim:
         return factor * function(s) + start if 0 < s < 1 else np.float64(span * (s >= 1) + start)
-    held = np.where(s >= 1, span, 0.0) + start
-    return np.where((s > 0) & (s < 1), factor * function(np.clip(s, 0.0, 1.0)) + start, held)[()]
+    clamped = np.where(s >= 1, span, 0.0) + start
+    return np.where((s > 0) & (s < 1), factor * function(np.clip(s, 0.0, 1.0)) + start, clamped)[()]
 
 
 @named_keywords
@@ -273,11 +272,11 @@ def from_function(
     _values(value, np.zeros(0))  # a function that numba cannot compile is refused here
     value = partial(_values, value)
     d1, d2 = (function and partial(_values, function) for function in (d1, d2))
-    given, order = (d1, 1) if d1 else (value, 2)
+    slope, order = (d1, 1) if d1 else (value, 2)
     return Profile(
         value,
         d1 or partial(_derivative, value, 1, times),
-        d2 or partial(_derivative, given, order, times),
+        d2 or partial(_derivative, slope, order, times),
         tuple(times.tolist()),
         shortest=shortest,
         takes_arrays=True,
@@ -288,22 +287,24 @@ def _values(function, t):
     """The finite values of a user's function at a time or an array of times."""
     if not np.ndim(t):
         return _checked(function, t)
+    from polyida.jit.user_functions import over
+
     times = np.asarray(t, float)
-    found = registry.find(registry.above, "over")("profile", function, times.ravel())
-    if found is None or not np.isfinite(found).all():
-        found = np.array([_checked(function, at) for at in times.ravel().tolist()])
-    return found.reshape(times.shape)
+    values = over("profile", function, times.ravel())
+    if values is None or not np.isfinite(values).all():
+        values = np.array([_checked(function, at) for at in times.ravel().tolist()])
+    return values.reshape(times.shape)
 
 
 def _checked(function, t):
-    found = function(t)
-    if type(found) is float and isfinite(found):
-        return found
-    found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
-    if not is_number(found):
+    value = function(t)
+    if type(value) is float and isfinite(value):
+        return value
+    value = value.item() if isinstance(value, (np.ndarray, np.generic)) and value.ndim == 0 else value
+    if not is_number(value):
         name = getattr(function, "__name__", type(function).__name__)
-        raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
-    return float(found)
+        raise InputError(f"profile {name}: it gives {value!r} at t = {t!r}, a finite number is needed")
+    return float(value)
 
 
 def _derivative(function, order, kinks, t):
@@ -360,22 +361,22 @@ def _times(f, factor, t):
     return factor * f(t)
 
 
-def as_profile(given: Profile | Callable[[float], float] | float, part: str) -> Profile:
+def as_profile(source: Profile | Callable[[float], float] | float, part: str) -> Profile:
     """The Profile of a Profile, a number or a function; `part` names the owner in the InputError. It is evaluated at t = 0."""
-    if callable(given) and not isinstance(given, Profile) and not takes(given, 1):
-        raise InputError(f"{part}: {given!r:.80} is no function of time: it must take t, s, and nothing else")
-    if isinstance(given, Profile) or callable(given):
-        made = given if isinstance(given, Profile) else from_function(given)
+    if callable(source) and not isinstance(source, Profile) and not takes(source, 1):
+        raise InputError(f"{part}: {source!r:.80} is no function of time: it must take t, s, and nothing else")
+    if isinstance(source, Profile) or callable(source):
+        result = source if isinstance(source, Profile) else from_function(source)
         try:
-            value = made.value(0.0)
+            value = result.value(0.0)
         except InputError as error:
             raise InputError(f"{part}: {error}") from None
         if np.ndim(value) or not np.issubdtype(np.asarray(value).dtype, np.number) or not np.isfinite(value):
             raise InputError(f"{part}: its profile gives {value!r} at t = 0, a finite number is needed")
-        return made
-    if is_number(given):
-        return constant(float(given))
-    raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
+        return result
+    if is_number(source):
+        return constant(float(source))
+    raise InputError(f"{part}: {source!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 
 
 MAKERS: dict[str, Callable[..., Profile]] = {

@@ -24,23 +24,30 @@ parts: dict[str, Any] = {
     "Distance": "polyida.joint.joints:Distance",
     "Weld": "polyida.joint.joints:Weld",
     "PrescribedPosition": "polyida.joint.joints:PrescribedPosition",
+    "RollingDisc": "polyida.joint.joints:RollingDisc",
+    "Skate": "polyida.joint.joints:Skate",
+    "Contact": "polyida.joint.contact:Contact",
+    "Clearance": "polyida.joint.contact:Clearance",
     "SpringDamper": "polyida.force.springs:SpringDamper",
     "TorsionSpring": "polyida.force.springs:TorsionSpring",
     "Torque": "polyida.force.loads:Torque",
     "Force": "polyida.force.loads:Force",
-    "Contact": "polyida.force.springs:Contact",
+    "PenaltyContact": "polyida.force.springs:PenaltyContact",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
     "EnergyMomentum": "polyida.integrate.energy.energy_momentum:EnergyMomentum",
     "IDA": "polyida.integrate.ida.integrator:IDA",
     "RadauIIA": "polyida.integrate.radau.radau_iia:RadauIIA",
+    "NonsmoothAlpha": "polyida.integrate.nonsmooth.time_stepping:NonsmoothAlpha",
+    "MoreauJean": "polyida.integrate.nonsmooth.time_stepping:MoreauJean",
 }
 problems: dict[str, Any] = {
     "pendulum": "polyida.problems.pendulum:problem",
     "car-axis": "polyida.problems.car_axis:problem",
     "andrews": "polyida.problems.andrews:problem",
     "andrews-parts": "polyida.problems.andrews:parts_problem",
+    "wheelset": "polyida.problems.wheelset:problem",
     "double-plate": "polyida.problems.plates:double_plate_problem",
     "double-plate-motors": "polyida.problems.plates:double_plate_motors_problem",
     "plate-chain": "polyida.problems.plates:plate_chain_problem",
@@ -52,9 +59,6 @@ problems: dict[str, Any] = {
     "four-bar": "polyida.problems.mechanisms:four_bar_problem",
     "two-link-arm": "polyida.problems.mechanisms:two_link_arm_problem",
     "peaucellier": "polyida.problems.mechanisms:peaucellier_problem",
-}
-above: dict[str, Any] = {  # functions that modules call which the functions' own modules import
-    "over": "polyida.jit.user_functions:over"
 }
 views: dict[str, Any] = {  # attributes of a run that draw it
     "plot": "polyida.show.plots:RunPlots",

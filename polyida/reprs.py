@@ -27,8 +27,8 @@ def settings(part):
     """The fields of a dataclass that differ from their defaults, without its name, on one line."""
     if not is_dataclass(part):
         return short(part, CELL)
-    given = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
-    return ", ".join(f"{entry.name} {short(value, CELL // 2)}" for entry, value in given if not _is_default(entry, value))
+    entries = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
+    return ", ".join(f"{entry.name} {short(value, CELL // 2)}" for entry, value in entries if not _is_default(entry, value))
 
 
 def _is_default(entry, value):

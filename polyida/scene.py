@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
-from polyida.assembly.build import sides_held
+from polyida.assembly.build import attached_sides
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body, OwnPart
@@ -108,7 +108,7 @@ class Scene:
         InputError
             With nothing moved: if joints stay open, with their distances; and if bodies of an existing model would have to move.
         """
-        self._require_sides("assemble")
+        self.require_sides("assemble")
         return close(self.parts, self._built)
 
     def build(self, redundant: str = "refuse") -> SceneModel:
@@ -133,27 +133,33 @@ class Scene:
         """
         if not is_one_of(redundant, REDUNDANT):
             raise InputError(f"Scene.build: redundant = {redundant!r} must be one of {', '.join(map(repr, REDUNDANT))}")
-        self._require_sides("build")
+        self.require_sides("build")
         model = SceneModel(self.parts, self.gravity, redundant)
         self._built |= set(self.parts)
         return model
 
-    def _require_sides(self, what):
-        """Raise InputError unless there are bodies, and all parts are attached to bodies of this scene."""
+    def require_sides(self, what: str) -> None:
+        """Raise InputError unless there are bodies, and all parts are attached to bodies of this scene.
+
+        Parameters
+        ----------
+        what : str
+            Method that requires it, for the message.
+        """
         bodies = [part for part in self.parts.values() if isinstance(part, (Plate, Body))]
         if not bodies:
             raise InputError(f"Scene.{what}: the scene has no plate and no other body")
         for name, part in self.parts.items():
-            for side in sides_held(name, part):
+            for side in attached_sides(name, part):
                 if not any(side.body is body for body in bodies):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
 
 
-def _gravity(given):
+def _gravity(gravity):
     """Two floats, (2,), or a tuple of floats and profiles. Raises InputError."""
-    if not (isinstance(given, (tuple, list)) and len(given) == 2 and any(map(callable, given))):
-        return vector2("Scene", "gravity", given)
-    return tuple(as_profile(g, "Scene: gravity") if callable(g) else number("Scene", "gravity", g, "m/s2") for g in given)
+    if not (isinstance(gravity, (tuple, list)) and len(gravity) == 2 and any(map(callable, gravity))):
+        return vector2("Scene", "gravity", gravity)
+    return tuple(as_profile(g, "Scene: gravity") if callable(g) else number("Scene", "gravity", g, "m/s2") for g in gravity)
 
 
 def kind_of(part):

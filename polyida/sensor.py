@@ -67,7 +67,7 @@ def reaction(joint: str) -> Sensor:
     def read(model, state):
         if not is_one_of(joint, model.rows):
             raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {', '.join(map(repr, model.rows))}")
-        return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None])[0]
+        return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None][:, model.columns])[0]
 
     return Sensor(read)
 
@@ -79,7 +79,7 @@ def state(function: Callable[[State], ArrayLike]) -> Sensor:
     Parameters
     ----------
     function : function f(state) -> array_like
-        Of a read-only State: t, q, v, a, lam.
+        Of a read-only State: t, q, v, a, lam, x.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def state(function: Callable[[State], ArrayLike]) -> Sensor:
     """
     if not callable(function):
         raise InputError(f"sensor.state: {function!r:.100} must be a function of a State")
-    return Sensor(lambda model, state: function(State(state.t, *(read_only(x) for x in (state.q, state.v, state.a, state.lam)))))
+    return Sensor(lambda model, state: function(State(state.t, *map(read_only, (state.q, state.v, state.a, state.lam))).of(model)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from polyida import registry
 from polyida.assembly.motion import hint_of_left_out, hint_of_rigid
 from polyida.errors import InputError
+from polyida.event import Events
 from polyida.integrate.state import Counts, Restart, State, declared
 from polyida.io.layout import blocks, each
 from polyida.io.save import save
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, unguarded
+from polyida.model.row_laws import violation
 from polyida.reprs import CELL, LONGEST, cut, short, table
 from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, reaction_of, strains, von_mises
@@ -48,7 +50,7 @@ class Trajectory:
     q, v, a : (frames, n) float
     lam : (frames, m) float
     status : str
-        "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a file; the frames before the
+        "done", "stopped" (by `until` or an event), "interrupted", "running" (a file that is still written), "damaged" (a file; the frames before the
         damage), "error" (in a user's function), "disk full", or the kind of failure.
     message : str
         Place and reason of a failure.
@@ -65,6 +67,8 @@ class Trajectory:
         Why there is no model.
     sensors : Sensors
         {name: values at every step}, with their times `sensors.t`.
+    events : Events
+        Those that happened: time, name, impulse and energy lost of each.
     """
 
     model: Any
@@ -84,6 +88,7 @@ class Trajectory:
     plan: dict = field(default_factory=dict)
     missing: str = "no file holds a model of a user's own"
     sensors: Sensors = field(default_factory=Sensors)
+    events: Events = field(default_factory=Events)
 
     @property
     def state(self) -> State:
@@ -92,10 +97,20 @@ class Trajectory:
         It has the integrator's memory, so that generalized-alpha with constant steps continues as if it had not stopped. A state that
         `until` located between two steps has none: solve then starts again from it, projected onto the constraints.
         """
+        columns = self.mode.columns if self.events.given else slice(None)
         if self.restart and not (len(self) and self.t[-1] > self.restart.state.t):
-            return self.restart.state
-        q, v, a, lam = (np.asarray(x[-1], float) for x in (self.q, self.v, self.a, self.lam))
-        return State(float(self.t[-1]), q, v, a, lam, restart=False)
+            state = self.restart.state
+            state = replace(state, lam=state.lam[columns]) if self.events.given else state
+        else:
+            q, v, a, lam = (np.asarray(x[-1], float) for x in (self.q, self.v, self.a, self.lam))
+            state = State(float(self.t[-1]), q, v, a, lam[columns], restart=False)
+        return state if self.model is None else state.of(self.known_model("state"))
+
+    @property
+    def mode(self) -> Any:
+        """The model at the end: `model` without events; with events that of the parts that act then, for `solve(run.mode, state=run.state)`."""
+        model = self.known_model("mode")
+        return unguarded(self.events.modes(model)[-1]) if self.events.given else self.model
 
     @property
     def memory(self) -> dict:
@@ -115,24 +130,47 @@ class Trajectory:
     def __len__(self):
         return len(self.t)
 
+    @property
+    def x(self) -> NDArray:
+        """First-order states of every frame, (frames, k); last the relaxed strains of viscoelastic plates."""
+        model = self.known_model("x")
+        return np.concatenate([model.states_of(v) for v in blocks(self.v)]) if len(self) else np.zeros((0, model.k))
+
+    def states(self, name: Any) -> NDArray:
+        """States of a force element, (frames, states), by its name or itself, followed by algebraic ones and by the outputs of a controller.
+
+        Raises InputError if it has none.
+        """
+        model = self.known_model("states")
+        known = name if isinstance(name, str) else next((key for key, part in model.parts.items() if part is name), None)
+        elements = {own.name: own for own in model.own_forces if own.names} if model.is_scene else {}
+        if known not in elements:
+            named = ", ".join(map(repr, elements)) or "none"
+            raise InputError(f"states: no force element with states is called {name!r:.100}; known: {named}")
+        if (own := elements[known]).element.algebraic:
+            return np.array([own.states_at(*frame) for frame in zip(self.t, each(self.q), each(self.v))]).reshape(-1, len(own.names))
+        placed = own.placed
+        return np.concatenate([v[:, placed.columns] * placed.units for v in blocks(self.v)])
+
     @cached_property
     def drift(self) -> NDArray:
-        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), with the rows that were left out as redundant."""
-        model = self.known_model("drift")
-        model = model.redundant.whole if model.redundant else model
-        return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
+        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), with the rows that were left out as redundant.
+
+        Of a contact it is the penetration.
+        """
+        pieces = ((one.model.redundant.whole if one.model.redundant else one.model, one) for one in self._pieces("drift"))
+        return np.array([_largest(violation(model, model.phi(t, q))) for model, one in pieces for t, q in zip(one.t, each(one.q))])
 
     @cached_property
     def velocity_drift(self) -> NDArray:
-        """Largest |phi_q v + phi_t| of every frame, (frames,)."""
-        model = self.known_model("velocity_drift")
-        frames = zip(self.t, each(self.q), each(self.v))
-        return np.array([_largest(model.phi_rate(t, q, v)) for t, q, v in frames])
+        """Largest |phi_q v + phi_t| of every frame, (frames,), of the rows that are equations: without contact and friction."""
+        frames = ((one.model, *frame) for one in self._pieces("velocity_drift") for frame in zip(one.t, each(one.q), each(one.v)))
+        return np.array([_largest(np.delete(model.phi_rate(t, q, v), [law.row for law in model.row_laws])) for model, t, q, v in frames])
 
     @cached_property
     def energy(self) -> Energy:
         """Kinetic, potential (gravity, force elements) and strain energy of every frame; on request work of parts and dissipation."""
-        return energy_of(self._motion("energy"))
+        return energy_of(self._pieces("energy"), self.events)
 
     @property
     def momentum(self) -> NDArray:
@@ -146,10 +184,20 @@ class Trajectory:
 
     @cached_property
     def _momenta(self):
-        return momenta_of(self._motion("momentum"))
+        return np.concatenate([momenta_of(one) for one in self._pieces("momentum")])
 
     def _motion(self, what):
         return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
+
+    def _pieces(self, what):
+        """The Motions between events, in order; the first may have no frame."""
+        if not (self.events.given):
+            return [self._motion(what)]
+        frames, result = (self.q, self.v, self.a), []
+        for first, end, model in self.events.pieces(self.known_model(what), len(self)):
+            lam = np.asarray(self.lam[first:end], float)[:, model.columns]
+            result.append(Motion(guard(model), self.t[first:end], *(x[first:end] for x in frames), lam))
+        return result
 
     def known_model(self, what: str) -> Any:
         """Return the guarded model; InputError, in the name of `what`, for a loaded run without one."""
@@ -215,14 +263,16 @@ class Trajectory:
         return self._reaction("wrench", name, True)
 
     def _reaction(self, call, name, whole):
-        model, first, found = self._of_joint(call, name), 0, []
+        model, reactions = self._of_joint(call, name), []
         if whole and not (model.is_scene and model.reaction_of(name)):
             raise InputError(f"{call}: {name!r} is no joint of a scene")
-        for q in blocks(self.q):
-            part = slice(first, first + len(q))
-            found.append(reaction_of(model, name, np.asarray(self.t[part]), q, np.asarray(self.lam[part], float), whole))
-            first += len(q)
-        return np.concatenate(found)
+        for one in self._pieces(call):
+            first = 0
+            for q in blocks(one.q):
+                part = slice(first, first + len(q))
+                reactions.append(reaction_of(one.model, name, np.asarray(one.t[part]), q, np.asarray(one.lam[part], float), whole))
+                first += len(q)
+        return np.concatenate(reactions)
 
     def angle(self, joint: object) -> NDArray:
         """Return the rotation of side b of a joint relative to side a since the reference configuration.
@@ -241,8 +291,8 @@ class Trajectory:
 
     def unique(self, name: str) -> bool:
         """Return True if the reaction of a joint is unique, as it is without redundant constraints."""
-        model = self._of_joint("unique", name)
-        return model.redundant is None or model.redundant.unique(name)
+        self._of_joint("unique", name)
+        return all(one.model.redundant is None or one.model.redundant.unique(name) for one in self._pieces("unique"))
 
     def _of_joint(self, what, name):
         model = self.known_model(what)
@@ -257,7 +307,8 @@ class Trajectory:
 
     def stress(self, frame: int) -> NDArray:
         """Return the Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
-        return self._scene("stress").stress(self._frame("stress", frame))
+        q = self._frame("stress", frame)
+        return self._scene("stress").stress(q, np.asarray(self.v[frame], float))
 
     def strain(self, frame: int) -> NDArray:
         """Return Green's strain `E = (F^T F - I) / 2` of every element in a frame, (cells, 3): Exx, Eyy, 2 Exy, means over the element.
@@ -324,12 +375,13 @@ class Trajectory:
             notes.append(method.summary_of_steps(self.state.memory))
         if model is not None:
             notes += [model.remark, hint_of_rigid(model, self.q, method and method.relative_tolerance())]
-            notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
+            notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else ""]
+            notes += [f"events: {self.events.summary()}" if len(self.events) else grown(self._motion("summary"))]
         elif self.missing != Trajectory.missing:
             notes.append(self.missing)
         name = method.class_name() if method else self.integrator
-        told = "".join(f", {note}" for note in notes if note) + (f"; {self.message}" if self.message else "")
-        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}"
+        text = "".join(f", {note}" for note in notes if note) + (f"; {self.message}" if self.message else "")
+        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{text}"
 
     def __repr__(self):
         return f"<Trajectory: {self._headline()}>"
@@ -356,7 +408,7 @@ class Trajectory:
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with a row for each frame.
 
-        Columns of a scene: `t`; places `NAME.x`, `NAME.y`, m, of masses, loads and joints; reactions on side b, `NAME.force_x`, N,
+        Columns of a scene: `t`; places `NAME.x`, `NAME.y`, m, of masses, loads and joints; states `NAME.STATE` of force elements; reactions on side b, `NAME.force_x`, N,
         `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other models: `t`, `q[0]`, ..., `v[0]`, ...,
         `lam[0]`, ...
         """

@@ -159,10 +159,10 @@ def named_keywords(public: Public) -> Public:
     known = {p.name for p in parameters if p.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)}
 
     @wraps(function)
-    def checked(*arguments, **given):
-        if given.keys() <= known:
-            return function(*arguments, **given)
-        raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(given.keys() - known)))
+    def checked(*arguments, **keywords):
+        if keywords.keys() <= known:
+            return function(*arguments, **keywords)
+        raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
 
     if not isclass(public):
         return checked  # type: ignore[return-value]
@@ -177,3 +177,9 @@ def _complaint(name, known, wrong):
     near = [lower[word] for word in get_close_matches(wrong.lower(), lower, 1)]
     meant = f"did you mean {near[0]!r}? " if near else ""
     return f"{name}: there is no argument {wrong!r}; {meant}it takes {', '.join(known) or 'none'}"
+
+
+def require_bytes(part, memory_limit):
+    """Raise InputError, in the name of `part`, unless it is a number of bytes."""
+    if not (is_number(memory_limit) and memory_limit >= 0):
+        raise InputError(f"{part}: memory_limit = {memory_limit!r} must be a number of bytes")

@@ -20,10 +20,10 @@ def tasks(quick):
 
 def run(mesh, element, iterations):
     """One design: densities, history, and its compliance with each element that the mesh supports."""
-    made = beam.mesh_of(mesh)
-    rho, history = criteria.optimised(made, beam.compliance_of(made, element), iterations)
+    polygons = beam.mesh_of(mesh)
+    rho, history = criteria.optimised(polygons, beam.compliance_of(polygons, element), iterations)
     others = ELEMENTS if mesh == "squares" else ELEMENTS[1:]
-    result = {other: criteria.compliance_at(beam.compliance_of(made, other), rho)[0] for other in others}
+    result = {other: criteria.compliance_at(beam.compliance_of(polygons, other), rho)[0] for other in others}
     grey = float(4.0 * (rho * (1.0 - rho)).mean())
     return {
         "compliance": result[element],

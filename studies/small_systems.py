@@ -85,13 +85,13 @@ def run(part, scene, size, rounds):
 
 def step_row(scene, size, rounds):
     """Microseconds of a step as medians over rounds in which the solvers alternate, and medians of the ratios of each round."""
-    made = SCENES[scene](size)
-    model, steps = made.build(), STEPS[scene]
-    peer = Peer(made, steps, SPARSE if scene == "four-bar" else SETTINGS)
+    drawing = SCENES[scene](size)
+    model, steps = drawing.build(), STEPS[scene]
+    peer = Peer(drawing, steps, SPARSE if scene == "four-bar" else SETTINGS)
     for name in INTEGRATORS:
         stepped(model, name, LEAST)
     result = [{name: stepped(model, name, steps // share) for name, (_, share) in INTEGRATORS.items()} | peer.once() for _ in range(rounds)]
-    row = {"n": model.n, "m": model.m, "exudyn": peer.said}
+    row = {"n": model.n, "m": model.m, "exudyn": peer.description}
     row |= {f"{name}_us": float(np.median([each[name] for each in result])) for name in result[0]}
     for name, (one, other) in PAIRS.items():
         if other in result[0]:
@@ -141,14 +141,14 @@ class Peer:
     """exudyn with the fastest of its settings, or nothing where it is not installed; said: which."""
 
     def __init__(self, scene, steps, settings):
-        self.steps, self.setting, self.said = steps, None, "not installed"
+        self.steps, self.setting, self.description = steps, None, "not installed"
         try:
             self.make = lambda: Bodies(scene)
             times = {setting: self._stepped(setting) for setting in settings}
         except ImportError:
             return
         self.setting = min(times, key=times.get)
-        self.said = ", ".join(self.setting) + " Newton"
+        self.description = ", ".join(self.setting) + " Newton"
 
     def _stepped(self, setting):
         ends = self.steps // 5, self.steps

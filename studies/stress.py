@@ -1,6 +1,4 @@
-"""Robustness limits: scenes with increasingly extreme values along many axes, in every integrator; a run is right, stops with a reason, or
-fails.
-"""
+"""Robustness limits: scenes with increasingly extreme parameters, run by every integrator. The study classifies each run."""
 
 import numpy as np
 
@@ -24,8 +22,8 @@ COLOURS = {
 
 @study_figure
 def draw(rows):
-    """One row for each axis, one column for each integrator, one square for each value, from mild on the left to extreme; the colour is the
-    outcome.
+    """Draw a map of the outcomes: a row for each axis, a column for each integrator, a coloured square for each value from mild to
+    extreme.
     """
     axes = list(dict.fromkeys(row["axis"] for row in rows))
     names = list(dict.fromkeys(row["integrator"] for row in rows))
@@ -46,7 +44,7 @@ def draw(rows):
 
 
 def notes(rows):
-    """Definition of a right run, and the limit of each integrator."""
+    """Lines of text: what a correct run is on each axis, and the limits of the integrators."""
     axes = dict.fromkeys(row["axis"] for row in rows)
     return [f"right: {line}" for line in meanings(axes)] + [f"breaks: {line}" for line in limits(rows)]
 

@@ -183,9 +183,9 @@ def counts_figure(family, rows):
 
 def figure_of(function, *settings):
     """A figure function of the study with its settings, under its own name."""
-    made = partial(function, *settings)
-    made.__name__ = "_".join((function.__name__, *settings))
-    return study_figure(made)
+    drawing = partial(function, *settings)
+    drawing.__name__ = "_".join((function.__name__, *settings))
+    return study_figure(drawing)
 
 
 DRAW = tuple(figure_of(cpu_figure, family, part) for family in FAMILIES for part in ("q", "v", "lam"))

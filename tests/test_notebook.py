@@ -67,7 +67,7 @@ def everything(run, scenes):
         pi.RigidBody(mass=1.0, inertia=1.0, points={f"p{k}": (0.0, k) for k in range(20)}),
         pi.SpringDamper(pi.ground.at((1.0, 1.0)), end, 20.0, 0.1),
         pi.TorsionSpring(pi.ground, end, 0.5, 0.01),
-        pi.Contact(end, pi.ground.at((0.0, 0.2)), 100.0, 0.1),
+        pi.PenaltyContact(end, pi.ground.at((0.0, 0.2)), 100.0, 0.1),
         pi.Torque(end, np.sin),
         pi.Force(end, (np.sin, 0.3), follower=True),
     ]

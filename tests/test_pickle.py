@@ -40,7 +40,7 @@ def rich(scenes):
     end = lower.section("right")
     scene.add(pi.SpringDamper(pi.ground.at((1.0, 1.0)), end, 20.0, 0.1))
     scene.add(pi.TorsionSpring(pi.ground, end, 0.5, 0.01))
-    scene.add(pi.Contact(end, pi.ground.at((0.0, 0.2)), 100.0, 0.1))
+    scene.add(pi.PenaltyContact(end, pi.ground.at((0.0, 0.2)), 100.0, 0.1))
     scene.add(pi.Torque(end, swing))
     scene.add(pi.Force(end, (swing, 0.3), follower=True))
     scene.gravity = (pi.profile.sine(1.0, 2.0), -9.81)

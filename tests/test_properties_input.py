@@ -196,8 +196,8 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
         {"at": BODY_SIDE, "force": PAIR, "follower": NOTHING + LISTS + [1.0], "name": TEXT},
     ),
     "Force, follower": (made(pi.Force, force=(1.0, 0.0), follower=True), {"at": SIDE + [BOARD.node(0)]}),
-    "Contact": (
-        made(pi.Contact, a=RIGHT, b=PLACE, stiffness=1.0),
+    "PenaltyContact": (
+        made(pi.PenaltyContact, a=RIGHT, b=PLACE, stiffness=1.0),
         {
             "a": SIDE + [pi.ground, PLACE],
             "b": SIDE + [pi.ground, OTHER.node(0), LEFT],

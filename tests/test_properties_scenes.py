@@ -64,7 +64,7 @@ def scenes(draw, motors=True, loads=True, damped=False):
         end = other.section("right")
         scene.add(pi.SpringDamper(pi.ground.at((1.5, 0.6)), end, draw(st.floats(0.0, 50.0)), preload=draw(st.floats(-1.0, 1.0))))
         scene.add(pi.TorsionSpring(one.section("right"), end, draw(st.floats(0.0, 1.0)), angle=draw(st.floats(-0.5, 0.5))))
-        scene.add(pi.Contact(end, pi.ground.at((0.0, draw(st.floats(-0.1, 0.01)))), 100.0))
+        scene.add(pi.PenaltyContact(end, pi.ground.at((0.0, draw(st.floats(-0.1, 0.01)))), 100.0))
     if motors:
         angle = pi.profile.quintic(0.0, draw(st.floats(-0.5, 0.5)), duration=0.3)
         scene.add(pi.AngleMotor(pi.ground, left, angle, name="drive"))

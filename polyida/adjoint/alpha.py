@@ -1,6 +1,6 @@
 """A run of generalized-alpha backward: the steps of each segment by a compiled sweep, its beginning on a tape.
 
-What a segment began with is made again from the states by the method's own code (integrate/alpha/start.py), and so is its adjoint. Times of
+What a segment began with is made again from the states by the method's own code (integrate/start.py), and so is its adjoint. Times of
 kinks that move with a parameter change h: in Newmark's formulas, `-dh/dp sum y . (2 (q_1 - q_0)/h - v_0) + z . (v_1 - v_0)/h`, and in what a
 segment begins with, by differences of that.
 
@@ -15,9 +15,10 @@ it begins from; j are the objective's own slopes:
 with `S = beta' M + gamma' C + K`, C = dr/dv and K = dr/dq at the accepted state, and `dJ/dp += w . dr/dp + mu . dphi/dp`. y is taken from
 K^T w: from the recursion it would carry the error of w, divided by h^2.
 
-The driver calls the entry ADJOINT of the model's table (adjoint/tables.py, system/table.py) with right, below, bar, w, mu and found. It
-solves the system above at the end of step k; w and mu hold a prediction before and the solution behind it; bar (n,) is P_q + j_q. found
-(3, n) becomes what y and z lose beside bars, K^T w + B^T mu and C^T w, and M w, which nobody reads here."""
+The driver calls the entry ADJOINT of the model's table (adjoint/tables.py) with right, below, bar, w, mu and products. The entry solves the
+system above at the end of step k. w and mu hold a prediction before the call and the solution after it. bar (n,) is P_q + j_q. products (3, n)
+receives K^T w + B^T mu, C^T w, and M w, which is not used here.
+"""
 
 from collections import deque
 from dataclasses import replace
@@ -27,13 +28,13 @@ import numpy as np
 
 from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.run import RunAdjoint
-from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint, sweep_with_fallback
+from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
+from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
-from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step import nearest
 from polyida.integrate.discontinuities import inner_side
+from polyida.integrate.start import started
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call
@@ -204,9 +205,9 @@ def fit(y, w):
     first, second = nearest(aa, ab, bb, ad, bd)
     if not abs(first) + abs(second) < WILD:
         first = second = 0.0
-    seen = y.marks[SEEN]
-    y.marks[SHARE] = first if seen > 3.0 else 1.0 if seen == 3.0 else 0.0
-    y.marks[SHARE + 1] = second if seen > 3.0 else 0.0
+    count = y.marks[SEEN]
+    y.marks[SHARE] = first if count > 3.0 else 1.0 if count == 3.0 else 0.0
+    y.marks[SHARE + 1] = second if count > 3.0 else 0.0
 
 
 @entry
@@ -216,10 +217,10 @@ def stretch(f, workspace, p, j, first, last, y, z, out):
     f: addresses of the table's functions; workspace: address of the model's.
     """
     right, below, bar = address(z.now[RIGHT]), address(z.rows[BELOW]), address(z.now[BAR])
-    w, mu, found = address(z.now[W]), address(z.rows[MU]), address(z.now[STIFF])
+    w, mu, products = address(z.now[W]), address(z.rows[MU]), address(z.now[STIFF])
     for k in range(last - 1, first - 1, -1):
         begin(p, j, k, y, z)
-        ended = call(f[ADJOINT], workspace, k, right, below, bar, w, mu, found)
+        ended = call(f[ADJOINT], workspace, k, right, below, bar, w, mu, products)
         if ended != DONE:
             return k + 1, ended
         finish(p, j, k, y, z, out)
@@ -276,13 +277,13 @@ class Sweep:
         parts = (slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m)
         slopes_here = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
         self.frame_slopes, done = slopes_here, len(t)
-        table.take(*states, slips)
+        table.set_states(*states, slips)
 
         def exact_table():
             self._forget()
-            made = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
-            made.take(*states)
-            return made
+            exact = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
+            exact.set_states(*states)
+            return exact
 
         sweep_with_fallback(
             table,
@@ -352,7 +353,7 @@ class AlphaAdjoint(RunAdjoint):
     def _steps(self, segment, bars, lam, progress):
         """The AdjointState at the start of a segment, by sweeping over it; lam: the bar of the multipliers of its last state."""
         key, end = f"{segment.h:.9e}", segment.first + segment.count
-        sweep = self.sweeps.take(key) or Sweep(self.model, self.settings, segment.h, self.counts)
+        sweep = self.sweeps.get(key) or Sweep(self.model, self.settings, segment.h, self.counts)
         self.sweeps.keep(key, sweep)
         slips = np.array([slip for slip, _ in self._newmark_slips(segment)]) if self.stabilised else None
         longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
@@ -395,8 +396,8 @@ class AlphaAdjoint(RunAdjoint):
             for s, weight in ((SMALL, 0.5), (-SMALL, -0.5)):
                 moved = state if k == 0 else replace(state, memory=state.memory | {"h": h * (1.0 + s)})
                 ready = started(self.settings, self.model, moved, segment.h * (1.0 + s) if k == 0 else segment.h)
-                made = ready.q, ready.v, ready.a, ready.memory["a_alg"]
-                slopes[k] += weight * sum(float(bar @ x) for bar, x in zip(bars, made)) / (SMALL * h)
+                vectors = ready.q, ready.v, ready.a, ready.memory["a_alg"]
+                slopes[k] += weight * sum(float(bar @ x) for bar, x in zip(bars, vectors)) / (SMALL * h)
         self.events.add_step_slope(segment, *slopes)
 
     def _segment_start(self, segment, bars):

@@ -18,23 +18,26 @@ import numpy as np
 from polyida.adjoint.alpha import AlphaAdjoint
 from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.radau import RadauAdjoint
-from polyida.adjoint.totals import Gradient, Totals
+from polyida.adjoint.run import Gradient, Totals
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
 from polyida.integrate.static import FREE, Equilibrium
-from polyida.io.layout import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.modal.modes import Modes
 from polyida.model.guarded import guard
+from polyida.model.row_laws import require_no_laws
 from polyida.objective.objective import Objective, along_way
+from polyida.objective.peak_stress import PeakStress, StrainEnergy
 from polyida.progress import over_time, require_progress
 from polyida.trajectory import Trajectory
-from polyida.validation import named_keywords
+from polyida.validation import named_keywords, require_bytes
 
+ELASTIC = (PeakStress, StrainEnergy)
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
 
@@ -60,7 +63,7 @@ def gradient(
         From `pi.objective`.
     parameters : list of str, optional
         Names. By default all whose slopes cost next to nothing: of plates `stiffness` and `mass` (factors of each cell), `E`, `thickness`,
-        `rho`; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
+        `rho`, and `prony` of viscoelastic ones; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
         velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also any number of a part, such as
         `spring.stiffness`.
     memory_limit : float, bytes
@@ -77,8 +80,8 @@ def gradient(
     ------
     InputError
         For another type of run, objective or integrator, for an unknown parameter or one that moves the constraints of a held state, for a
-        run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), and for forces that jump
-        where a gap switches.
+        run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), for a run with events, and for
+        forces that jump where a gap switches.
 
     Notes
     -----
@@ -113,14 +116,26 @@ def gradient(
             f"gradient: {objective!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
         )
     names = _names(parameters)
-    require_progress("gradient", progress)
+    if isinstance(run, (Trajectory, Equilibrium, Modes)) and (relaxing := _relaxing(run.model)):
+        names_of = ", ".join(map(repr, relaxing))
+        if not isinstance(run, Trajectory):
+            raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
+        if isinstance(objective, ELASTIC):
+            raise InputError(f"gradient: {type(objective).__name__} is of elastic bodies, and {names_of} viscoelastic")
+    if progress is not None:
+        require_progress("gradient", progress)
     require_bytes("gradient", memory_limit)
     with one_blas_thread():
         if isinstance(run, (Equilibrium, Modes)):
             return gradient_of_state(run, objective, names)
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
-        run.known_model("gradient")
+        model = run.known_model("gradient")
+        _require_smooth_rows(guard(model))
+        if model.samples(float(run.t[0]), float(run.t[-1])):
+            raise InputError("gradient: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
+        if run.events.given:
+            raise InputError("gradient: the run has events, at which motion and its slopes jump; there is no adjoint for that yet")
         begin, end = float(run.t[0]), float(run.t[-1])
         kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))
         if (kind := next(kinds, None)) is None:
@@ -143,6 +158,18 @@ def gradient(
             return adjoint.gradient(lambda t: tell(begin + end - t))
 
 
+def _require_smooth_rows(model):
+    require_no_laws("gradient", model, "there is no adjoint of impacts and stick yet")
+    if model.velocity_rows.size:
+        name = model.constraint_name(int(model.velocity_rows[0]))
+        raise InputError(f"gradient: {name} is a velocity row, for which there is no adjoint; use differences of runs")
+
+
+def _relaxing(model):
+    """Names of the viscoelastic plates of a model or None."""
+    return [] if model is None or not model.is_scene else [body.name for body in (*model.bodies, *model.few) if body.prony]
+
+
 def _names(parameters):
     if parameters is None:
         return None
@@ -154,6 +181,7 @@ def _names(parameters):
 
 def gradient_of_state(subject, objective, names=None):
     """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
+    _require_smooth_rows(guard(subject.model))
     totals, counts = Totals(subject.model, names), Counts()
     own = objective.slopes(subject)(slice(0, 1))
     totals.add_own(own)

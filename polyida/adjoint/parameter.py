@@ -105,8 +105,8 @@ class PartParameter(Parameter):
 
     def replaced(self, value):
         """A copy of the scene with another value in this field of the part."""
-        given = tuple(value) if np.ndim(value) else value
-        return with_part(self.model, self.part, with_field(self.model.parts[self.part], self.path, given))
+        entry = tuple(value) if np.ndim(value) else value
+        return with_part(self.model, self.part, with_field(self.model.parts[self.part], self.path, entry))
 
 
 def total(model: Any, work: AdjointMultipliers) -> float:
@@ -131,17 +131,19 @@ def equation_values(model):
 
     def values(work):
         state, (w, *rows) = [np.ascontiguousarray(x, float) for x in work[:5]], work[5:]
-        found = [np.zeros(np.shape(w)), *(np.zeros((0 if x is None else len(x), model.m)) for x in rows)]
+        results = [np.zeros(np.shape(w)), *(np.zeros((0 if x is None else len(x), model.m)) for x in rows)]
         if table:
-            table.hold_constant(float(work.t[0]), work.q[0])
-        if not table or small.values(table.w, *state, *found) != DONE:
+            table.evaluate_constants(float(work.t[0]), work.q[0])
+        if not table or small.values(table.w, *state, *results) != DONE:
             for k, (t, q, v, a, lam) in enumerate(zip(work.t.tolist(), *state[1:])):
                 if len(w):
-                    found[0][k] = model.residual(t, q, v, a, lam)
-                for made, function, given in zip(found[1:], (model.phi, model.phi_rate, model.phi_bias), ((q,), (q, v), (q, v))):
-                    if len(made):
-                        made[k] = function(t, *given)
-        return np.concatenate([x.ravel() for x in found])
+                    results[0][k] = model.residual(t, q, v, a, lam)
+                for rows_of_phi, function, state_of_phi in zip(
+                    results[1:], (model.phi, model.phi_rate, model.phi_bias), ((q,), (q, v), (q, v))
+                ):
+                    if len(rows_of_phi):
+                        rows_of_phi[k] = function(t, *state_of_phi)
+        return np.concatenate([x.ravel() for x in results])
 
     return values
 
@@ -153,8 +155,8 @@ def select_entries(work, which):
 
 def with_parts(model, parts, gravity=None):
     """A copy of the model with other parts of the same names and the same factors of cells."""
-    made = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
-    return made.with_factors(**model.factors) if model.factors else made
+    new = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
+    return new.with_factors(**model.factors) if model.factors else new
 
 
 def with_field(part, path, value):
@@ -183,9 +185,9 @@ def part_with_profile(part, old, new):
 
 def _with_values(part, change):
     """A copy of the part with `change` applied to its fields and to items of tuples; the part itself if nothing changes."""
-    given = {field.name: getattr(part, field.name) for field in fields(part) if field.init}
-    found = {name: tuple(map(change, value)) if isinstance(value, tuple) else change(value) for name, value in given.items()}
-    different = {name: value for name, value in found.items() if not _same(value, given[name])}
+    old = {field.name: getattr(part, field.name) for field in fields(part) if field.init}
+    new = {name: tuple(map(change, value)) if isinstance(value, tuple) else change(value) for name, value in old.items()}
+    different = {name: value for name, value in new.items() if not _same(value, old[name])}
     return replace(part, **different) if different else part
 
 

@@ -20,6 +20,7 @@ from polyida.adjoint.parameter import (
     with_part,
 )
 from polyida.adjoint.profile_parameters import element_work, in_time, over, profile_parameters, profile_works
+from polyida.adjoint.relaxation import cached_works, series_parameters
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
@@ -57,8 +58,8 @@ class CellFactors(PartParameter):
 
     def start(self, t, q, bar):
         """Slope by the masses, if joints change the given motions or a body has a spin about its centre of mass."""
-        found = self.starts(t, q, bar) if self.path == ("mass",) else None
-        return found and found[self.part]
+        slopes = self.starts(t, q, bar) if self.path == ("mass",) else None
+        return slopes and slopes[self.part]
 
     def replaced(self, value):
         """A copy of the scene with other factors."""
@@ -83,19 +84,20 @@ class PlateNumber(PartParameter):
 
     def start(self, t, q, bar):
         """Slope by the masses of all cells."""
-        found = self.starts(t, q, bar)
-        return found and float(self.model.factors[self.part][1] @ found[self.part]) / self.value
+        slopes = self.starts(t, q, bar)
+        return slopes and float(self.model.factors[self.part][1] @ slopes[self.part]) / self.value
 
 
-def plate_parameters(model, slopes):
-    """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start."""
-    stiffness = CachedByMultipliers(lambda model, work: stiffness_work(model, work.q, work.v, work.w), model)
+def plate_parameters(model, slopes, relaxing):
+    """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start; relaxing: of
+    AdjointMultipliers -> `relaxation_works`."""
+    stiffness = CachedByMultipliers(lambda model, work: _stiffness_works(model, relaxing, work), model)
     mass = CachedByMultipliers(_mass_works, model)
 
     def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
-        if (found := slopes(t, q, bar)) is None:
+        if (motion := slopes(t, q, bar)) is None:
             return None
-        both = ((found.right, found.left), (found.centres_right, found.centres_left))
+        both = ((motion.right, motion.left), (motion.centres_right, motion.centres_left))
         return mass_work(model, *(np.stack(each) for each in zip(*both)))
 
     loads = [(key, part) for key, part in model.parts.items() if isinstance(part, EdgeTraction)]  # which grow with the thickness
@@ -115,6 +117,13 @@ def _plate_total(name, factors, by_cell, work):
     return float(factors @ by_cell(work)[name])
 
 
+def _stiffness_works(model, relaxing, work):
+    """Works of the elastic forces of all cells, and of those of relaxation in viscoelastic plates."""
+    works = stiffness_work(model, work.q, work.v, work.w)
+    relaxed = relaxing(work)[1] if model.strains else {}
+    return {name: each + relaxed.get(name, 0.0) for name, each in works.items()}
+
+
 def _mass_works(model, work):
     """Works of M on accelerations less gravity, plus drag times velocities in a damped plate."""
     b = work.a
@@ -125,10 +134,10 @@ def _mass_works(model, work):
     return mass_work(model, b, work.w, np.array([gravity_at(model.gravity, t) for t in work.t.tolist()]).reshape(-1, 2))
 
 
-def load_work(model, name, work, given=None):
-    """Sum of `-w . F` over all entries, with the forces F of a load; given: another force or traction (2,) in its place."""
+def load_work(model, name, work, value=None):
+    """Sum of `-w . F` over all entries, with the forces F of a load; value: another force or traction (2,) in its place."""
     load = model.parts[name]
-    part = load if given is None else replace(load, **{FIELDS[type(load)]: given})
+    part = load if value is None else replace(load, **{FIELDS[type(load)]: value})
     pairs, forces = model.places[id(load.at.body)].loaded(load.at, part.nodal())
     w = work.w.reshape(len(work.t), -1, 2)[:, pairs]
     return -float(over(load.profile, work.t) @ np.einsum("kie,ie->k", w, forces))
@@ -160,7 +169,7 @@ class PointMassNumber(PartParameter):
         return slopes and float(np.vdot(self._at_point(slopes.left[None]), self._at_point(slopes.right[None])).real)
 
     def _at_point(self, x):
-        pairs, weights = self.model.held(self.model.parts[self.part].at)
+        pairs, weights = self.model.pairs_and_weights(self.model.parts[self.part].at)
         return complex_of_pairs(x.reshape(len(x), -1, 2)[:, pairs]) @ weights
 
 
@@ -261,11 +270,11 @@ class FieldNumber(PartParameter):
         """
         part: Any = self.model.parts[self.part]
         placed = next((placed for placed in self.model.few if placed.user is part), None)
-        made = part.fields_to_store(placed.body) if placed else {}
-        if made and self.path[-1] == SHAPES:
-            anew = with_part(self.model, self.part, with_field(replace(part, **dict.fromkeys(made)), self.path, value))
-            made = part.fields_to_store(next(other for other in anew.few if other.name == placed.name).body, placed.body)
-        return with_field(replace(part, **made), self.path, value)
+        stored = part.fields_to_store(placed.body) if placed else {}
+        if stored and self.path[-1] == SHAPES:
+            anew = with_part(self.model, self.part, with_field(replace(part, **dict.fromkeys(stored)), self.path, value))
+            stored = part.fields_to_store(next(other for other in anew.few if other.name == placed.name).body, placed.body)
+        return with_field(replace(part, **stored), self.path, value)
 
     def replaced(self, value):
         """A copy of the scene with another number in the part."""
@@ -287,9 +296,10 @@ def _named_numbers(part):
     elif isinstance(part, FieldBody):
         yield from _with_path(part, ("plate", "material"), OF_REDUCED)
         yield from _with_path(part, ("plate",), ("thickness",))
-    elif isinstance(part, (Body, ForceElement)) or isinstance(part, Joint) and all(row.driven for row in rows_of(part.facing().rows())):
+    elif isinstance(part, (Body, ForceElement, Joint)):
         known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
-        yield from _with_path(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
+        if known and (not isinstance(part, Joint) or all(row.driven for row in rows_of(part.facing().rows()))):
+            yield from _with_path(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
 
 
 def _with_path(part, path, keys):
@@ -325,10 +335,10 @@ class UserModelParameter(Parameter):
         which = np.flatnonzero(factors.any(axis=1))
         at = list(zip(times[which].tolist(), *(read_only(x[which]) for x in states)))
         shape, own = (len(which), factors.shape[1], *np.shape(self.value)), unguarded(self.model)
-        found = floats([getattr(own, function)(self.name, *state) for state in at])
-        if found is None or found.shape != shape:
-            found = np.array([getattr(guard(self.model), function)(self.name, *state) for state in at]).reshape(shape)
-        return np.tensordot(factors[which], found, 2)
+        slopes = floats([getattr(own, function)(self.name, *state) for state in at])
+        if slopes is None or slopes.shape != shape:
+            slopes = np.array([getattr(guard(self.model), function)(self.name, *state) for state in at]).reshape(shape)
+        return np.tensordot(factors[which], slopes, 2)
 
     def _by_differences(self, work, t):
         """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
@@ -340,10 +350,10 @@ class UserModelParameter(Parameter):
 
         def values(model):
             key = np.asarray(model.parameter(self.name), float).tobytes()
-            found = self._values.get(key) or equation_values(guard(model))
+            evaluate = self._values.get(key) or equation_values(guard(model))
             if t is None:  # the same few values for all entries
-                self._values[key] = found
-            return found(work)
+                self._values[key] = evaluate
+            return evaluate(work)
 
         return np.tensordot(weights, self.model.slope_p(self.name, values, t), 1)
 
@@ -358,8 +368,8 @@ class UserModelParameter(Parameter):
 
     def start(self, t, q, bar):
         """Differences of the model's initial velocities."""
-        found = bar @ self.model.slope_p(self.name, lambda model: model.initial_velocity(t, q))
-        return found if found.any() else None
+        slope = bar @ self.model.slope_p(self.name, lambda model: guard(model).initial_velocity(t, q))
+        return slope if slope.any() else None
 
     def kinks(self, t0, t1):
         """Differences of the model's kinks."""
@@ -393,8 +403,8 @@ __all__ = ["Parameter", "in_time", "parameters_of"]
 
 def parameters_of(model: Any) -> dict[str, Parameter]:
     """{name: Parameter} of a scene's parts, or of a user's model by its `parameters`."""
-    found = _scene_parameters(model) if model.is_scene else user_model_parameters(model)
-    return {parameter.name: parameter for parameter in found}
+    parameters = _scene_parameters(model) if model.is_scene else user_model_parameters(model)
+    return {parameter.name: parameter for parameter in parameters}
 
 
 def _scene_parameters(model):
@@ -405,7 +415,10 @@ def _scene_parameters(model):
         return slopes(t, q, bar) if moves_at(model, t, q) else None
 
     yield from field_parameters(model)
-    yield from plate_parameters(model, changes)
+    relaxing = cached_works(model)
+    yield from plate_parameters(model, changes, relaxing)
+    yield from series_parameters(model, relaxing)
     yield from load_parameters(model, changes)
     yield from motion_parameters(model, slopes)
-    yield from profile_parameters(model, CachedByMultipliers(profile_works, model), changes)
+    if model.profiles:
+        yield from profile_parameters(model, CachedByMultipliers(profile_works, model), changes)

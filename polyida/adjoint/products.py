@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.adjoint import relaxation
 from polyida.assembly import compact, joints
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.element import cell_products, kernels
@@ -102,6 +103,7 @@ def body_products(s, viscosity, u, v, w, rotation, x):
     few_products(s.compact, x.few, w, x.stiff)
     if viscosity is not None:
         few_products(s.compact, x.slow, w, x.slowing)
+    relaxation.add_products(s, s.relaxation, u, v, w, rotation, x.stiff, x.heavy, x.slowing)
     if rotation.shape[0]:
         for b in range(s.compact.drag.shape[0]):
             compact.turn(s.compact, b, u, rotation)

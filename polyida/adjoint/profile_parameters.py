@@ -36,8 +36,8 @@ def over(profile, t, order=0):
     return profile.over(t, order)
 
 
-def slope_over(profile, made, scale, speeds, orders, t):
-    """The derivative of `made(s)` in s at s = 0, in value and derivatives of these orders at times t, (k, orders).
+def slope_over(profile, profile_at, scale, speeds, orders, t):
+    """The derivative of `profile_at(s)` in s at s = 0, in value and derivatives of these orders at times t, (k, orders).
 
     speeds: of its kinks. Differences follow the kinks, so that none crosses one; the derivatives in time correct for this shift.
     """
@@ -46,7 +46,7 @@ def slope_over(profile, made, scale, speeds, orders, t):
         t = np.array([_beside_kink(profile, at) for at in t.tolist()])
 
     def table(s):
-        near = made(s)
+        near = profile_at(s)
         return np.stack([over(near, t + s * moved, order) for order in orders], axis=1)
 
     result = along(table, scale)
@@ -62,9 +62,9 @@ def _beside_kink(profile, t):
     return float(at[0] if apart[0] < apart[2] else at[2])
 
 
-def kink_speeds(made, scale):
-    """The derivatives of the kinks of `made(s)` in s, (kinks,), assumed constant."""
-    return np.subtract(made(scale / 4).kinks, made(-scale / 4).kinks) / (scale / 2)
+def kink_speeds(profile_at, scale):
+    """The derivatives of the kinks of `profile_at(s)` in s, (kinks,), assumed constant."""
+    return np.subtract(profile_at(scale / 4).kinks, profile_at(-scale / 4).kinks) / (scale / 2)
 
 
 def at_sides(own, x):
@@ -73,32 +73,32 @@ def at_sides(own, x):
 
 
 def element_work(own, element, work):
-    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce."""
-    x, v = own.rest + at_sides(own, work.q), at_sides(own, work.v)
-    forces = [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
+    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce, with its states."""
+    own, x, v = own.with_element(element), own.rest + at_sides(own, work.q), at_sides(own, work.v)
+    forces = [own.forces(*state) for state in zip(work.t.tolist(), x, v)]
     return -np.einsum("kie,kie->k", at_sides(own, work.w), np.reshape(forces, x.shape))
 
 
 def profile_works(model, work):
     """Slopes (k, profiles, 3) of each entry of the sum in value, rate and second derivative of every profile of a scene."""
-    found = np.zeros((len(work.t), len(model.profiles), 3))
+    result = np.zeros((len(work.t), len(model.profiles), 3))
     s, links = model.arrays.plates, model.arrays.links
     w = work.w.reshape(len(work.t), -1, 2)
     for k, drive in enumerate(s.load_drive):  # forces times a value: `r = ... - value F`
         of = slice(s.load_ptr[k], s.load_ptr[k + 1])
-        found[:, drive, 0] -= np.einsum("kie,ie->k", w[:, s.load_nodes[of]], s.load_values[of])
+        result[:, drive, 0] -= np.einsum("kie,ie->k", w[:, s.load_nodes[of]], s.load_values[of])
     for row, drive, factor in zip(links.shift_row, links.shift_drive, links.shift_factor):  # profiles that are added to rows of phi
-        for order, given in enumerate((work.mu, work.kappa, work.nu)):
-            if given is not None:
-                found[:, drive, order] += factor * given[:, row]
-    _add_products(model, work, found)
+        for order, factors in enumerate((work.mu, work.kappa, work.nu)):
+            if factors is not None:
+                result[:, drive, order] += factor * factors[:, row]
+    _add_products(model, work, result)
     for name, part in model.parts.items():
         if isinstance(part, ForceElement):
-            _add_element(model, name, part, work, found)
-    return found
+            _add_element(model, name, part, work, result)
+    return result
 
 
-def _add_products(model, work, found):
+def _add_products(model, work, result):
     """Angles that turn a vector: of `R(theta) E . F`, with `across = (R E) x F` and `along = R E . F`, the slopes of value, rate and bias.
 
     The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
@@ -140,7 +140,7 @@ def _add_products(model, work, found):
         slopes[..., 1] += nu * 2.0 * (mixed - speed * _dot(e, f))
         slopes[..., 2] += nu * _cross(e, f)
     for p, drive in enumerate(s.product_drive[turned]):
-        found[:, drive] += slopes[:, p]
+        result[:, drive] += slopes[:, p]
 
 
 def _cross(a, b):
@@ -151,7 +151,7 @@ def _dot(a, b):
     return (a.conj() * b).real
 
 
-def _add_element(model, name, element, work, found):
+def _add_element(model, name, element, work, result):
     """Add the slopes of a force element in its profiles, by differences of its forces; in rates too if it is Python."""
     own = OwnForce(name, element, model)
     for drive, profile in enumerate(model.profiles):
@@ -164,7 +164,7 @@ def _add_element(model, name, element, work, found):
                 other = replace(profile, formula=(), **{function: lambda t: of_time(t) + s})
                 return element_work(own, part_with_profile(element, profile, other), work)
 
-            found[:, drive, order] += along(pushed, size)
+            result[:, drive, order] += along(pushed, size)
 
 
 SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
@@ -194,11 +194,11 @@ def in_time(model, work):
         own = OwnForce(name, part, model)
 
         def later(s, own=own, element=part):  # at times that are later by s, with profiles that are late by as much
-            held = element
+            copy = element
             for profile in profiles_of(element):
                 late = {order: lambda t, f=f: f(t - s) for order in ORDERS for f in [getattr(profile, order)]}
-                held = part_with_profile(held, profile, replace(profile, formula=(), **late))
-            return element_work(own, held, work._replace(t=work.t + s))
+                copy = part_with_profile(copy, profile, replace(profile, formula=(), **late))
+            return element_work(own, copy, work._replace(t=work.t + s))
 
         result += along(later, SCALE)
     return result
@@ -217,7 +217,7 @@ class ProfileNumber(Parameter):
     """
 
     drive: int
-    made: Callable[[Any], Profile]
+    profile_at: Callable[[Any], Profile]
     scale: Callable[[Any], float]
     works: Callable
     slopes: Callable
@@ -239,11 +239,11 @@ class ProfileNumber(Parameter):
 
     def start(self, t, q, bar):
         """Slope if driven joints change the given motions."""
-        found = self.slopes(t, q, bar)
-        if found is None:
+        motion = self.slopes(t, q, bar)
+        if motion is None:
             return None
-        none = np.zeros_like(found.lam)
-        entries = (found.v, found.lam, found.left, none, found.kappa), (found.v, none, -found.left, none, none)  # but for loads
+        none = np.zeros_like(motion.lam)
+        entries = (motion.v, motion.lam, motion.left, none, motion.kappa), (motion.v, none, -motion.left, none, none)  # but for loads
         v, lam, w, mu, kappa = map(np.stack, zip(*entries))
         return self.slope(AdjointMultipliers(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
@@ -256,13 +256,13 @@ class ProfileNumber(Parameter):
         return kink_speeds(self._near, self.scale(np.zeros(0)))
 
     def _near(self, s):
-        return self.made(self.value + s)
+        return self.profile_at(self.value + s)
 
     def replaced(self, value):
         """A copy of the scene with another number in the profile."""
         if not is_number(value):
             raise InputError(f"{self.name}: {value!r} must be a finite number")
-        return with_profile(self.model, self.profile, self.made(float(value)))
+        return with_profile(self.model, self.profile, self.profile_at(float(value)))
 
     def kinks(self, t0, t1):
         """The kinks of the profile that depend on the number."""
@@ -279,10 +279,10 @@ class PolynomialCoefficients(ProfileNumber):
 
     def replaced(self, value: ArrayLike):
         """A copy of the scene with as many other coefficients."""
-        given = floats(value)
-        if given is None or given.shape != self.value.shape:
+        coefficients = floats(value)
+        if coefficients is None or coefficients.shape != self.value.shape:
             raise InputError(f"{self.name}: {value!r} must be {len(self.value)} finite numbers")
-        return with_profile(self.model, self.profile, polynomial(given))
+        return with_profile(self.model, self.profile, polynomial(coefficients))
 
     def kinks(self, t0, t1):
         """Empty: a polynomial has no kinks."""
@@ -295,14 +295,14 @@ def profile_parameters(model, works, slopes):
         profile, shared = model.profiles[drive], (works, slopes)
         if any(profile is default for default in DEFAULTS):
             continue
-        kind, *given = profile.formula or ("",)
-        if kind == "polynomial" and len(given) > 1:
-            yield PolynomialCoefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, *shared)
+        kind, *numbers = profile.formula or ("",)
+        if kind == "polynomial" and len(numbers) > 1:
+            yield PolynomialCoefficients(f"{name}.coefficients", np.array(numbers), model, drive, polynomial, lambda t: 1.0, *shared)
         elif kind:
             keys = ["value"] if kind == "polynomial" else list(signature(MAKERS[kind]).parameters)
             for i, key in enumerate(keys):
-                made = lambda value, i=i, kind=kind, given=given: MAKERS[kind](*given[:i], value, *given[i + 1 :])  # noqa: E731
-                yield ProfileNumber(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), *shared)
+                maker = lambda value, i=i, kind=kind, numbers=numbers: MAKERS[kind](*numbers[:i], value, *numbers[i + 1 :])  # noqa: E731
+                yield ProfileNumber(f"{name}.{key}", numbers[i], model, drive, maker, _scale_of(key, dict(zip(keys, numbers))), *shared)
         times = lambda value, profile=profile: scaled(profile, value)  # noqa: E731
         yield ProfileNumber(f"{name}.scale", 1.0, model, drive, times, lambda t: 1.0, *shared, bool(kind))
 
@@ -312,12 +312,12 @@ def named_drives(model):
 
     Without profiles of a user's joint that turns two vectors in one row: the row depends on their difference.
     """
-    given = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
-    named = [(name, _named(name, values)) for name, values in given]
+    by_part = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
+    named = [(name, _named(name, values)) for name, values in by_part]
     known = {key for _, profiles in named for key in profiles}
     mixed = {name for name, profile in model.named_profiles if name and id(profile) not in known}
-    found = {key: called for name, profiles in reversed(named) if name not in mixed for key, called in profiles.items()}
-    return {drive: found[id(profile)] for drive, profile in enumerate(model.profiles) if id(profile) in found}
+    names = {key: called for name, profiles in reversed(named) if name not in mixed for key, called in profiles.items()}
+    return {drive: names[id(profile)] for drive, profile in enumerate(model.profiles) if id(profile) in names}
 
 
 def _fields(part):
@@ -328,16 +328,16 @@ def _fields(part):
         yield from zip("xy", value) if pair else [(field.name, value)]
 
 
-def _named(name, given):
+def _named(name, values):
     """{id of a profile: name} of the values of a part."""
-    held = [(key, value) for key, value in given if isinstance(value, Profile)]
-    return {id(value): name if len(held) == 1 else f"{name}.{key}" for key, value in held}
+    profiles = [(key, value) for key, value in values if isinstance(value, Profile)]
+    return {id(value): name if len(profiles) == 1 else f"{name}.{key}" for key, value in profiles}
 
 
-def _scale_of(key, given):
+def _scale_of(key, numbers):
     """Function of times t: the size over which a profile varies with one of its numbers."""
     if key in ("begin", "duration"):
-        return lambda t: given["duration"]
+        return lambda t: numbers["duration"]
     if key == "frequency":
         return lambda t: 1.0 / (2 * np.pi * max(1.0, np.abs(t).max(initial=0.0)))
-    return lambda t: max(1.0, abs(given[key]))
+    return lambda t: max(1.0, abs(numbers[key]))

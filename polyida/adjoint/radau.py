@@ -8,8 +8,8 @@ from polyida.adjoint.history import SAME, StepHistory, StepSegment, every_step, 
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
 from polyida.adjoint.radau_equations import StageEquations
 from polyida.adjoint.radau_sweep import Slopes, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, stretch
-from polyida.adjoint.run import RunAdjoint
-from polyida.adjoint.tables import DenseAdjoint, sweep_with_fallback
+from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
+from polyida.adjoint.tables import DenseAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, REASONS, StepFailure
 from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side
@@ -133,9 +133,9 @@ class RadauAdjoint(RunAdjoint):
 
         def factor(t, q, v, a, lam, modes):
             h = self.tableau.modes[0].value / modes[0][1]
-            made = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]), tied)
-            self.counts.backend = made.backend
-            return [x[1:] for x in (made.real, made.pair) if x]
+            matrices = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]), tied)
+            self.counts.backend = matrices.backend
+            return [x[1:] for x in (matrices.real, matrices.pair) if x]
 
         modes = [(mode.value**2, mode.value, mode.row.copy(), mode.column.copy()) for mode in self.tableau.modes]
         return SceneAdjoint(model, W, W @ W, modes, factor, EXACT, self.counts, tied)
@@ -196,8 +196,8 @@ class RadauAdjoint(RunAdjoint):
             bars = [None if x is None or not x[k].any() else x[k] for x in (own.a, own.lam)]
             if any(bar is not None for bar in bars):
                 state, t = b.state(k + 1), inner_side(self.model, float(b.t[k + 1]), h)
-                made = lambda model, q, v, t=t: consistent_acceleration(model, t, q, v)  # noqa: E731
-                q[k], v[k] = self._reverse(state, made, bars, (q[k], v[k]))
+                function = lambda model, q, v, t=t: consistent_acceleration(model, t, q, v)  # noqa: E731
+                q[k], v[k] = self._reverse(state, function, bars, (q[k], v[k]))
         return Slopes(q, v)
 
     def _solved(self, b, h):
@@ -215,7 +215,7 @@ class RadauAdjoint(RunAdjoint):
             engine.done[:], before = 0, replace(self.counts)
             at_work = engine.table.functions, engine.table.workspace, number, method, engine.compiled_tableau, h, control.now, engine.slots
             done, ended = solve_stages(*at_work, fresh, b, done, *arrays, out)
-            engine.table.raise_left()
+            engine.table.raise_error()
             vars(self.counts).update(engine.counts_at(before, engine.done[None], 0))
             fresh, failure = ended == loop.MAKE, None
             try:
@@ -254,17 +254,17 @@ class RadauAdjoint(RunAdjoint):
         """The SweepOutput of the steps; the bars become those of the first state."""
         count, s, _ = q.shape
         out = SweepOutput(np.zeros(q.shape), np.empty(q.shape), np.zeros((count, 1 + self.tied, s, self.model.m)), np.empty(count))
-        states, given = (x.t, q, v, x.a, x.lam, x.mu), (self.tableau.c, self.tableau.W, h, slopes, b, x, self.sweep, out)
+        states, arguments = (x.t, q, v, x.a, x.lam, x.mu), (self.tableau.c, self.tableau.W, h, slopes, b, x, self.sweep, out)
 
         def exact_table():
-            made = self._exact()
-            made.scale(h)
-            made.take(*states)
-            return made
+            exact = self._exact()
+            exact.scale(h)
+            exact.set_states(*states)
+            return exact
 
         self.table.scale(h)
-        self.table.take(*states)
-        sweep_with_fallback(self.table, exact_table, count, lambda f, w, first, last: stretch(f, w, first, last, *given))
+        self.table.set_states(*states)
+        sweep_with_fallback(self.table, exact_table, count, lambda f, w, first, last: stretch(f, w, first, last, *arguments))
         return out
 
     def _store_multipliers(self, b, x, q, v, h, out):
@@ -284,11 +284,11 @@ class RadauAdjoint(RunAdjoint):
         """Bars of q and v of a state, from those after v is projected onto the constraint at time t."""
         return self._reverse(state, lambda model, q, v: (on_velocity(model, t, q, v),), bars[1:], (bars[0], np.zeros(self.model.n)))
 
-    def _reverse(self, state, made, bars, more):
-        """(b_q, b_v) at a state: `more` plus the bars that come back through `made(model, q, v)`."""
+    def _reverse(self, state, function, bars, more):
+        """(b_q, b_v) at a state: `more` plus the bars that come back through `function(model, q, v)`."""
         tape = Tape()
         taped, q, v = TapedModel(self.model, tape), tape.var(state.q), tape.var(state.v)
-        for results, bar in zip(made(taped, q, v), bars):
+        for results, bar in zip(function(taped, q, v), bars):
             if bar is not None:
                 add_to(results, bar)
         tape.back()

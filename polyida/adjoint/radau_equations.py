@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_array, kron
 
-from polyida.adjoint.tables import AdjointTable
+from polyida.adjoint.run import AdjointTable
 from polyida.linear.lu import ScaledLU
 from polyida.system import ADJOINT
 from polyida.system.python import PythonTable
@@ -31,7 +31,7 @@ class StageEquations(PythonTable, AdjointTable):
         """Set the step h."""
         self.h = h
 
-    def take(self, *stages):
+    def set_states(self, *stages):
         """Set the stages of some steps, (count, s, .) each."""
         self.stages = stages
 
@@ -83,17 +83,17 @@ class StageEquations(PythonTable, AdjointTable):
         self.counts.solves += 1
         return self.parts(self.lu.solve(np.concatenate([*r, *phi, *rate])))
 
-    def _solve(self, k, right, below, bar, w, multipliers, found):
+    def _solve(self, k, right, below, bar, w, multipliers, out):
         n, m, s = self.model.n, self.model.m, self.tableau.stages
         self.at(*(x[k] for x in self.stages))
-        wanted, last = np.zeros(self.matrix.shape[0]), np.zeros(s * n)
-        wanted[: s * n], last[-n:] = self._array(right, s * n), self._array(bar, n)
+        rhs, last = np.zeros(self.matrix.shape[0]), np.zeros(s * n)
+        rhs[: s * n], last[-n:] = self._array(right, s * n), self._array(bar, n)
         if self.tied:
-            wanted[: s * n] -= self.T @ (self.L @ last)  # T is symmetric
-            wanted[s * (n + m) :] -= self.B @ (self.L @ last)
-        x = np.zeros_like(wanted)
+            rhs[: s * n] -= self.T @ (self.L @ last)  # T is symmetric
+            rhs[s * (n + m) :] -= self.B @ (self.L @ last)
+        x = np.zeros_like(rhs)
         for _ in range(ROUNDS):
-            x -= self.lu.solve(self.matrix.T @ x - wanted, transposed=True)
+            x -= self.lu.solve(self.matrix.T @ x - rhs, transposed=True)
         self.counts.solves += ROUNDS
         now, mu, kappa = np.split(x, self.cuts)
         a, v, q = self.M.T @ now, self.C.T @ now, self.K.T @ now + self.B.T @ mu
@@ -101,4 +101,4 @@ class StageEquations(PythonTable, AdjointTable):
             v = v + self.B.T @ kappa
             q = q + self.H.T @ kappa + self.T @ (self.L @ (v + self.R.T @ a + last))
         self._array(w, s * n)[:], self._array(multipliers, len(x) - s * n)[:] = now, x[s * n :]
-        self._array(found, 3 * s * n)[:] = np.concatenate([q, v, a])
+        self._array(out, 3 * s * n)[:] = np.concatenate([q, v, a])

@@ -13,9 +13,9 @@ and `q*_j + sum_i W_ij v*_i / h = 0`, `B_i w_i = 0`, `B_i D^-1 v*_i = 0` are the
 
     q*_0 = sum_i q*_i,    v*_0 = sum_i c_i h q*_i + v*_i - sum_ij W_ij a*_i / h
 
-K, C and H are dr/dq, dr/dv and d(B v + phi_t)/dq. The entry ADJOINT of a table (system/table.py) solves the transposed system; it gets
+K, C and H are dr/dq, dr/dv and d(B v + phi_t)/dq. The entry ADJOINT of a table (adjoint/tables.py) solves the transposed system; it gets
 right (s, n), the terms of b_q and b_v in the first equation, bar = b_v, and fills w (s, n), multipliers (mu*, and kappa if there is mu) and
-found (3, s, n): q*, v* and a* without the terms [b_q], [b_v] and W.
+products (3, s, n): q*, v* and a* without the terms [b_q], [b_v] and W.
 """
 
 from typing import NamedTuple
@@ -126,13 +126,13 @@ class Slopes(NamedTuple):
 
 @pack
 class Sweep(NamedTuple):
-    """State and scratch of the sweep: bars (2, n) of q and v, those of the current step, right (s, n), below (s, m), found (3, s, n)."""
+    """State and scratch of the sweep: bars (2, n) of q and v, those of the current step, right (s, n), below (s, m), products (3, s, n)."""
 
     bars: np.ndarray
     trial: np.ndarray
     right: np.ndarray
     below: np.ndarray
-    found: np.ndarray
+    products: np.ndarray
 
 
 @pack
@@ -166,7 +166,7 @@ def begin(W, h, j, k, y, out):
 @fast
 def finish(c, W, h, b, x, k, y, out):
     """The bars of the step's start, v* and the slope in h."""
-    q, v, a, last, slope = y.found[0], y.found[1], y.found[2], W.shape[0] - 1, 0.0
+    q, v, a, last, slope = y.products[0], y.products[1], y.products[2], W.shape[0] - 1, 0.0
     for i in range(y.bars.shape[1]):
         q[last, i] += y.trial[0, i]
         v[last, i] += y.trial[1, i]
@@ -190,10 +190,10 @@ def finish(c, W, h, b, x, k, y, out):
 @entry
 def stretch(f, workspace, first, last, c, W, h, j, b, x, y, out):
     """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before)."""
-    right, below, bar, found = address(y.right), address(y.below), address(y.trial[1]), address(y.found)
+    right, below, bar, products = address(y.right), address(y.below), address(y.trial[1]), address(y.products)
     for k in range(last - 1, first - 1, -1):
         begin(W, h, j, k, y, out)
-        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.multipliers[k]), found)
+        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.multipliers[k]), products)
         if ended != DONE:
             return k + 1, ended
         finish(c, W, h, b, x, k, y, out)

@@ -22,7 +22,8 @@ from numba import carray, typeof
 
 from polyida.adjoint import products
 from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch
-from polyida.adjoint.tables import AdjointTable
+from polyida.adjoint.relaxation import eliminate_transposed, recover_transposed
+from polyida.adjoint.run import AdjointTable
 from polyida.assembly import corotated, joints, stabilised_border
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import Laws
@@ -34,7 +35,7 @@ from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import magnitude
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
-from polyida.system import ADJOINT, ENTRIES, c_address
+from polyida.system import ADJOINT
 from polyida.system import scene as forward
 
 # constants of compiled code
@@ -45,6 +46,7 @@ ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
 NEGLIGIBLE = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which the factor solves, ends at 1e-38
 EXACT = 1e-11  # of |w|: refinement leaves no less
+OF_MU = 100.0  # accepted relative error of mu over that of w: mu has the error of w times M / h^2
 MAX_CORRECTIONS = 60  # corrections of a step with one factor
 OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and above which one that was made for the step does not serve
 
@@ -53,7 +55,7 @@ OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and abov
 class Mode(NamedTuple):
     """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch: r, dw (nodes, 2), rows, multipliers (1 or 2, m).
 
-    massive, before, border: the factor with the columns of `c M + C`, the workspaces of the border forward and backward; None without mu.
+    mass_columns, before, border: the factor with the columns of `c M + C`, the workspaces of the border forward and backward; None without mu.
     """
 
     c: np.ndarray
@@ -61,7 +63,7 @@ class Mode(NamedTuple):
     column: np.ndarray
     factored: corotated.Corotated
     workspace: corotated.SolveWorkspace
-    massive: corotated.Corotated | None
+    mass_columns: corotated.Corotated | None
     before: StabilisedWorkspace | None
     border: StabilisedWorkspace | None
     r: np.ndarray
@@ -152,20 +154,20 @@ def prepare_mode(w, mode, i):
     """The frames of a mode's factor, and its border, at stage i."""
     if mode is not None:
         corotated.turn_frames(w.scene.links, mode.factored, mode.workspace, stage(w, i).rotation)
-        fill_border(w, mode, mode.massive, mode.before, mode.border, w.tied, i)
+        fill_border(w, mode, mode.mass_columns, mode.before, mode.border, w.tied, i)
 
 
 @part
-def fill_border(w, mode, massive, before, border, tied, i):
-    """Fill the border of a mode: with the rates of the rows if there is mu (massive is not None)."""
+def fill_border(w, mode, mass_columns, before, border, tied, i):
+    """Fill the border of a mode: with the rates of the rows if there is mu (mass_columns is not None)."""
     s, c, workspace = w.scene.links, mode.factored, mode.workspace
-    if massive is None:
+    if mass_columns is None:
         corotated.points_matrix(s, c, workspace, c.border, workspace.border.blocks, 0)
         fill(w, mode, i, workspace.border.slopes, workspace.border.curvature)
         return
     y, z = before.workspace, border.workspace
     corotated.points_matrix(s, c, workspace, before.border, y.blocks, 0)
-    corotated.points_matrix(s, massive, workspace, before.border, y.blocks, 1)
+    corotated.points_matrix(s, mass_columns, workspace, before.border, y.blocks, 1)
     stabilised_border.add_masses(s, before.border, mode.c[1], y.blocks)
     stabilised_border.transpose_blocks(border.border, y.blocks, z.blocks)
     fill(w, mode, i, z.slopes, z.curvature)
@@ -183,12 +185,13 @@ def fill(w, mode, i, slopes, curvature):
                 curvature[e, j, o] = x.curvature[mirror[e], o, j]
                 if x.slack.shape[0]:
                     curvature[e, j, o] += mode.c[1] * x.slack[mirror[e], o, j]
+    corotated.condense_states(w.scene.links.coupling, mode.factored, curvature)
     corotated.add_masses(w.scene.links, mode.c[0], curvature)
 
 
 @part
-def correct(w, mode):
-    """A mode's correction of w and of the multipliers for the residual: the sum of |S^-1 r|, or -1 if the border is singular."""
+def correct(w, mode, u):
+    """A mode's correction of w and of the multipliers for the residual: the sum of |S^-1 r|, or -1 if the border is singular. u: in the middle."""
     if mode is None:
         return 0.0
     r, dw, rows, size, unconstrained = mode.r, mode.dw, mode.rows, LEAST, 0.0
@@ -205,29 +208,37 @@ def correct(w, mode):
                 rows[f, e] += mode.column[i] * w.rows[f, i, e]
     for a in range(r.shape[0]):
         r[a, 0], r[a, 1] = r[a, 0] / size, r[a, 1] / size
+    eliminate_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r)
     corotated.solve_turned(mode.factored, mode.workspace, r, dw)
+    recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r, dw)
     for a in range(r.shape[0]):
         for e in range(2):
             r[a, e], dw[a, e] = -size * r[a, e], -size * dw[a, e]
             unconstrained += magnitude(dw[a, e])
-    return unconstrained if close(w, mode, mode.massive, mode.before, mode.border) else -1.0
+    regular = solve_border(w, mode, mode.mass_columns, mode.before, mode.border)
+    recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r, dw)
+    return unconstrained if regular else -1.0
 
 
 @part
-def close(w, mode, massive, before, border):
+def solve_border(w, mode, mass_columns, before, border):
     """The multipliers of a mode, and the effect of their forces on dw. False if the border is singular."""
     s, c, workspace = w.scene.links, mode.factored, mode.workspace
-    if massive is None:
-        if not workspace.border.x.shape[0]:
+    if mass_columns is None:
+        if not workspace.spin.shape[0]:
             return True
         joints.point_values(s, mode.dw, workspace.moved)
-        if not corotated.close(s, c, workspace, mode.rows[MU], mode.multipliers[MU]):
+        if not corotated.solve_multipliers(s, c, workspace, mode.rows[MU], mode.multipliers[MU]):
             return False
-    elif not stabilised_border.transposed(
-        s, c, massive, workspace, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers
+        corotated.apply_point_forces(s, c, workspace, mode.dw)
+        corotated.settle_states(s, c, workspace.border.curvature, workspace.moved, mode.dw)
+        return True
+    if not stabilised_border.transposed(
+        s, c, mass_columns, workspace, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers
     ):
         return False
     corotated.apply_point_forces(s, c, workspace, mode.dw)
+    corotated.settle_states(s, c, border.workspace.curvature, border.displacements, mode.dw)
     return True
 
 
@@ -299,7 +310,7 @@ def multiply(w, k, now, multipliers, bar, anew):
 
 
 @fast
-def take_residuals(w, right, below):
+def set_residuals(w, right, below):
     """r (s, nodes, 2) and rows = residuals of the equations, rotated to the middle stage."""
     stages = w.r.shape[0]
     for i in range(stages):
@@ -326,8 +337,8 @@ def take_residuals(w, right, below):
 
 @fast
 def add_correction(w, now, multipliers):
-    """w += dw, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow."""
-    moved = size = 0.0
+    """w += dw, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow, and of |dmu| and |mu|."""
+    moved = size = mu_moved = mu_size = 0.0
     for i in range(now.shape[0]):
         for a in range(now.shape[1]):
             p, q = w.dw[i, a, 0], w.dw[i, a, 1]
@@ -342,28 +353,35 @@ def add_correction(w, now, multipliers):
         for i in range(multipliers.shape[1]):
             for e in range(multipliers.shape[2]):
                 multipliers[f, i, e] += w.change[f, i, e]
-    return moved, size
+                if f == MU:
+                    mu_moved += abs(w.change[f, i, e])
+                    mu_size += abs(multipliers[f, i, e])
+    return moved, size, mu_moved, mu_size
 
 
 @part
-def convergence(w, moved, size, last, iteration):
-    """(True if the error after a correction by `moved` following one by `last` is small enough or round-off, True if it will not become so)."""
+def convergence(w, moved, size, mu_moved, mu_size, last, iteration):
+    """(True if the error after a correction by `moved` following one by `last` is small enough or round-off, True if it will not become so).
+
+    The error of mu is that of w times M / h^2, and an error of the bars of the state before: it is estimated by its own last correction.
+    """
     marks, measured = w.marks, last > 0.0
     rate = marks[CONTRACTION]
     if measured:
         rate = moved / last
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
     slow = measured and not rate <= marks[SLOWEST]
-    small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= w.enough * size
+    factor = rate / (1.0 - rate) if rate < 1.0 and (measured or marks[AGE] < FRESHEN) else np.inf
+    small = moved * factor <= w.enough * size and mu_moved * factor <= OF_MU * w.enough * mu_size
     return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * marks[LARGEST], slow
 
 
 @entry
-def solve(w, k, right, below, bar, now, multipliers, found):
+def solve(w, k, right, below, bar, now, multipliers, out):
     """Solve step k by refinement. Returns a status."""
     (kinds, stages, m), (_, nodes, _), last = w.rows.shape, w.r.shape, 0.0
     middle, shape = stages // 2, (stages, nodes, 2)
-    given, bar, wanted = carray(pointer(right), shape), carray(pointer(bar), (nodes, 2)), carray(pointer(below), (stages, m))
+    right_r, bar, right_rows = carray(pointer(right), shape), carray(pointer(bar), (nodes, 2)), carray(pointer(below), (stages, m))
     now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), (kinds, stages, m))
     for i in range(stages):
         x, drives, speed = stage(w, i), w.drives[k, i], pairs(w, w.v[k, i])
@@ -380,8 +398,8 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     prepare_mode(w, w.real, middle)
     prepare_mode(w, w.pair, middle)
     for iteration in range(MAX_CORRECTIONS):
-        take_residuals(w, given, wanted)
-        unconstrained, other = correct(w, w.real), correct(w, w.pair)
+        set_residuals(w, right_r, right_rows)
+        unconstrained, other = correct(w, w.real, pairs(w, w.q[k, middle])), correct(w, w.pair, pairs(w, w.q[k, middle]))
         if unconstrained < 0.0 or other < 0.0:
             return SINGULAR
         w.dw[:], w.change[:] = 0.0, 0.0
@@ -389,18 +407,18 @@ def solve(w, k, right, below, bar, now, multipliers, found):
         add_change(w, w.pair, 2.0)
         w.marks[LARGEST] = max(w.marks[LARGEST], unconstrained + other)
         w.marks[SOLVES] += 1.0
-        moved, size = add_correction(w, now, multipliers)
+        moved, size, mu_moved, mu_size = add_correction(w, now, multipliers)
         multiply(w, k, now, multipliers, bar, False)
-        small, hopeless = convergence(w, moved, size, last, iteration)
+        small, hopeless = convergence(w, moved, size, mu_moved, mu_size, last, iteration)
         if small:
-            out = carray(pointer(found), (3, stages, nodes, 2))
+            stage_products = carray(pointer(out), (3, stages, nodes, 2))
             for i in range(stages):
                 x = stage(w, i)
-                out[0, i], out[2, i] = x.stiff, x.heavy
+                stage_products[0, i], stage_products[2, i] = x.stiff, x.heavy
                 if x.slowing.shape[0]:
-                    out[1, i] = x.slowing
+                    stage_products[1, i] = x.slowing
                 else:
-                    out[1, i] = 0.0
+                    stage_products[1, i] = 0.0
             w.marks[AGE] += 1.0
             w.marks[SLOWEST] = OLD
             return DONE
@@ -422,9 +440,8 @@ class SceneAdjoint(AdjointTable):
     def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False):
         self.model, self.modes, self.factor, self.counts, self.tied, self.h = model, modes, factor, counts, tied, 1.0
         self.factors, self.factor_cache = (np.array(to_v, float), np.array(to_a, float)), FactorCache()
-        self.functions = np.zeros(ENTRIES, np.int64)
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
-        self.helpers = Helpers(threads() if s == 1 and model.n >= forward.SHARED else 1)
+        self.helpers = Helpers(threads()) if s == 1 and model.n >= forward.SHARED and threads() > 1 else None
         scratches = [scratch(model, tied) for _ in range(s)]
         self.w: dict[str, Any] = {
             "scene": arrays_of(model),
@@ -456,7 +473,7 @@ class SceneAdjoint(AdjointTable):
         self.h = h
         self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
 
-    def take(self, t, q, v, a, lam, mu=None):
+    def set_states(self, t, q, v, a, lam, mu=None):
         """Set the states of the stages of some steps, (count, s, .) each, or (count, .) for one stage."""
         count, s = len(t), len(self.factors[0])
         self.states = [np.ascontiguousarray(x, float).reshape(count, s, *np.shape(x)[np.ndim(t) :]) for x in (t, q, v, a, lam)]
@@ -466,27 +483,27 @@ class SceneAdjoint(AdjointTable):
 
     def refresh(self, k):
         key = f"{self.h:.9e}"
-        found = self.factor_cache.take(key)
-        if found is not None:
-            self.w |= found
+        entries = self.factor_cache.get(key)
+        if entries is not None:
+            self.w |= entries
             self.w["marks"][SLOWEST] = OLD
             return False
         middle = len(self.factors[0]) // 2
-        made = self.factor(*(x[k, middle].copy() for x in self.states), [(c_m / self.h**2, c_v / self.h) for c_m, c_v, *_ in self.modes])
-        self.counts.factorizations += len(made)
-        found = {"real": None, "pair": None}
-        for (c_m, c_v, row, column), parts in zip(self.modes, made):
-            found["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
-        self.factor_cache.keep(key, found)
-        self.w |= found
+        factors = self.factor(*(x[k, middle].copy() for x in self.states), [(c_m / self.h**2, c_v / self.h) for c_m, c_v, *_ in self.modes])
+        self.counts.factorizations += len(factors)
+        entries = {"real": None, "pair": None}
+        for (c_m, c_v, row, column), parts in zip(self.modes, factors):
+            entries["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
+        self.factor_cache.keep(key, entries)
+        self.w |= entries
         self.w["marks"][[CONTRACTION, AGE, SLOWEST]] = 1.0, FRESHEN, FRESH
         return True
 
-    def _mode(self, c, row, column, factored, workspace, massive=None, before=None):
+    def _mode(self, c, row, column, factored, workspace, mass_columns=None, before=None):
         kind, nodes, rows = np.asarray(row).dtype, (self.model.n_nodes, 2), (1 + self.tied, self.model.m)
         border = stabilised_border.stabilised_workspace(self.model, kind, transposed=True) if self.tied else None
         scratch = np.zeros(nodes, kind), np.zeros(nodes, kind), np.zeros(rows, kind), np.zeros(rows, kind)
-        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, massive, before, border, *scratch)
+        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, mass_columns, before, border, *scratch)
 
     def drop(self):
         self.factor_cache.factors.pop(f"{self.h:.9e}", None)
@@ -496,8 +513,8 @@ class SceneAdjoint(AdjointTable):
         """(addresses of the functions, address of the workspace)."""
         marks, real = self.w["marks"], self.w["real"]
         marks[SOLVES] = 0.0
-        with self.helpers.at_work(real.factored, real.workspace) if real else nullcontext() as workspace:
+        own = real and real.workspace
+        with self.helpers.at_work(real.factored, own) if real and self.helpers else nullcontext(own) as workspace:
             work = SceneAdjointWork(**self.w | ({"real": real._replace(workspace=workspace)} if real else {}))
-            self.functions[ADJOINT] = c_address(solve, typeof(work))
-            yield self.functions, work.address
+            yield forward.addresses(typeof(work), ((ADJOINT, solve),)), work.address
         self.counts.solves += int(marks[SOLVES]) * len(self.modes)

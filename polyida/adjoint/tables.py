@@ -1,63 +1,23 @@
 """Tables for the backward sweeps: C functions that solve the adjoint of one step, of any model by generalized-alpha and of a small one."""
 
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
 from numba import carray, typeof
 
+from polyida.adjoint.run import AdjointTable
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear import dense as compiled_lu
-from polyida.linear.lu import LU, SingularSystem, dense
+from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
 from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import dense as small
 from polyida.system.python import PythonTable
 
 ROUNDS = 8  # solves, at most, for what eta turns with q
-
-
-class AdjointTable:
-    """Interface of the tables of a backward sweep, with defaults for a table without a stored factor.
-
-    kappa, slips: of the stabilised form, set by PythonAdjoint only.
-    """
-
-    kappa = slips = None
-
-    def refresh(self, k):
-        """Make sure that there is a factor; True if it was made for state k. Raises SingularSystem."""
-        return True
-
-    def drop(self):
-        """Delete the factor: it is too old."""
-
-    def raise_left(self):
-        """Raise the stored exception of a Python function."""
-
-
-def sweep_with_fallback(table, exact, count, steps):
-    """Sweep backward over `count` steps with a table; a step that does not converge is solved by the table of `exact()`.
-
-    steps: function (addresses, workspace, first, last) -> (the first step that is done, status of the one before).
-    """
-    done = count
-    while done:
-        last, ended, fresh = done, SINGULAR, True
-        with suppress(SingularSystem):
-            fresh = table.refresh(done - 1)
-            with table.at_work() as at:
-                done, ended = steps(*at, 0, done)
-            table.raise_left()
-        if ended != DONE:
-            if fresh and done == last:
-                other = exact()
-                with other.at_work() as at:
-                    done, _ = steps(*at, done - 1, done)
-                other.raise_left()
-            table.drop()
 
 
 class PythonAdjoint(PythonTable, AdjointTable):
@@ -76,7 +36,7 @@ class PythonAdjoint(PythonTable, AdjointTable):
     def _fill(self):
         self.functions[ADJOINT] = self._address(self._solve)
 
-    def take(self, t, q, v, a, lam, slips=None):
+    def set_states(self, t, q, v, a, lam, slips=None):
         """Set the states at the ends of some steps; slips (count, n): of the stabilised form, the part of q from eta."""
         self.states = t, q, v, a, lam
         if self.stabilised:
@@ -87,20 +47,20 @@ class PythonAdjoint(PythonTable, AdjointTable):
         """(addresses of the functions, address of the workspace)."""
         yield self.functions, 0
 
-    def _solve(self, k, right, below, bar, w, mu, found):
+    def _solve(self, k, right, below, bar, w, mu, out):
         n, m, saddle = self.model.n, self.model.m, self.saddle
-        w, mu, found = self._array(w, n), self._array(mu, m), self._array(found, 3 * n).reshape(3, n)
+        w, mu, out = self._array(w, n), self._array(mu, m), self._array(out, 3 * n).reshape(3, n)
         right, below = self._array(right, n).copy(), self._array(below, m).copy()
         saddle.at(*(x[k] for x in self.states))
         damped = lambda: 0.0 if saddle.C is None else saddle.C.T @ w  # noqa: E731
         if self.stabilised:
-            w[:], mu[:], found[0], kappa, more = self._stabilised(k, right, below, self._array(bar, n).copy())
-            self.kappa[k], found[1] = kappa, damped() + saddle.B.T @ kappa
+            w[:], mu[:], out[0], kappa, more = self._stabilised(k, right, below, self._array(bar, n).copy())
+            self.kappa[k], out[1] = kappa, damped() + saddle.B.T @ kappa
             for part, value in zip(self.slips, more):
                 part[k] = value
         else:
             w[:], mu[:] = saddle.solve(right, below, transposed=True)
-            found[0], found[1] = saddle.K.T @ w + saddle.B.T @ mu, damped()
+            out[0], out[1] = saddle.K.T @ w + saddle.B.T @ mu, damped()
 
     def _stabilised(self, k, right, below, bar):
         """(w, mu, loss of y beside bar, kappa, (y', slip, eta)).
@@ -176,7 +136,7 @@ def evaluate(w, k, i):
     d.t[small.INNER] = d.t[small.END] = w.t[k, i]
     d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k, i], w.v[k, i], w.a[k, i], w.lam[k, i], 0.0, DONE
     if d.functions[small.TANGENT]:
-        small.ask(d, small.TANGENT, small.INNER, d.S)
+        small.evaluate(d, small.TANGENT, small.INNER, d.S)
     else:
         small.add_slopes(d)
     w.K[i] = d.S
@@ -185,12 +145,12 @@ def evaluate(w, k, i):
         small.add_slope(d, small.FORCE_V, small.FORCE, d.v, 1.0)
         w.C[i] = d.S
     if d.flags[small.MASS_VARIES]:
-        small.ask(d, small.MASS, small.INNER, d.M)
+        small.evaluate(d, small.MASS, small.INNER, d.M)
     w.M[i] = d.M
-    if w.mu.shape[2] and d.flags[small.BENT]:
+    if w.mu.shape[2] and d.flags[small.ROWS_VARY]:
         bend(w, d, w.mu[k, i], w.H[i], w.T[i])
-    if d.lam.shape[0] and d.flags[small.BENT]:
-        small.ask(d, small.PHI_Q, small.INNER, d.B)
+    if d.lam.shape[0] and d.flags[small.ROWS_VARY]:
+        small.evaluate(d, small.PHI_Q, small.INNER, d.B)
     w.B[i] = d.B
     return d.flags[small.ENDED]
 
@@ -204,9 +164,9 @@ def bend(w, d, mu, H, T):
         step = small.REACH * max(1.0, abs(at))
         for e in range(4):
             d.q[j], weight = at + (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
-            small.ask(d, small.PHI_Q, small.INNER, d.B)
+            small.evaluate(d, small.PHI_Q, small.INNER, d.B)
             if d.flags[small.DRIVEN]:
-                small.ask(d, small.PHI_T, small.INNER, d.phi_t)
+                small.evaluate(d, small.PHI_T, small.INNER, d.phi_t)
             for k in range(mu.shape[0]):
                 H[k, j] += weight * d.phi_t[k]
                 for i in range(d.q.shape[0]):
@@ -257,7 +217,7 @@ def assemble(w, size, unit):
 
 
 @entry
-def solve(w, k, right, below, bar, now, multipliers, found):
+def solve(w, k, right, below, bar, now, multipliers, out):
     """Solve step k. Returns a status."""
     (s, m, n), kinds = w.B.shape, 1 + (w.mu.shape[2] > 0)
     for i in range(s):
@@ -271,7 +231,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     assemble(w, size, unit)
     if not compiled_lu.factor(w.matrix, w.pivots):
         return SINGULAR
-    x, given = w.x, small.vector(bar, n)
+    x, bars = w.x, small.vector(bar, n)
     compiled_lu.put(1.0, small.vector(right, s * n), x)
     compiled_lu.put(size, small.vector(below, s * m), x[s * n :])
     for e in range((kinds - 1) * s * m):
@@ -279,14 +239,14 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     if kinds == 2:
         for p in range(n):
             for o in range(n):
-                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * given[o]
+                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * bars[o]
         for e in range(m):
             for p in range(n):
-                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * given[p] / unit
+                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * bars[p] / unit
     compiled_lu.solve(w.matrix, w.pivots, x)
     if not small.finite(x):
         return NOT_FINITE
-    shape = carray(pointer(now), (s, n)), carray(pointer(multipliers), (kinds, s, m)), carray(pointer(found), (3, s, n))
+    shape = carray(pointer(now), (s, n)), carray(pointer(multipliers), (kinds, s, m)), carray(pointer(out), (3, s, n))
     for i in range(s):
         for p in range(n):
             shape[0][i, p] = x[i * n + p] / size
@@ -294,15 +254,15 @@ def solve(w, k, right, below, bar, now, multipliers, found):
             shape[1][0, i, e] = x[s * n + i * m + e]
             if kinds == 2:
                 shape[1][1, i, e] = unit * x[s * (n + m) + i * m + e]
-    products(w, shape[0], shape[1], given, shape[2])
+    products(w, shape[0], shape[1], bars, shape[2])
     w.solved[0] += 1
     return DONE
 
 
 @part
-def products(w, now, multipliers, bar, found):
+def products(w, now, multipliers, bar, out):
     """Products of the multipliers with the matrices: their parts of q*, v* and a*."""
-    (s, m, n), stiff, damped, heavy = w.B.shape, found[0], found[1], found[2]
+    (s, m, n), stiff, damped, heavy = w.B.shape, out[0], out[1], out[2]
     for i in range(s):
         for p in range(n):
             stiff[i, p] = damped[i, p] = heavy[i, p] = 0.0
@@ -345,7 +305,7 @@ class DenseAdjoint(AdjointTable):
             "x": np.zeros(size),
             "solved": np.zeros(1, np.int64),
         }
-        self.raise_left = table.raise_left
+        self.raise_error = table.raise_error
 
         self.scale(1.0)
 
@@ -353,12 +313,12 @@ class DenseAdjoint(AdjointTable):
         """Set the step h; to_v and to_a were given for h = 1."""
         self.w |= {"to_v": self.factors[0] / h, "to_a": self.factors[1] / h**2}
 
-    def take(self, t, q, v, a, lam, mu=None):
+    def set_states(self, t, q, v, a, lam, mu=None):
         """Set the states of the stages of some steps, (count, s, .) each, or (count, .) for one stage."""
-        given = {"t": t, "q": q, "v": v, "a": a, "lam": lam, "mu": np.zeros((*np.shape(t), 0)) if mu is None else mu}
+        arrays = {"t": t, "q": q, "v": v, "a": a, "lam": lam, "mu": np.zeros((*np.shape(t), 0)) if mu is None else mu}
         s = len(self.factors[0])
-        self.w |= {k: np.ascontiguousarray(x, float).reshape(len(t), s, *([] if k == "t" else np.shape(x)[-1:])) for k, x in given.items()}
-        self.table.hold_constant(float(self.w["t"][0, 0]), self.w["q"][0, 0])
+        self.w |= {k: np.ascontiguousarray(x, float).reshape(len(t), s, *([] if k == "t" else np.shape(x)[-1:])) for k, x in arrays.items()}
+        self.table.evaluate_constants(float(self.w["t"][0, 0]), self.w["q"][0, 0])
 
     @contextmanager
     def at_work(self):

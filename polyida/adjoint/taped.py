@@ -7,8 +7,7 @@ multipliers of r, phi, its rate and its bias in each state (AdjointMultipliers).
 import numpy as np
 
 from polyida.adjoint.parameter import AdjointMultipliers
-from polyida.integrate.alpha.start import resolution
-from polyida.integrate.start import start_values, velocity_rate
+from polyida.integrate.start import resolution, start_values, velocity_rate
 from polyida.integrate.state import Counts
 from polyida.linear.saddle import ExactSaddle
 from polyida.model.differences import along, central
@@ -96,8 +95,12 @@ class TapedModel:
 
     def __init__(self, model, tape):
         self.model, self.tape, self.entries = model, tape, []
-        self.n, self.m, self.needs, self.kinks = model.n, model.m, model.needs, model.kinks
+        self.n, self.m, self.needs, self.kinks, self.velocity_rows = model.n, model.m, model.needs, model.kinks, model.velocity_rows
         self._none = np.zeros(self.n), np.zeros(self.m)
+
+    def sampled(self, t, q, v):
+        """v: a model with controllers has no gradient."""
+        return v
 
     def add_entry(self, t, q, v=None, a=None, lam=None, w=None, **more):
         """Add multipliers for the parameters' slopes."""

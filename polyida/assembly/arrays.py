@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.compact import Compact
-from polyida.jit import pack
+from polyida.jit import leaf, pack
 
 
 @pack
@@ -52,6 +52,7 @@ class Coupling(NamedTuple):
     products: np.ndarray  # block (E, F) of each product whose vectors both have points, in the order of `joint_curvature`
     laws: np.ndarray  # blocks of the sides of each force element, row by row; -1 for a side on the ground
     law_start: np.ndarray
+    states: np.ndarray  # points that are states; in the rows of a force element's states these columns are the last ones
 
 
 @pack
@@ -70,11 +71,14 @@ class Links(NamedTuple):
     shift_row: np.ndarray  # shifts: factor times drive, added to a row
     shift_drive: np.ndarray
     shift_factor: np.ndarray
+    shift_order: np.ndarray  # derivative of the drive in the rate of the row: 1, or 0 in velocity rows
     product_row: np.ndarray  # products R(theta) E . F
     product_first: np.ndarray  # vector E
     product_second: np.ndarray  # vector F
     product_drive: np.ndarray  # drive of theta; -1 without
     product_one_way: np.ndarray  # True if one of two positions half a turn apart is wrong
+    product_rate: np.ndarray  # True in velocity rows: R(theta) E . F'
+    velocity_rows: np.ndarray  # numbers of the velocity rows among the rows of phi
     vector_rest: np.ndarray  # (vectors, 2) value at rest
     vector_start: np.ndarray  # starts of the vectors in vector_points and vector_weights
     vector_points: np.ndarray
@@ -83,12 +87,27 @@ class Links(NamedTuple):
 
 
 @pack
+class Relaxation(NamedTuple):
+    """The relaxed strains of viscoelastic plates, as velocities of the last pairs of q (relaxation.py). Bodies: full plates, then those of few
+    coordinates."""
+
+    first: int  # their first pair
+    start: np.ndarray  # (bodies + 1,) of each body's numbers behind it, term after term: three of each weight, or as many as y has
+    terms: np.ndarray  # (bodies + 1,) starts in share and time
+    share: np.ndarray  # g
+    time: np.ndarray  # tau, s
+    mass: float
+    unit: float  # strain of a unit velocity, s/m
+
+
+@pack
 class SceneArrays(NamedTuple):
-    """A scene: its plates, the points and rows of its joints, and its bodies of few coordinates."""
+    """A scene: its plates, the points and rows of its joints, its bodies of few coordinates, and its relaxed strains or None."""
 
     plates: Plates
     links: Links
     compact: Compact
+    relaxation: Relaxation | None = None
 
 
 def concatenated(arrays, dtype, tail=()):
@@ -100,3 +119,10 @@ def concatenated(arrays, dtype, tail=()):
 def starts(lists):
     """Starts of the lists when concatenated, (lists + 1,) int64."""
     return np.cumsum([0, *map(len, lists)], dtype=np.int64)
+
+
+@leaf
+def cells(s, o):
+    """The first arguments of kernels over the cells of operator o: layout, corners, gradients, weights."""
+    p, e = s.at[o], s.at[o + 1]
+    return s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]], s.weights[p[3] : e[3]]

@@ -1,14 +1,17 @@
-"""The systems by which joints act: unknowns at the points of bodies, coupled body by body, solved by one elimination along the graph.
+"""Sparse solution of the constraint systems of scenes: unknown forces at points of the bodies.
 
-An unknown x_j pulls at components of points, s = E x, its body answers with A dq = -G s, G one matrix a body, and each equation looks at
-components of points: `(I_w + F G E) x = right`. Unknowns are the forces w on the active components (those of the coupling; I_w is the unit
-matrix on them, and rows of F those of the curvature), lam of the rows of phi, and mu of their rates.
+The unknowns x are multipliers and forces on components of points. They cause the forces E x. Each body has a compliance matrix G and moves by
+-G E x at its points. The equations measure these displacements by F: `(I_w + F G E) x = right`. The elimination follows the graph of the bodies.
 
-    E   of w: a unit; of lam: its row of Bz = phi_z; of mu: the same in a second layer of components
-    F   of w: a row of C; of lam: its row of Bz; of mu: its row of Hz, and that of Bz in the second layer
+| unknown | column of E | row of F |
+|---|---|---|
+| w, forces on active components | a unit vector | a row of C, the curvature of the rows of phi and the slopes of force elements |
+| lam, multipliers of phi | a row of Bz = phi_z | the same row of Bz |
+| mu, multipliers of the rate of phi | a row of Bz, in the second layer | a row of Hz, and a row of Bz in the second layer |
 
-In the second layer a body's matrix is ((G, H), (0, -A A^T)). Every number of E and F has a slot: Bz, then 1, C, and Hz. In the transposed
-system Hz belongs to E, and the second layer comes first: ((-A A^T, H^T), (0, G)).
+I_w is the unit matrix on w. With mu each component of a point exists twice, in two layers; the matrix of a body is ((G, H), (0, -A A^T)). The
+transposed system has Hz in E and the layers in reverse order: ((-A A^T, H^T), (0, G)). All numbers of E and F are in one array: Bz, 1, C, Hz.
+Their indices are called slots.
 """
 
 from typing import NamedTuple
@@ -21,19 +24,18 @@ from polyida.linear.dense import magnitude, put, solve_small
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
 from polyida.validation import on_pairs
 
-ACCURATE = (
-    1e-10  # of the sum of an equation's terms: 1e-13 is what elimination leaves of 200 windows of a ladder, more where pivots are too small
-)
+ACCURATE = 1e-10  # residual of an equation over the sum of the sizes of its terms; elimination of a ladder of 200 windows leaves 1e-13
 
 
 @pack
 class Border(NamedTuple):
-    """The pattern. active: components of points with an unknown w. points: those of each body, from `point_start` on; block: where the
-    body's matrix begins, square, `layers` times 2 components a point wide.
+    """The pattern of a system.
 
-    rows, columns: the unknowns of the body's part of F and E from `row_start`, `column_start` on, and of each its components within the body
-    and slots, `*_entry` on; single: how many columns begin the body's part that are of the first layer alone. into: where the values of each
-    row and column are, from `into_start` on.
+    active: components with an unknown w. layers: 1, or 2 with mu. points: of body n from point_start[n] on. block: index at which the matrix of
+    each body begins; it is square, of 2 layers components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and
+    column_start[n] on; their entries begin at row_entry and column_entry and have components within the body and slots. first_layer: number of
+    the first columns of each body that act on the first layer only. into: where the values of each pair of row and column of a body are, from
+    into_start on.
     """
 
     elimination: Elimination
@@ -52,16 +54,18 @@ class Border(NamedTuple):
     column_entry: np.ndarray
     column_component: np.ndarray
     column_slot: np.ndarray
-    single: np.ndarray
+    first_layer: np.ndarray
     into_start: np.ndarray
     into: np.ndarray
 
 
 @pack
 class BorderWorkspace(NamedTuple):
-    """Numbers of a Border, float or complex: slots of E and F, the bodies' matrices, values of the elimination, right-hand side, unknowns;
-    scratch, vectors (3, .) and answers of a body, and of equations their left-hand sides and the sums of their terms. slopes, curvature, rates:
-    views of the slots of Bz, C and Hz.
+    """Values of a system, float or complex.
+
+    slots: numbers of E and F; slopes, curvature, rates: views of it, Bz, C and Hz. blocks: matrices of the bodies. matrix, values: of the
+    elimination, and its factors. right: right-hand side. x: unknowns. Scratch: row (columns,), responses (components, columns) of one body; left
+    and terms of each equation, its left-hand side and the sum of the sizes of its terms.
     """
 
     slots: np.ndarray
@@ -69,17 +73,18 @@ class BorderWorkspace(NamedTuple):
     curvature: np.ndarray
     rates: np.ndarray
     blocks: np.ndarray
+    matrix: np.ndarray
     values: np.ndarray
     right: np.ndarray
     x: np.ndarray
-    vectors: np.ndarray
-    answers: np.ndarray
+    row: np.ndarray
+    responses: np.ndarray
     left: np.ndarray
     terms: np.ndarray
 
 
 def border(model, active=True, rows=True, rates=False, transposed=False):
-    """The Border of a scene with unknowns w, lam and mu, or without; transposed: that of the backward sweep, with rates."""
+    """The Border of a scene. active, rows, rates: True for the unknowns w, lam, mu; transposed: True for the transposed system."""
     s, bodies = model.arrays.links, body_of_points(model)
     number, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
     points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
@@ -87,21 +92,22 @@ def border(model, active=True, rows=True, rates=False, transposed=False):
         local[group] = np.arange(len(group))
     layers, wide = 1 + rates, [2 * len(group) for group in points]
     coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
+    coupled[s.coupling.states] = False  # states are eliminated, see `condense_states`
     components = np.flatnonzero(np.repeat(coupled & active, 2))
     m, first, slots = len(s.row_constant) if rows else 0, len(components), len(s.row_columns)
-    pulls, looks = ([{} for _ in points] for _ in range(2))
+    forces, equations = ([{} for _ in points] for _ in range(2))
 
-    def note(table, unknown, component, slot, layer=0):
+    def add(table, unknown, component, slot, layer=0):
         body = number[component // 2]
         place = 2 * local[component // 2] + component % 2 + (layer != transposed) * wide[body]
         table[body].setdefault(unknown, []).append((place, slot))
 
     for unknown, component in enumerate(components.tolist()):
         point, axis = divmod(component, 2)
-        note(pulls, unknown, component, slots)
+        add(forces, unknown, component, slots)
         for block in range(s.coupling.start[point], s.coupling.start[point + 1]):
             for other in range(2):
-                note(looks, unknown, 2 * s.coupling.columns[block] + other, slots + 1 + 4 * block + 2 * axis + other)
+                add(equations, unknown, 2 * s.coupling.columns[block] + other, slots + 1 + 4 * block + 2 * axis + other)
     turning = np.zeros(len(s.row_columns), bool)  # entries of phi_z that vary with q and t
     for row, *vectors in zip(s.product_row, s.product_first, s.product_second):
         of_row = np.arange(s.row_start[row], s.row_start[row + 1])
@@ -113,13 +119,13 @@ def border(model, active=True, rows=True, rates=False, transposed=False):
         for k, e in entries:
             unknown, component = first + layer * m + k, s.row_columns[e]
             if s.row_slopes[e] != 0 or turning[e]:
-                note(pulls, unknown, component, e, layer)
-                note(looks, unknown, component, e, layer)
+                add(forces, unknown, component, e, layer)
+                add(equations, unknown, component, e, layer)
             if layer and turning[e]:
-                note(pulls if transposed else looks, unknown, component, behind + e)
-    groups = [sorted({*pull, *look}) for pull, look in zip(pulls, looks)]
+                add(forces if transposed else equations, unknown, component, behind + e)
+    groups = [sorted({*force, *equation}) for force, equation in zip(forces, equations)]
     order = elimination(first + layers * m, groups)
-    into = [_grid(order, list(look), list(pull)) for pull, look in zip(pulls, looks)]
+    into = [_grid(order, list(equation), list(force)) for force, equation in zip(forces, equations)]
     return Border(
         order,
         components,
@@ -127,16 +133,16 @@ def border(model, active=True, rows=True, rates=False, transposed=False):
         starts(points),
         np.concatenate([*points, np.zeros(0, np.int64)]).astype(np.int64),
         np.concatenate([[0], np.cumsum([(layers * size) ** 2 for size in wide])]).astype(np.int64),
-        *_listed(looks),
-        *_listed(pulls),
-        np.array([0 if transposed else sum(unknown < first + m for unknown in pull) for pull in pulls], np.int64),
+        *_listed(equations),
+        *_listed(forces),
+        np.array([0 if transposed else sum(unknown < first + m for unknown in force) for force in forces], np.int64),
         starts(into),
         np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
     )
 
 
 def _grid(order, rows, columns):
-    """Where the values of all pairs of rows and columns are."""
+    """Indices of the values of all pairs of rows and columns."""
     if not rows or not columns:
         return np.zeros(0, np.int64)
     rows, columns = np.meshgrid(rows, columns, indexing="ij")
@@ -144,7 +150,7 @@ def _grid(order, rows, columns):
 
 
 def _listed(tables):
-    """Unknowns, components and slots of bodies' tables, each with its starts."""
+    """Starts and unknowns of the tables of all bodies; starts, components and slots of their entries."""
     each = [entries for table in tables for entries in table.values()]
     flat = np.array([entry for entries in each for entry in entries], np.int64).reshape(-1, 2)
     unknowns = np.array([unknown for table in tables for unknown in table], np.int64)
@@ -152,13 +158,13 @@ def _listed(tables):
 
 
 def body_of_points(model):
-    """The number of the body that each point is on."""
+    """The number of the body of each point."""
     s = model.arrays.links
     return np.searchsorted(model.first_pairs, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
 
 
 def border_workspace(model, pattern, dtype=float):
-    """Numbers of a Border."""
+    """A BorderWorkspace of a Border."""
     s, count = model.arrays.links, len(pattern.elimination.diagonal)
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
     slots = np.zeros(first + blocks + len(s.row_columns), dtype)
@@ -170,10 +176,10 @@ def border_workspace(model, pattern, dtype=float):
         slots[first : first + blocks].reshape(-1, 2, 2),
         slots[first + blocks :],
         np.zeros(pattern.block[-1], dtype),
-        np.zeros(pattern.elimination.start[-1], dtype),
+        *np.zeros((2, pattern.elimination.start[-1]), dtype),
         np.zeros(count, dtype),
         np.zeros(count, dtype),
-        np.zeros((3, max(wide, columns)), dtype),
+        np.zeros(columns, dtype),
         np.zeros((wide, columns), dtype),
         np.zeros(count, dtype),
         np.zeros(count),
@@ -181,15 +187,15 @@ def border_workspace(model, pattern, dtype=float):
 
 
 def body_blocks(pattern, left, right):
-    """left right (points, points), complex and sparse, as it acts on pairs, body by body."""
+    """The product `left right` (points, points), complex and sparse, as real blocks of the bodies."""
     groups = np.split(pattern.points, pattern.point_start[1:-1])
     blocks = [on_pairs((left[group] @ right[:, group]).toarray()).ravel() for group in groups if len(group)]
     return np.concatenate([*blocks, np.zeros(0)])
 
 
 @part
-def look(b, w, moved, behind):
-    """right = F moved, moved (points, 2) the values of the components that come first, behind of the others, or (0, 2) if these are zero."""
+def measure(b, w, first, second):
+    """right = F u. u, (points, 2) in each layer: first and second; second is (0, 2) if it is zero."""
     for u in range(w.right.shape[0]):
         w.right[u] = 0.0
     for n in range(b.block.shape[0] - 1):
@@ -198,26 +204,33 @@ def look(b, w, moved, behind):
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 at = b.row_component[e]
                 if at < layer:
-                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * moved[b.points[b.point_start[n] + at // 2], at % 2]
-                elif behind.shape[0]:
+                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * first[b.points[b.point_start[n] + at // 2], at % 2]
+                elif second.shape[0]:
                     at -= layer
-                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * behind[b.points[b.point_start[n] + at // 2], at % 2]
+                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * second[b.points[b.point_start[n] + at // 2], at % 2]
 
 
 @part
 def solve_border(b, w):
-    """w.x from w.right, slots and blocks. False where the system is singular."""
+    """Solve for w.x, with w.right, w.slots and w.blocks. Returns False if the system is singular."""
+    return solve_in_order(b, w) or solve_pivoted(b, w)
+
+
+@part
+def solve_in_order(b, w):
+    """Solve for w.x by elimination in the fixed order. Returns False if the solution is not accurate."""
     assemble(b, w)
-    if eliminate(b.elimination, w.values, w.x):
-        solve(b.elimination, w.values, w.right, w.x)
-        if is_accurate(b, w):
-            return True
-    return solve_pivoted(b, w)
+    for i in range(w.values.shape[0]):
+        w.values[i] = w.matrix[i]
+    if not eliminate(b.elimination, w.values, w.x):
+        return False
+    solve(b.elimination, w.values, w.right, w.x)
+    return is_accurate(b.elimination, w)
 
 
 @part
 def solve_border_again(b, w):
-    """The same for another right-hand side; the elimination was accurate for the one before."""
+    """Solve for w.x with another w.right and the factors of `solve_border`."""
     solve(b.elimination, w.values, w.right, w.x)
     total = 0.0
     for u in range(w.x.shape[0]):
@@ -227,71 +240,63 @@ def solve_border_again(b, w):
 
 @part
 def assemble(b, w):
-    """w.values = I_w + F G E."""
-    w.values[:] = 0.0
-    row = w.vectors[0]
+    """Set w.matrix to I_w + F G E."""
+    for i in range(w.matrix.shape[0]):
+        w.matrix[i] = 0.0
+    row = w.row
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
         layer = width(b, n) // b.layers
-        answer(b, w, n, first, count)
-        for r in range(b.row_start[n], b.row_start[n + 1]):
+        respond(b, w, n, first, count)
+        for r in range(b.row_start[n], b.row_start[n + 1] if count else b.row_start[n]):
             for j in range(count):
                 row[j] = 0.0
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 value, at = w.slots[b.row_slot[e]], b.row_component[e]
-                for j in range(0 if at < layer else b.single[n], count):
-                    row[j] += value * w.answers[at, j]
+                for j in range(0 if at < layer else b.first_layer[n], count):
+                    row[j] += value * w.responses[at, j]
             at = b.into_start[n] + (r - b.row_start[n]) * count
             for j in range(count):
-                w.values[b.into[at + j]] += row[j]
+                w.matrix[b.into[at + j]] += row[j]
     for i in range(b.active.shape[0]):
-        w.values[b.elimination.diagonal[i]] += 1.0
+        w.matrix[b.elimination.diagonal[i]] += 1.0
 
 
 @part
 def width(b, n):
-    """Of the matrix of body n."""
+    """Number of rows of the matrix of body n."""
     return 2 * b.layers * (b.point_start[n + 1] - b.point_start[n])
 
 
 @part
-def answer(b, w, n, first, count):
-    """w.answers = G E of body n, by components and columns; nothing where a column of the first layer meets the second one."""
-    wide = width(b, n)
-    for p in range(wide):
-        line = b.block[n] + p * wide
-        for j in range(0 if p < wide // b.layers else b.single[n], count):
-            total = 0.0
-            for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
-                total += w.blocks[line + b.column_component[e]] * w.slots[b.column_slot[e]]
-            w.answers[p, j] = total
+def respond(b, w, n, first, count):
+    """Set w.responses to G E of body n, (components, columns). Entries of the second layer for columns of the first one are not set."""
+    wide, at = width(b, n), b.block[n]
+    for j in range(count):
+        end = wide if j >= b.first_layer[n] else wide // b.layers
+        for p in range(end):
+            w.responses[p, j] = 0.0
+        for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
+            value, place = w.slots[b.column_slot[e]], at + b.column_component[e]
+            for p in range(end):
+                w.responses[p, j] += w.blocks[place + p * wide] * value
 
 
 @part
-def is_accurate(b, w):
-    """Whether w.x solves the system to round-off, body by body; nan is not."""
+def is_accurate(e, w):
+    """True if w.x solves the system of w.matrix up to round-off. False for nan."""
     for u in range(w.x.shape[0]):
         w.left[u], w.terms[u] = 0.0, magnitude(w.right[u])
-    for i in range(b.active.shape[0]):
-        w.left[i] = w.x[i]
-        w.terms[i] += magnitude(w.x[i])
-    for n in range(b.block.shape[0] - 1):
-        wide, pull, moved, size = width(b, n), w.vectors[0], w.vectors[1], w.vectors[2]
-        for p in range(wide):
-            pull[p], moved[p], size[p] = 0.0, 0.0, 0.0
-        for c in range(b.column_start[n], b.column_start[n + 1]):
-            for e in range(b.column_entry[c], b.column_entry[c + 1]):
-                pull[b.column_component[e]] += w.slots[b.column_slot[e]] * w.x[b.columns[c]]
-        for p in range(wide):
-            for q in range(0 if p < wide // b.layers else wide // b.layers, wide):
-                value = w.blocks[b.block[n] + p * wide + q] * pull[q]
-                moved[p] += value
-                size[p] += magnitude(value)
-        for r in range(b.row_start[n], b.row_start[n + 1]):
-            u = b.rows[r]
-            for e in range(b.row_entry[r], b.row_entry[r + 1]):
-                w.left[u] += w.slots[b.row_slot[e]] * moved[b.row_component[e]]
-                w.terms[u] += magnitude(w.slots[b.row_slot[e]] * size[b.row_component[e]])
+    for f in range(e.size.shape[0]):
+        n, at, first = e.size[f], e.start[f], e.first[f]
+        for i in range(n):
+            left, terms = 0.0 * w.x[0], 0.0
+            for j in range(n if i < e.pivots[f] else e.pivots[f]):
+                value = w.matrix[at + i * n + j] * w.x[e.unknowns[first + j]]
+                left += value
+                terms += magnitude(value)
+            w.left[e.unknowns[first + i]] += left
+            w.terms[e.unknowns[first + i]] += terms
     good = True
     for u in range(w.x.shape[0]):
         good = good and magnitude(w.right[u] - w.left[u]) <= ACCURATE * w.terms[u]
@@ -300,11 +305,10 @@ def is_accurate(b, w):
 
 @part
 def solve_pivoted(b, w):
-    """The same by a dense elimination with pivoting. False where the system is singular."""
+    """Solve for w.x by a dense elimination with pivoting. Returns False if the system is singular."""
     count = w.x.shape[0]
-    assemble(b, w)
     matrix = np.empty((count, count), w.x.dtype)
-    expand(b.elimination, w.values, matrix)
+    expand(b.elimination, w.matrix, matrix)
     put(1.0, w.right, w.x)
-    w.values[:] = np.nan  # no factors are there for another right-hand side
+    w.values[:] = np.nan  # there are no factors for another right-hand side
     return solve_small(matrix, w.x)

@@ -5,54 +5,71 @@ from traceback import extract_tb
 
 import numpy as np
 
-from polyida.assembly.arrays import Coupling, Links, Plates, SceneArrays, concatenated, starts
+from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
 from polyida.assembly.compact import Compact
 from polyida.assembly.own_laws import laws_of
-from polyida.assembly.placement import PlacedBody, PlacedPlate, dead_loads, steady
+from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.element.elements import operator_of, stabilisation_factor
 from polyida.errors import InputError, LockingWarning
+from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.joint.attachment import Attachment, Ground
-from polyida.joint.formula import advice_on, in_words, rows_of
+from polyida.joint.formula import advice_on, in_words, with_laws
 from polyida.joint.joint import Joint
+from polyida.model import NONE
+from polyida.model.row_laws import RowLaw
 from polyida.validation import pairs_of
 
 ROUND = 1e-12  # of the scene's size: round-off of a formula at rest
 CLOSED = 1e-6  # of the scene's size: largest gap at rest between sides that meet
 SAME_PLACE = 1e-14  # relative difference of coordinates of points at one place
+TYPICAL_STRAIN = 1e-2  # its state has the typical speed of the scene
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells with full integration lock
 
 
 class RowTable:
-    """Collects the rows of phi. labels, units: of each row; rows: {name: slice of its rows}; joints: {name: joint or body}.
+    """Collects the rows of phi and the velocity rows. labels, units: of each row; rows: {name: slice of its rows}; joints: {name: joint or body}.
 
     points, drives: number the attachments and the profiles. size: of the scene, m. left_out: numbers, among all rows, of rows to omit.
+    laws: a RowLaw of each row with a law.
     """
 
     def __init__(self, points, drives, size, left_out=()):
         self._points, self._drives, self._size, self._left_out, self._count = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
-        self.labels, self.units, self.rows, self.joints = [], [], {}, {}
+        self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws = [], [], {}, {}, [], []
 
-    def add(self, name, part):
-        """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold at rest."""
+    def add(self, name, part, held=False):
+        """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold at rest and need to (held: False)."""
         first, rows = len(self.labels), given_rows(name, part)
+        if isinstance(part, Joint):
+            rows = rows + given_rows(name, part, "velocity_rows")
+            if not rows:
+                raise InputError(f"{name}: rows() of {type(part).__name__}: it must give a list of rows, at least one, or velocity_rows()")
+        numbers = {}
         for number, row in enumerate(rows):
             self._count += 1
             if self._count - 1 in self._left_out:
                 continue
-            if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
-                raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_how_to_close(part)}")
-            self._append(name, row)
+            at_rest = _at_rest(row)
+            if row.gap and not held and at_rest < -CLOSED * self._size:
+                raise InputError(f"{name}: its sides are {-at_rest:.3g} m within each other at rest; {_how_to_close(part)}")
+            if not (row.rate or row.driven or row.gap or held) and abs(at_rest) > CLOSED * self._size:
+                raise InputError(f"{name}: it does not hold at rest, phi = {at_rest:.3g}; {_how_to_close(part)}")
+            self._append(name, row, held)
+            numbers[number] = len(self.labels)
+            if row.law:
+                on = tuple(numbers[k] for k in row.law.on if k in numbers)
+                self.laws.append(RowLaw(numbers[number], name, row.law.restitution, row.law.mu, row.law.constant, on))
             self.labels.append(f"{name} {row.label or (number if len(rows) > 1 else '')}".rstrip())
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
 
-    def _append(self, name, row):
-        """Append a row. Round-off at rest is subtracted, so that phi starts at exactly zero."""
+    def _append(self, name, row, held):
+        """Append a row. Round-off at rest is subtracted, so that phi starts at exactly zero, unless it begins elsewhere (held: True)."""
         round_off = abs(_at_rest(row)) <= ROUND * self._size
         linear = [product for product in row.products if product.linear]
         slopes = {}
@@ -61,9 +78,14 @@ class RowTable:
                 for point, w in self._weights(one).items():
                     slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
-        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if round_off or not row.driven else 0.0))
+        if row.rate:
+            self._velocity_rows.append(number)
+            self._constants.append(row.constant)
+        else:
+            at_rest = _at_rest(row) if (round_off or not (row.driven or row.gap)) and not held else 0.0
+            self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - at_rest)
         self._slopes.append(slopes)
-        self._shifts += [(number, self._drives.add(profile, name), factor) for factor, profile in row.drives]
+        self._shifts += [(number, self._drives.add(profile, name), factor, 0 if row.rate else 1) for factor, profile in row.drives]
         for product in row.products:
             if not product.linear:
                 profile, vectors = product.rotated.profile, []
@@ -71,7 +93,7 @@ class RowTable:
                 for piece in (product.rotated, product.unrotated):
                     vectors.append(len(self._vectors))
                     self._vectors.append((piece.rest, self._weights(piece)))
-                self._products.append((number, *vectors, drive, product.one_way))
+                self._products.append((number, *vectors, drive, product.one_way, product.unrotated.rate))
 
     def _weights(self, piece):
         """{point: weight} of a piece of a formula."""
@@ -83,8 +105,8 @@ class RowTable:
 
     def arrays(self):
         """The fields of Links that describe the rows."""
-        row, first, second, drive, one_way = zip(*self._products) if self._products else [()] * 5
-        shifted, shift, factor = zip(*self._shifts) if self._shifts else [()] * 3
+        row, first, second, drive, one_way, rate = zip(*self._products) if self._products else [()] * 6
+        shifted, shift, factor, order = zip(*self._shifts) if self._shifts else [()] * 4
         points = [list(weights) for _, weights in self._vectors]
         touched = [dict.fromkeys(slopes) for slopes in self._slopes]  # the points of each row, in the order of its formula
         for number, one, other, *_ in self._products:
@@ -99,11 +121,14 @@ class RowTable:
             "shift_row": np.array(shifted, np.int64),
             "shift_drive": np.array(shift, np.int64),
             "shift_factor": np.array(factor, float),
+            "shift_order": np.array(order, np.int64),
             "product_row": np.array(row, np.int64),
             "product_first": np.array(first, np.int64),
             "product_second": np.array(second, np.int64),
             "product_drive": np.array(drive, np.int64),
             "product_one_way": np.array(one_way, np.bool_),
+            "product_rate": np.array(rate, np.bool_),
+            "velocity_rows": np.array(self._velocity_rows, np.int64),
             "vector_rest": pairs_of(np.array([value for value, _ in self._vectors], complex)),
             "vector_start": starts(points),
             "vector_points": np.array([p for row in points for p in row], np.int64),
@@ -122,7 +147,7 @@ class Points:
         """Number of the point ("point") or direction ("direction") of an attachment."""
         if id(attachment.body) not in self._places:
             raise InputError(f"a row of phi is made of {attachment.body.label}, which is not in the scene; add it with scene.add")
-        pairs, weights = self._places[id(attachment.body)].held(attachment, part)
+        pairs, weights = self._places[id(attachment.body)].pairs_and_weights(attachment, part)
         key = (pairs.tobytes(), weights.tobytes())
         if key not in self._numbers:
             self._numbers[key] = len(self.nodes)
@@ -148,29 +173,37 @@ class Drives:
         return len(self.profiles) - 1
 
 
-def given_rows(name, part):
-    """The list of Rows of a joint or body; a body may have none. Raises InputError, naming part and entry, for anything else."""
-    what = f"{name}: rows() of {type(part).__name__}"
+def given_rows(name, part, function="rows"):
+    """The list of Rows that a function of a joint or body returns. Raises InputError, naming part and entry, for anything else.
+
+    Rows of friction are velocity rows, and their laws have the numbers, in the list, of the rows that press.
+    """
+    what = f"{name}: {function}() of {type(part).__name__}"
     try:
-        rows = part.rows()
+        rows = getattr(part, function)()
         if not isinstance(rows, (list, tuple)):
             raise InputError(f"it must give a list of rows, not {in_words(rows)}")
-        found = list(rows_of(rows))
+        rows = with_laws(rows)
     except InputError as error:
         raise error if repr(name) in str(error) else InputError(f"{what}{_line(error)}: {error}") from error
     except Exception as error:
         raise InputError(f"{what} raised {type(error).__name__}{_line(error)}: {error}{advice_on(error)}") from error
-    if not found and isinstance(part, Joint):
-        raise InputError(f"{what}: it must give a list of rows, at least one")
-    for number, row in enumerate(found, 1):
+    for number, row in enumerate(rows, 1):
+        if row.rate is not (function == "velocity_rows") and not (row.law and row.rate):
+            wanted = (
+                "each product of a velocity row has one factor with .rate"
+                if function == "velocity_rows"
+                else "only velocity_rows() have .rate"
+            )
+            raise InputError(f"{what}: row {number} of {len(rows)}: {wanted}")
         if not np.isfinite(_at_rest(row)):
-            raise InputError(f"{what}: row {number} of {len(found)} is not finite at rest")
-    return found
+            raise InputError(f"{what}: row {number} of {len(rows)} is not finite at rest")
+    return rows
 
 
 def _line(error):
     """The line of rows() that raised an error, for messages."""
-    lines = [frame.line for frame in extract_tb(error.__traceback__) if frame.name == "rows" and frame.line]
+    lines = [frame.line for frame in extract_tb(error.__traceback__) if frame.name in ("rows", "velocity_rows") and frame.line]
     return f", in `{lines[-1]}`" if lines else ""
 
 
@@ -199,7 +232,7 @@ def of_kind(parts, *kinds):
     return {name: part for name, part in parts.items() if isinstance(part, kinds)}
 
 
-def sides_held(name, part):
+def attached_sides(name, part):
     """The attachments that a part holds on to."""
     if isinstance(part, ForceElement):
         sides = [side.at for side in sides_of(name, part)]
@@ -218,13 +251,36 @@ def place_bodies(parts):
             operators[key] = operator_of(plate)
         plates.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
         first = plates[-1].nodes.stop
-    sides = [side for name, part in parts.items() for side in sides_held(name, part)]
+    sides = [side for name, part in parts.items() for side in attached_sides(name, part)]
     for name, body in of_kind(parts, Body).items():
         few.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
         if body.plate is not None and few[-1].deforms:
             _warn_of_locking(name, body.plate)
         first = few[-1].pairs.stop
     return plates, few
+
+
+def place_states(parts, plates, few, speed, without_strains):
+    """({name: PlacedStates} of the force elements with states, behind the bodies, {name: PlacedStrains} of viscoelastic plates behind these).
+
+    without_strains: True if these count as elastic. For norms, the states of an element have the mean mass of a pair, all strains together
+    that of all bodies.
+    """
+    whole = sum(placed.whole_mass for placed in plates) + sum(
+        float(np.trace(placed.mass).real) for placed in few if placed.mass is not None
+    )
+    first = (*plates, *few)[-1].pairs.stop
+    mass, states, strains = whole / first or 1.0, {}, {}
+    for name, element in of_kind(parts, ForceElement).items():
+        if element.states or isinstance(element, Controller):
+            states[name] = PlacedStates(name, element, first, mass, speed)
+            first = states[name].pairs.stop
+    relaxing = [body for body in (*plates, *few) if body.prony and not without_strains]
+    pairs = sum(body.strains * len(body.prony) for body in relaxing) / 2
+    for body in relaxing:
+        strains[body.name] = PlacedStrains(body, first, whole / pairs, TYPICAL_STRAIN / speed)
+        first = strains[body.name].pairs.stop
+    return states, strains
 
 
 def _warn_of_locking(name, plate):
@@ -250,15 +306,16 @@ def extent_of(plates, few):
     return size if size > SAME_PLACE * (1.0 + np.abs(places).max(initial=0.0)) else 1.0
 
 
-def assemble(plates, few, places, parts, gravity, size, left_out=()):
+def assemble(plates, few, states, strains, places, parts, gravity, size, left_out=(), held=NONE):
     """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi with the numbers `left_out`.
 
-    gravity: two numbers or profiles, m/s^2.
+    states, strains: as of `place_states`. gravity: two numbers or profiles, m/s^2. held: {name: joint} of joints that need not hold at rest, in
+    the form in which they hold.
     """
     points, drives = Points(places), Drives()
     table = RowTable(points, drives, size, left_out)
     for name, joint in of_kind(parts, Joint).items():
-        table.add(name, joint.facing())
+        table.add(name, held[name], held=True) if name in held else table.add(name, joint.facing())
     for placed in few:
         if given_rows(placed.name, placed.body):
             table.add(placed.name, placed.body)
@@ -279,13 +336,13 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
         "body_drag": np.array([material.mass_damping for material in materials], float),
         "body_viscosity": np.array([material.viscosity for material in materials], float),
         "body_stabilisation": np.array([stabilisation_factor(body.plate, body.operator) for body in plates], float),
-        "weight": np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)]),
+        "weight": np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few, *states.values(), *strains.values())]),
         "load_ptr": starts([load.pairs for load in loads]),
         "load_nodes": concatenated([load.pairs for load in loads], np.int32),
         "load_values": concatenated([load.forces for load in loads], float, (2,)),
         "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
     }
-    laws = laws_of(of_kind(parts, ForceElement), [placed for placed in few if placed.elastic], points, drives, size)
+    laws = laws_of(of_kind(parts, ForceElement), states, [placed for placed in few if placed.elastic], points, drives, size)
     links = Links(
         point_ptr=starts(points.nodes),
         point_nodes=concatenated(points.nodes, np.int32),
@@ -296,7 +353,8 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
     )
     links = links._replace(coupling=coupling_of(links, laws))
     first = plates[-1].nodes.stop if plates else 0
-    arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
+    compact = compact_of([*few, *states.values()], first, int(fields["body_block"][-1]))
+    arrays = SceneArrays(Plates(**fields), links, compact, relaxation_of([*plates, *few], strains))
     return arrays, points, table, drives, laws
 
 
@@ -305,6 +363,7 @@ def coupling_of(links, laws):
     vectors = np.split(links.vector_points, links.vector_start[1:-1])
     products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
     sides = [] if laws is None else [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
+    hidden = [] if laws is None else [group[len(group) - (k + 1) // 2 :] for group, k in zip(sides, np.diff(laws.parts[:, 4]))]
     forced = [(a, b) for group in sides for a in group for b in group]
     heavy = [(p, p) for p in np.flatnonzero(links.point_mass)]
     known = {pair for pair in products + forced + heavy if min(pair) >= 0}
@@ -322,7 +381,19 @@ def coupling_of(links, laws):
         products=np.array([number[pair] for pair in products], np.int64),
         laws=np.array([number.get(pair, -1) for pair in forced], np.int64),
         law_start=starts([range(len(group) ** 2) for group in sides]),
+        states=concatenated(hidden, np.int64),
     )
+
+
+def relaxation_of(bodies, strains):
+    """The Relaxation of the bodies with strains {name: PlacedStrains}; None without any."""
+    if not strains:
+        return None
+    each = [strains.get(body.name) for body in bodies]
+    terms, placed = [one.terms if one else () for one in each], next(iter(strains.values()))
+    share, time = np.array([term for one in terms for term in one], float).reshape(-1, 2).T
+    sizes = [range(one.padded * len(one.terms) if one else 0) for one in each]
+    return Relaxation(placed.pairs.start, starts(sizes), starts(terms), share.copy(), time.copy(), placed.mass, float(placed.units[0]))
 
 
 def compact_of(few, first, block):
@@ -330,7 +401,7 @@ def compact_of(few, first, block):
     pairs = [len(placed.rest) for placed in few]
     masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in few]
     forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in few)) if few else ((), ())
-    damping = np.array([placed.body.damping() for placed in few], float).reshape(-1, 2)
+    damping = np.array([placed.damping() for placed in few], float).reshape(-1, 2)
     return Compact(
         pair=first + starts([range(count) for count in pairs]),
         block=block + starts([range(count**2) for count in pairs]),

@@ -52,10 +52,10 @@ class Assembly:
         return f"joints are closed; {self.open!r} was open by {self.gap:.3g} m; moved {each}"
 
 
-def close(parts, held=()):
+def close(parts, fixed=()):
     """Move the bodies of {name: part} until the rows of the joints hold at t = 0; return an Assembly.
 
-    held: names of bodies that must not move. Raises InputError, with all bodies as drawn, that names joints that stay open, or held bodies
+    fixed: names of bodies that must not move. Raises InputError, with all bodies as drawn, that names joints that stay open, or fixed bodies
     that would have to move.
     """
     known = of_kind(parts, Plate, Body)
@@ -64,16 +64,16 @@ def close(parts, held=()):
     loops = Loops(parts, [body for body in bodies if body.part], size)
     x, drawn, gaps = loops.solve()
     loops.require_closed(x, drawn, gaps)
-    moves = dict.fromkeys(known, (0.0, 0.0, 0.0)) | _moved(parts, loops, x, held)
+    moves = dict.fromkeys(known, (0.0, 0.0, 0.0)) | _moved(parts, loops, x, fixed)
     shift, turn, longest = ({name: move[k] for name, move in moves.items()} for k in range(3))
     gap = float(drawn.max(initial=0.0))
     return Assembly(shift, turn, max(longest.values(), default=0.0), gap, loops.names[drawn.argmax()] if gap else "")
 
 
-def _moved(parts, loops, x, held):
+def _moved(parts, loops, x, fixed):
     """Move the bodies that move by more than round-off: {name: (shift, m, turn, rad, longest move of a point, m)}."""
     chosen = [(body, move) for body, move in zip(loops.bodies, x) if np.abs(move).max() > STILL]
-    if stuck := [body.name for body, _ in chosen if body.name in held]:
+    if stuck := [body.name for body, _ in chosen if body.name in fixed]:
         raise InputError(
             f"Scene.assemble: {', '.join(map(repr, stuck[:NAMED]))} would have to move, but there is a model of the scene, whose runs "
             "would move along; assemble before build, or draw the scene anew"
@@ -104,24 +104,27 @@ class Loops:
     """The rows of all joints as functions of x (bodies, 3): shift and turn times own size of each body, over the size of the scene.
 
     Rows are read once, as drawn, with what they take from the drawing: the place of the ground, the angle between two directions. Each is
-    divided by its slope along a shift of a body, or, if that is zero, along a turn: the value is then the distance of its sides.
+    divided by its slope along a shift of a body, or, if that is zero, along a turn: the value is then the distance of its sides. Gaps count
+    only where they are penetrated, and friction never.
     """
 
     def __init__(self, parts, bodies, size):
         self.bodies, self.size = bodies, size
         self.index = {id(body.body): k for k, body in enumerate(bodies)}
-        rows = [(name, row) for name, joint in of_kind(parts, Joint).items() for row in given_rows(name, joint.facing())]
+        rows = [(name, row) for name, joint in of_kind(parts, Joint).items() for row in given_rows(name, joint.facing()) if not row.rate]
         self.names, self.rows = [name for name, _ in rows], [row for _, row in rows]
-        self.scale = np.ones(len(rows))
+        self.scale, self.gaps = np.ones(len(rows)), np.zeros(len(rows), bool)
         slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(rows), -1, 3))
         along = np.hypot(slope[..., 0], slope[..., 1]).max(axis=1, initial=0.0), slope[..., 2].max(axis=1, initial=0.0)
         self.scale = 1.0 / np.select([slopes > DEPENDENT for slopes in along], along, 1.0)
+        self.gaps[:] = [row.gap for row in self.rows]
 
     def __call__(self, x):
         """(phi (rows,), its slope (rows, 3 bodies)), over the scene's size."""
         rows = [self._row(row, x.reshape(-1, 3)) for row in self.rows]
         phi, slope = np.array([value for value, _ in rows]), np.array([slope for _, slope in rows]).reshape(len(rows), x.size)
-        return self.scale * phi / self.size, self.scale[:, None] * slope
+        held = np.where(self.gaps & (phi > 0.0), 0.0, self.scale)
+        return held * phi / self.size, held[:, None] * slope
 
     def _row(self, row, x):
         """Value and slope, m, of `constant + sum f p(0) + sum E . F`."""

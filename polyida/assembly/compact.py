@@ -270,12 +270,101 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
         for e in range(size):
             s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
         curve(count, s, c.block[b], out)
+    stiffen(c, b, slopes, factored, out)
+
+
+@part
+def stiffen(c, b, slopes, factored, out):
+    """Add slopes^T form factored of body b to the blocks."""
+    _, count, size = vectors(c, b)
     stiff = np.zeros((2 * count, size))
     product(c.form[c.form_start[b] : c.form_start[b + 1]].reshape((size, size)), factored, stiff)
     project(count, slopes, stiff, c.block[b], out)
 
 
 @part
+def relaxed_blocks(c, b, u, pull, change, c_q, out):
+    """What relaxation adds to c_q K of body b: the curvature of y under -form pull, and `change` times (dy/dz)^T form dy/dz."""
+    first, count, size = vectors(c, b)
+    s, z, slopes, factored = np.zeros(size), np.empty((count, 2)), np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
+    place(c, first, count, u, z)
+    add_y_jacobian(count, z, 1.0, slopes)
+    add_y_jacobian(count, z, c_q * change, factored)
+    stresses(c, b, pull[:size], s)
+    for e in range(size):
+        s[e] *= -c_q
+    curve(count, s, c.block[b], out)
+    stiffen(c, b, slopes, factored, out)
+
+
+@part
+def relax(c, b, u, half, pull, r, out):
+    """Add (dy/dz)^T (-form pull) of body b to r, and store d at u in out, in whose last place is 0 if d has an odd size.
+
+    half: as of element/relaxation.py; y is quadratic, and its mean at u - half and u + half is that at u plus y(half).
+    """
+    first, count, size = vectors(c, b)
+    s, z = np.zeros(size), np.empty((count, 2))
+    out[:] = 0.0
+    strained(c, b, u, out[:size])
+    add_half(half, first, count, out[:size])
+    stresses(c, b, pull[:size], s)
+    for e in range(size):
+        s[e] = -s[e]
+    place(c, first, count, u, z)
+    push(count, first, s, z, r)
+
+
+@part
+def add_half(half, first, count, out):
+    """out += y(half), unless it is None."""
+    if half is not None:
+        y = np.empty(out.shape[0])
+        quadratic(count, half[first : first + count], half[first : first + count], y)
+        for e in range(out.shape[0]):
+            out[e] += y[e]
+
+
+@part
+def change_of_strain(c, b, u, w, out):
+    """Store the change of y at u along w in out."""
+    first, count, size = vectors(c, b)
+    z = np.empty((count, 2))
+    place(c, first, count, u, z)
+    out[:] = 0.0
+    quadratic(count, z, w[first : first + count], out[:size])
+    for e in range(size):
+        out[e] *= 2.0
+
+
+@part
+def relaxation_products(c, b, u, w, pull, back, r, out):
+    """Add the change of (dy/dz)^T (-form pull) along w, and (dy/dz)^T back, to r, and store form times the change of y along w in out."""
+    first, count, size = vectors(c, b)
+    s, z = np.zeros(size), np.empty((count, 2))
+    stresses(c, b, pull[:size], s)
+    for e in range(size):
+        s[e] = -s[e]
+    push(count, first, s, w[first : first + count], r)
+    place(c, first, count, u, z)
+    push(count, first, back[:size], z, r)
+    change, out[:] = np.empty(size), 0.0
+    change_of_strain(c, b, u, w, change)
+    stresses(c, b, change, out[:size])
+
+
+@part
+def strain_square(c, b, d):
+    """d^T form d."""
+    size, total = vectors(c, b)[2], 0.0
+    s = np.zeros(size)
+    stresses(c, b, d[:size], s)
+    for e in range(size):
+        total += d[e] * s[e]
+    return total
+
+
+@entry
 def add_y_jacobian(count, z, factor, out):
     """out += factor dy/dz, (size of y, 2 count). y is quadratic in z: with z' in place of z the same function gives dy'/dz."""
     real, imag = 0, count * (count + 1) // 2

@@ -15,10 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.assembly.border import Border, BorderWorkspace, body_of_points, border, border_workspace, look, solve_border
-from polyida.assembly.equilibrium import blocks_at, combined, symmetric_parts
+from polyida.assembly.border import Border, BorderWorkspace, body_of_points, border, border_workspace, measure, solve_border
+from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
-from polyida.jit import entry, pack, part, shared
+from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
+from polyida.jit import entry, leaf, pack, part, shared
+from polyida.linear.dense import factor
+from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
 from polyida.linear.lu import SingularSystem
@@ -51,6 +54,7 @@ class SolveWorkspace(NamedTuple):
     point_forces: np.ndarray  # (2 points,) forces at the points
     own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements, as old as the factor; (0, 2, 2) without
     team: Team | None = None  # of threads that share the solves
+    elimination: Elimination | None = None  # of relaxed strains
 
 
 def corotated(model, blocks, rotation, before=None):
@@ -66,7 +70,7 @@ def corotated(model, blocks, rotation, before=None):
         compliance_columns = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
         before = Corotated(fronts, panels, np.empty_like(rotation), place, compliance_columns, model.once(border, of_shape=True))
     fill_compliance_columns(
-        before, before.compliance_columns, rotation, model.once(unit_loads, of_shape=True), np.empty(model.n, panels.dtype)
+        before, before.compliance_columns, rotation, model.once(unit_loads, of_shape=True), np.empty(2 * model.n_factored, panels.dtype)
     )
     return before
 
@@ -85,8 +89,8 @@ def columns_together(border):
 
 def unit_loads(model):
     """A^T of unit forces at points, (columns, nodes, 2): column k of all bodies together, because bodies are not coupled in S."""
-    pattern, weights = model.once(border, of_shape=True), model.point_weights.conj()
-    groups, loads = np.split(pattern.points, pattern.point_start[1:-1]), np.zeros((columns_together(pattern), model.n_nodes), complex)
+    pattern, weights = model.once(border, of_shape=True), model.point_weights.conj()[:, : model.n_factored]
+    groups, loads = np.split(pattern.points, pattern.point_start[1:-1]), np.zeros((columns_together(pattern), model.n_factored), complex)
     for k in range(0, len(loads), 2):
         loads[k] = weights[[group[k // 2] for group in groups if len(group) > k // 2]].sum(axis=0)
         loads[k + 1] = 1j * loads[k]
@@ -117,13 +121,14 @@ def solve_workspace(model, system):
     """The SolveWorkspace of a factor."""
     dtype, coupled = np.result_type(system.panels, float), len(model.arrays.links.coupling.columns)
     return SolveWorkspace(
-        np.zeros(model.n, system.panels.dtype),
-        np.empty((model.n_nodes, 2)),
+        np.zeros(2 * model.n_factored, system.panels.dtype),
+        np.empty((model.n_factored, 2)),
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
         border_workspace(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
         np.zeros((0 if model.laws is None else coupled, 2, 2), dtype),
+        elimination=elimination(model, dtype),
     )
 
 
@@ -153,11 +158,11 @@ def solve_plates(s, c, w, rotation, r, x):
 def solve_turned(c, w, r, x):
     """The same with the frames already set."""
     order, b, turn = c.fronts.order, w.x, w.turn
-    for i in range(r.shape[0]):
+    for i in range(turn.shape[0]):
         b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]
         b[order[2 * i + 1]] = turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0]
     solve_in_place(c, w.team, b)
-    for i in range(r.shape[0]):
+    for i in range(turn.shape[0]):
         p, q = b[order[2 * i]], b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
@@ -167,16 +172,17 @@ def solve_turned(c, w, r, x):
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,). rotation, dz: of `equilibrium` at the current q. Returns False if the system is singular."""
     solve_plates(s, c, w, rotation, r, dq)
-    for i in range(r.shape[0]):
+    for i in range(w.turn.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if w.spin.shape[0] == 0:
         return True
     fill_border(s, c, w, drives, dz)
     fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
     joints.point_values(s, dq, w.moved)
-    if not close(s, c, w, phi, dlam):
+    if not solve_multipliers(s, c, w, phi, dlam):
         return False
     apply_point_forces(s, c, w, dq)
+    settle_states(s, c, w.border.curvature, w.moved, dq)
     return True
 
 
@@ -188,7 +194,7 @@ def turn_frames(s, c, w, rotation):
             for i in range(frames.shape[0]):
                 frames[i, 0], frames[i, 1] = 1.0, 0.0
         return
-    for i in range(rotation.shape[0]):
+    for i in range(w.turn.shape[0]):
         x, y = rotation[i, 0], rotation[i, 1]
         size = 1.0 / np.sqrt(x * x + y * y)
         x, y = x * size, y * size
@@ -241,6 +247,83 @@ def fill_curvature(s, w, curvature, drives, lam, c_m):
     add_masses(s, c_m, curvature)
 
 
+@leaf
+def element_of(coupling, number):
+    """(first block in the rows of an element's states, number of its other points, number of its points), from the number of its first state."""
+    first = coupling.states[number]
+    row, others = coupling.start[first], 0
+    while coupling.columns[row + others] != first:
+        others += 1
+    return row, others, coupling.start[first + 1] - row
+
+
+@leaf
+def block_of(coupling, point, other):
+    """The block of two points."""
+    block = coupling.start[point]
+    while coupling.columns[block] != other:
+        block += 1
+    return block
+
+
+@entry
+def condense_states(coupling, c, curvature):
+    """Eliminate the states s of force elements from the blocks C of the coupling, z being their other points.
+
+    No row holds a state, which moves by `ds = y - g (C_sz dz + C_ss ds)`, g = 1/(c_m mass). With `T = (1 + g C_ss)^-1` it is
+    `ds = T y - g T C_sz dz`, and the force on z `(C_zz - g C_zs T C_sz) dz + C_zs T y`: C becomes ((C_zz - g C_zs T C_sz, C_zs T), (T C_sz, T)).
+    """
+    number = 0
+    while number < coupling.states.shape[0]:
+        row, others, wide = element_of(coupling, number)
+        count, border, g = 2 * (wide - others), 2 * others, c.compliance_columns[c.place[coupling.states[number], 2], 0]
+        below, T = np.empty((count, 2 * wide), curvature.dtype), np.empty((count, count), curvature.dtype)
+        column, pivots = np.empty(count, curvature.dtype), np.empty(count, np.int64)
+        for i in range(count):
+            for j in range(count):
+                T[i, j] = g * curvature[row + i // 2 * wide + others + j // 2, i % 2, j % 2] + (1.0 if i == j else 0.0)
+        factor(T, pivots)
+        for j in range(2 * wide):  # below = (T C_sz, T)
+            for i in range(count):
+                column[i] = curvature[row + i // 2 * wide + j // 2, i % 2, j % 2] if j < border else (1.0 if border + i == j else 0.0)
+            solve_factored(T, pivots, column)
+            for i in range(count):
+                below[i, j] = curvature[row + i // 2 * wide + j // 2, i % 2, j % 2] = column[i]
+        for n in range(border):
+            for i in range(count):
+                column[i] = curvature[coupling.mirror[row + i // 2 * wide + n // 2], n % 2, i % 2]
+            for j in range(2 * wide):
+                total = 0.0 * g
+                for i in range(count):
+                    total += column[i] * below[i, j]
+                if j < border:
+                    curvature[block_of(coupling, coupling.columns[row + n // 2], coupling.columns[row + j // 2]), n % 2, j % 2] -= g * total
+                else:
+                    curvature[coupling.mirror[row + (j - border) // 2 * wide + n // 2], n % 2, j % 2] = total
+        number += wide - others
+
+
+@part
+def settle_states(s, c, curvature, y, dq):
+    """Fill dq of the states from that of the other points and from y (points, 2); curvature: of `condense_states`."""
+    coupling, number = s.coupling, 0
+    while number < coupling.states.shape[0]:
+        row, others, wide = element_of(coupling, number)
+        g = c.compliance_columns[c.place[coupling.states[number], 2], 0]
+        for i in range(wide - others):
+            ds = dq[s.point_nodes[s.point_ptr[coupling.states[number + i]]]]
+            ds[0] = ds[1] = 0.0
+            for j in range(wide):
+                block, point = curvature[row + i * wide + j], coupling.columns[row + j]
+                p, q = y[point, 0], y[point, 1]
+                if j < others:
+                    p, q = joints.point_value(s, dq, point)
+                    p, q = -g * p, -g * q
+                ds[0] += block[0, 0] * p + block[0, 1] * q
+                ds[1] += block[1, 0] * p + block[1, 1] * q
+        number += wide - others
+
+
 @part
 def add_masses(s, c_m, curvature):
     """Blocks of the coupling += c_m times the masses at points."""
@@ -259,13 +342,13 @@ def fill_border(s, c, w, drives, dz):
 
 
 @part
-def close(s, c, w, phi, dlam):
+def solve_multipliers(s, c, w, phi, dlam):
     """The points' forces w.point_forces and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
 
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    look(c.border, w.border, w.moved, w.moved[:0])
+    measure(c.border, w.border, w.moved, w.moved[:0])
     count = c.border.active.shape[0]
     for k in range(phi.shape[0]):
         w.border.right[count + k] += phi[k]
@@ -333,15 +416,18 @@ class SceneStepMatrix(StepMatrix):
         parts: `symmetric_parts` at q, if they are known.
         """
         model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
-        u = q.reshape(-1, 2)
-        parts = symmetric_parts(model, u) if parts is None and isinstance(c_v, complex) else parts
-        blocks = blocks_at(model, u, np.zeros_like(u), c_m, c_v, 1.0) if parts is None else combined(c_m, c_v, *parts)
+        self.c_v = c_v
+        parts = symmetric_parts(model, q, v) if parts is None and isinstance(c_v, complex) else parts
+        blocks = step_blocks(model, q, v, c_m, c_v) if parts is None else combined(model, c_m, c_v, *parts)
         before, self.corotated = self.corotated, None
-        self.corotated = corotated(model, blocks, model.rotation(q), before)
+        self.corotated = corotated(model, blocks, model.rotation(q)[: model.n_factored], before)
         self.workspace = self.workspace if self.corotated is before else solve_workspace(model, self.corotated)
+        if model.strains:
+            self.workspace.elimination.rates[:] = (c_m / c_v, c_v) if c_v else np.inf
         if model.laws is not None:
             coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
+            condense_states(coupling, self.corotated, self.workspace.own)
 
     def beside(self, c_m, c_v, change):
         """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""
@@ -371,8 +457,13 @@ class SceneStepMatrix(StepMatrix):
         dq, dlam = np.empty((model.n_nodes, 2), dtype), np.empty(len(phi), dtype)
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
         r, phi = np.array(r, dtype).reshape(dq.shape), np.array(phi, dtype)
+        if model.strains:
+            strains = model.arrays, model.arrays.relaxation, workspace.elimination, np.array(q, float).reshape(-1, 2)
+            r = eliminate(*strains, r)
         if not solve(model.arrays.links, factored, workspace, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")
+        if model.strains:
+            recover(*strains, dq)
         return dq.ravel(), dlam
 
 

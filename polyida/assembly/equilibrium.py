@@ -3,17 +3,12 @@
 import numpy as np
 
 from polyida.assembly import compact
+from polyida.assembly.arrays import cells
 from polyida.assembly.joints import joint_forces, point_values, spread
+from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, two_field
-from polyida.jit import entry, leaf, shared
+from polyida.jit import entry, leaf, part, shared
 from polyida.linear.dense import clear
-
-
-@leaf
-def cells(s, o):
-    """The first arguments of kernels over the cells of operator o: layout, corners, gradients, weights."""
-    p, e = s.at[o], s.at[o + 1]
-    return s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]], s.weights[p[3] : e[3]]
 
 
 @leaf
@@ -43,6 +38,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
         if s.body_stabilisation[b] != 0.0:
             kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
     least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
+    hold_strains(scene.relaxation, a, r, rotation)
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
@@ -56,6 +52,17 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     cosine = joint_forces(links, drives, dz, lam, phi, forces)
     spread(links, forces, r)
     return least, cosine
+
+
+@part
+def hold_strains(x, a, r, rotation):
+    """Add the inertia of the relaxed strains to r, and set their frames; nothing if x, the scene's Relaxation, is None."""
+    if x is not None:
+        for i in range(x.first, r.shape[0]):
+            r[i, 0] += x.mass * a[i, 0]
+            r[i, 1] += x.mass * a[i, 1]
+        for i in range(x.first, rotation.shape[0]):
+            rotation[i, 0] = 1.0
 
 
 @entry
@@ -100,27 +107,50 @@ def momentum(scene, a, r):
     """r += M a without the masses at points."""
     s = scene.plates
     compact.momentum(scene.compact, a, r)
+    hold_strains(scene.relaxation, a, r, r[:0])
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], s.body_node[b], a, r)
 
 
-def symmetric_parts(model, u):
-    """(K (nnz, 2, 2), C or None without damping, real and imaginary part (nnz,) of the complex numbers in M's blocks, None if all are real)."""
-    v = np.zeros_like(u)
-    K, M = blocks_at(model, u, v, 0.0, 0.0, 1.0), blocks_at(model, u, v, 1.0, 0.0, 0.0)
-    C = blocks_at(model, u, v, 0.0, 1.0, 0.0) if model.damped else None
-    return K, C, M[:, 0, 0].copy(), M[:, 1, 0].copy() if M[:, 1, 0].any() else None
+def symmetric_parts(model, q, v):
+    """(K (nnz, 2, 2), C or None without damping, real and imaginary part (nnz,) of the complex numbers in M's blocks, None if all are real,
+    the part of K that relaxation scales, or None), those of zero velocity."""
+    u, still = q.reshape(-1, 2), _still(model, v)
+    K, M = blocks_at(model, u, still, 0.0, 0.0, 1.0), blocks_at(model, u, still, 1.0, 0.0, 0.0)
+    C = blocks_at(model, u, still, 0.0, 1.0, 0.0) if model.damped else None
+    relaxing = np.zeros_like(K) if model.strains else None
+    if relaxing is not None:
+        for sign in (1.0, -1.0):
+            add_relaxed_blocks(model.arrays, u, still, np.full(len(model.arrays.relaxation.terms) - 1, 0.5 * sign), sign, relaxing)
+    return K, C, M[:, 0, 0].copy(), M[:, 1, 0].copy() if M[:, 1, 0].any() else None, relaxing
 
 
-def blocks_at(model, u, v, c_m, c_v, c_q):
-    """`tangent_blocks` of a scene at u and v (nodes, 2)."""
+def step_blocks(model, q, v, c_m, c_v):
+    """Blocks of `c_m M + c_v C + K`, C and K those of zero velocity; real."""
+    changes = stiffness_changes(model, c_m / c_v if c_v else np.inf) if model.strains else None
+    return blocks_at(model, q.reshape(-1, 2), _still(model, v), c_m, c_v, 1.0, changes)
+
+
+def _still(model, v):
+    """Velocities (nodes, 2) without those of the nodes."""
+    still = np.zeros((model.n_nodes, 2))
+    still[model.n_factored :] = v.reshape(-1, 2)[model.n_factored :]
+    return still
+
+
+def blocks_at(model, u, v, c_m, c_v, c_q, changes=None):
+    """`tangent_blocks` of a scene at u and v (nodes, 2); changes (bodies,): kappa - 1 of viscoelastic plates, zero by default."""
     blocks = np.empty((len(model.pattern[1]), 2, 2))
     tangent_blocks(model.arrays, u, v if model.damped else None, c_m, c_v, c_q, blocks)
+    if model.strains and c_q:
+        add_relaxed_blocks(
+            model.arrays, u, v, np.zeros(len(model.arrays.relaxation.terms) - 1) if changes is None else changes, c_q, blocks
+        )
     return blocks
 
 
-def combined(c_m, c_v, K, C, m, across):
+def combined(model, c_m, c_v, K, C, m, across, relaxing):
     """Blocks of `c_m M + c_v C + K` from symmetric_parts."""
     blocks = K + c_v * (0.0 if C is None else C)
     for i in range(2):
@@ -128,6 +158,10 @@ def combined(c_m, c_v, K, C, m, across):
     if across is not None:
         blocks[:, 0, 1] -= c_m * across
         blocks[:, 1, 0] += c_m * across
+    if relaxing is not None:
+        changes, s = stiffness_changes(model, c_m / c_v), model.arrays
+        first = np.concatenate([s.plates.body_block[:-1], s.compact.block])[: len(changes) + 1]
+        blocks[: first[-1]] += np.repeat(changes, np.diff(first))[:, None, None] * relaxing[: first[-1]]
     return blocks
 
 

@@ -22,22 +22,24 @@ OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # cached properti
 WHAT = ("stiffness", "mass")
 
 
-def scaled(model, given):
-    """A copy of the model with the factors `given`, {plate: (stiffness, mass)}; other plates keep theirs. Raises InputError."""
-    contributions, checked = model.once(CellContributions, of_shape=True), _checked(model, given)
-    factors = [checked.get(body.name, body.factors) for body in model.bodies]
-    plates = contributions.scaled(*(concatenated(each, float) for each in zip(*factors))) if factors else contributions.plates
+def scaled(model, factors):
+    """A copy of the model with the factors {plate: (stiffness, mass)}; other plates keep theirs. Raises InputError."""
+    contributions, checked = model.once(CellContributions, of_shape=True), _checked(model, factors)
+    of_bodies = [checked.get(body.name, body.factors) for body in model.bodies]
+    plates = contributions.scaled(*(concatenated(each, float) for each in zip(*of_bodies))) if of_bodies else contributions.plates
     other = object.__new__(type(model))
     other.__dict__.update({name: value for name, value in model.__dict__.items() if name not in OF_FACTORS})
     other.bodies = []
-    for body, factor, first, last in zip(model.bodies, factors, plates.at, plates.at[1:]):
+    for body, factor, first, last in zip(model.bodies, of_bodies, plates.at, plates.at[1:]):
         pattern, operator = slice(first[6], last[6]), body.operator
         stabilisation = None if operator.stabilisation is None else plates.stabilisation[pattern]
         operator = replace(operator, weights=plates.weights[first[3] : last[3]], mass=plates.mass[pattern], stabilisation=stabilisation)
         other.bodies.append(body.scaled(operator, factor))
     other.places = model.places | {id(body.plate): body for body in other.bodies}
     loads = dead_loads(other.parts, other.gravity, other.places)
-    weight = np.concatenate([placed.weight(steady(other.gravity)) for placed in (*other.bodies, *other.few)])
+    weight = np.concatenate(
+        [placed.weight(steady(other.gravity)) for placed in (*other.bodies, *other.few, *other.states.values(), *other.strains.values())]
+    )
     plates = plates._replace(weight=weight, load_values=concatenated([load.forces for load in loads], float, (2,)))
     other.arrays, other._derived = model.arrays._replace(plates=plates), {}
     return other
@@ -48,10 +50,10 @@ def given_factors(model):
     return {name: factors for name, factors in model.factors.items() if not all((factor == 1.0).all() for factor in factors)}
 
 
-def _checked(model, given):
+def _checked(model, factors):
     """{plate: (stiffness, mass)}, (cells,) each, read-only. Raises InputError."""
     known, checked = {body.name: body for body in model.bodies}, {}
-    for name, pair in given.items():
+    for name, pair in factors.items():
         if name not in known:
             part = model.parts.get(name)
             what = "no part of the scene" if part is None else f"a {type(part).__name__}"
@@ -65,13 +67,13 @@ def _checked(model, given):
     return checked
 
 
-def _factor(name, what, given, cells):
+def _factor(name, what, factor, cells):
     """A factor of each cell, (cells,), read-only."""
     label = f"with_factors: the {what} of {name!r}"
-    array = np.ones(()) if given is None else reals(given)
+    array = np.ones(()) if factor is None else reals(factor)
     if array is None or array.shape not in ((), (cells,)):
         shape = "" if array is None else f", of shape {array.shape},"
-        raise InputError(f"{label} = {given!r:.100}{shape} must be a positive number, or one for each of its {cells} cells, ({cells},)")
+        raise InputError(f"{label} = {factor!r:.100}{shape} must be a positive number, or one for each of its {cells} cells, ({cells},)")
     wrong = np.flatnonzero(~((array > 0) & (array < np.inf)))
     if wrong.size:
         raise InputError(f"{label} is {array.flat[wrong[0]]:g}{f' in cell {wrong[0]}' * array.ndim}: factors must be positive and finite")

@@ -37,25 +37,26 @@ REVERSED = 0.5  # least cosine between the row spaces of two states
 class Redundant:
     """The redundant rows of a model with all rows, `whole`. left_out, independent: numbers of rows; labels: of the rows left out.
 
-    Rows are compared at t = 0, q = 0 in units of `coordinate_sizes`, by a rank-revealing QR of phi_q^T. Raises InputError if rows depend on
+    Rows are compared at (t, q) in units of `coordinate_sizes`, by a rank-revealing QR of phi_q^T. Raises InputError if rows depend on
     others in this position only, or contradict them nearby.
     """
 
-    def __init__(self, whole):
-        self.whole, self.rows = whole, whole.rows
-        self._sizes = coordinate_sizes(whole, np.zeros(whole.n))
+    def __init__(self, whole, t, q):
+        self.whole, self.rows, self._t, self._q = whole, whole.rows, t, q
+        self._sizes = coordinate_sizes(whole, q)
         self._of_joints = np.zeros(whole.m, bool)
         for name, joint in whole.joints.items():
             self._of_joints[whole.rows[name]] = isinstance(joint, Joint)
-        B = self._slopes(0.0, np.zeros(whole.n))
+        B = self._slopes(t, q)
         lengths = np.linalg.norm(B, axis=1)
         scale = np.where(self._of_joints, 1.0, PREFERRED) / np.where(lengths > 0, lengths, 1.0)
-        R, order = qr((B * scale[:, None]).T, mode="r", pivoting=True)
-        self.left_out = np.sort(order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :])
-        self.independent = np.setdiff1d(np.arange(whole.m), self.left_out)
+        equations = np.setdiff1d(np.arange(whole.m), [law.row for law in whole.row_laws])
+        R, order = qr((B * scale[:, None])[equations].T, mode="r", pivoting=True)
+        self.left_out = np.sort(equations[order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :]])
+        self.independent, self._basis = (np.setdiff1d(rows, self.left_out) for rows in (np.arange(whole.m), equations))
         self.labels = tuple(whole.constraint_name(int(row)) for row in self.left_out)
-        states = (np.zeros(whole.n), self._nearby()) if len(self.left_out) else ()
-        shares = [np.abs(self._null_space(0.0, q)).max(axis=1) for q in states]
+        states = (q, self._nearby()) if len(self.left_out) else ()
+        shares = [np.abs(self._null_space(t, q)).max(axis=1) for q in states]
         self._unique = np.max(shares, axis=0, initial=0.0) < UNIQUE if shares else np.ones(whole.m, bool)
 
     def phi(self, t, q):
@@ -92,19 +93,19 @@ class Redundant:
     def _null_space(self, t, q):
         """N, (rows, rows left out)."""
         B, N = self._slopes(t, q), np.zeros((self.whole.m, len(self.left_out)))
-        N[self.independent] = -np.linalg.lstsq(B[self.independent].T, B[self.left_out].T, rcond=None)[0]
+        N[self._basis] = -np.linalg.lstsq(B[self._basis].T, B[self.left_out].T, rcond=None)[0]
         N[self.left_out] = np.eye(len(self.left_out))
         return N
 
     def _nearby(self):
         """A state near the start on the independent rows. Raises InputError unless the other rows hold there too."""
-        whole, n = self.whole, self.whole.n
-        way = self._sizes * np.random.default_rng(0).standard_normal(n)
-        q = way - self._back(np.zeros(n), (whole.phi_q(0.0, np.zeros(n)) @ way)[self.independent])
-        q *= AWAY * whole.extent / max(np.abs(q).max(), AWAY * np.abs(way).max())
+        whole, t = self.whole, self._t
+        way = self._sizes * np.random.default_rng(0).standard_normal(whole.n)
+        move = way - self._back(self._q, (whole.phi_q(t, self._q) @ way)[self._basis])
+        q = self._q + AWAY * whole.extent / max(np.abs(move).max(), AWAY * np.abs(way).max()) * move
         for _ in range(ROUNDS):
-            q = q - self._back(q, whole.phi(0.0, q)[self.independent])
-        gaps = np.abs(self.phi(0.0, q))
+            q = q - self._back(q, whole.phi(t, q)[self._basis])
+        gaps = np.abs(self.phi(t, q))
         if not gaps.max() <= SAME * whole.extent:
             raise InputError(
                 f"Scene.build: {self.labels[int(np.argmax(gaps))]} follows from the other constraints in this position alone, or contradicts "
@@ -116,7 +117,7 @@ class Redundant:
         """The least move, in units of the coordinates' sizes, that changes the independent rows by phi at q."""
         from scipy.sparse import csr_array, diags_array
 
-        B = csr_array(self.whole.phi_q(0.0, q))[self.independent] @ diags_array(self._sizes)
+        B = csr_array(self.whole.phi_q(self._t, q))[self._basis] @ diags_array(self._sizes)
         gram = (B @ B.T).toarray()
         return self._sizes * (B.T @ np.linalg.solve(gram, phi))
 

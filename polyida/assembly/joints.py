@@ -1,8 +1,11 @@
-"""Rows of phi as functions of the displacements dz of the scene's points: values, derivatives, and the forces of the multipliers.
+"""Rows of phi and velocity rows as functions of the displacements dz of the points: values, derivatives, and the forces of the multipliers.
 
 Joints hold on to points `z = rest + dz`, (2,), `dz = A u`. A row is `constant + L dz + sum f p(t) + sum R(theta) E . F`; p is a profile, the
 shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j complex numbers (2,). By the chain rule with the constant A, `phi_q = phi_z A`.
 `slopes` holds the entries of phi_z of row k at the components `2 point + axis` in `row_columns[row_start[k]:row_start[k + 1]]`.
+
+A velocity row is `psi = constant + L z' + sum f p(t) + sum R(theta) E . F'`. It is treated as a row with phi = 0, the rate psi and the slopes
+`W = d psi/dz'` in place of phi_z; it is not integrable, so that slopes and rate are not derivatives of phi.
 """
 
 import numpy as np
@@ -10,17 +13,31 @@ import numpy as np
 from polyida.jit import entry, leaf, part, shared
 
 
+@leaf
+def point_value(s, u, f):
+    """A u at point f."""
+    x = y = 0.0
+    for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+        c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+        x += c * u[i, 0] - n * u[i, 1]
+        y += c * u[i, 1] + n * u[i, 0]
+    return x, y
+
+
 @entry
 def point_values(s, u, dz):
     """dz = A u, (points, 2)."""
     for f in range(dz.shape[0]):
-        x = y = 0.0
-        for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-            c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
-            x += c * u[i, 0] - n * u[i, 1]
-            y += c * u[i, 1] + n * u[i, 0]
-        dz[f, 0] = x
-        dz[f, 1] = y
+        dz[f, 0], dz[f, 1] = point_value(s, u, f)
+
+
+@leaf
+def spread_one(s, f, x, y, r):
+    """r += A^T of the force (x, y) at point f."""
+    for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+        c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+        r[i, 0] += c * x + n * y
+        r[i, 1] += c * y - n * x
 
 
 @part
@@ -29,10 +46,7 @@ def spread(s, forces, r):
     for f in range(forces.shape[0]):
         x, y = forces[f, 0], forces[f, 1]
         if x != 0.0 or y != 0.0:
-            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-                c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
-                r[i, 0] += c * x + n * y
-                r[i, 1] += c * y - n * x
+            spread_one(s, f, x, y, r)
 
 
 @leaf
@@ -125,16 +139,21 @@ def joint_forces(s, drives, dz, lam, phi, forces):
         phi[k] += ex * fx + ey * fy
         if s.product_one_way[p]:
             least = min(least, cosine(ex, ey, fx, fy))
-        push(s, s.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
+        if not s.product_rate[p]:
+            push(s, s.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
         push(s, s.product_second[p], lam[k] * ex, lam[k] * ey, forces)
+    for i in range(s.velocity_rows.shape[0]):
+        phi[s.velocity_rows[i]] = 0.0
     return least
 
 
 @part
-def add_shifts(s, values, column, x):
-    """Add a column of a table (profiles, 3) to the rows that the profiles shift."""
+def add_shifts(s, values, order, x):
+    """Add a derivative of the profiles to that derivative (0: phi, 1: rate, 2: bias) of the rows that they shift. values (profiles, 3)."""
     for i in range(s.shift_row.shape[0]):
-        x[s.shift_row[i]] += s.shift_factor[i] * values[s.shift_drive[i], column]
+        column = order - 1 + s.shift_order[i]
+        if column >= 0:
+            x[s.shift_row[i]] += s.shift_factor[i] * values[s.shift_drive[i], column]
 
 
 @entry
@@ -158,13 +177,17 @@ def joint_jacobian(s, drives, dz, slopes):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)
         ex, ey, fx, fy = factors(s, p, c, n, dz)
-        slope(s, s.product_first[p], k, c * fx + n * fy, c * fy - n * fx, slopes)
+        if not s.product_rate[p]:
+            slope(s, s.product_first[p], k, c * fx + n * fy, c * fy - n * fx, slopes)
         slope(s, s.product_second[p], k, ex, ey, slopes)
 
 
 @entry
 def joint_curvature(s, drives, lam, curvature):
-    """Blocks of the coupling += d(phi_z^T lam)/dz: `lam W_i^T R^T W_j` between the points of E and those of F."""
+    """Blocks of the coupling += d(phi_z^T lam)/dz: `lam W_i^T R^T W_j` between the points of E and those of F.
+
+    A velocity row acts on the points of F alone, so that its part is not symmetric.
+    """
     at = 0
     for p in range(s.product_row.shape[0]):
         e, f = s.product_first[p], s.product_second[p]
@@ -177,7 +200,8 @@ def joint_curvature(s, drives, lam, curvature):
                 x1, y1 = rotated(x, -y, s.vector_weights[j, 0], s.vector_weights[j, 1])
                 x1, y1 = lam[s.product_row[p]] * x1, lam[s.product_row[p]] * y1
                 block = s.coupling.products[at]
-                _couple(block, x1, -y1, curvature)
+                if not s.product_rate[p]:
+                    _couple(block, x1, -y1, curvature)
                 _couple(s.coupling.mirror[block], x1, y1, curvature)
                 at += 1
 
@@ -197,6 +221,10 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
     for k in range(rate.shape[0]):
         phi_t[k] = bias[k] = 0.0
         rate[k] = along(s, s.row_slopes, k, vz)
+    for i in range(s.velocity_rows.shape[0]):
+        k = s.velocity_rows[i]
+        phi_t[k] = s.row_constant[k]
+        rate[k] += s.row_constant[k]
     add_shifts(s, drives, 1, phi_t)
     add_shifts(s, drives, 1, rate)
     add_shifts(s, drives, 2, bias)
@@ -207,6 +235,10 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
         ux, uy = moved(s, s.product_first[p], vz)
         ux, uy = rotated(c, n, ux, uy)
         gx, gy = moved(s, s.product_second[p], vz)
+        if s.product_rate[p]:
+            rate[k] += ex * gx + ey * gy
+            bias[k] += (ux - speed * ey) * gx + (uy + speed * ex) * gy
+            continue
         across, within = ex * fy - ey * fx, ex * fx + ey * fy
         phi_t[k] += speed * across
         rate[k] += speed * across + ux * fx + uy * fy + ex * gx + ey * gy
@@ -226,6 +258,9 @@ def joint_rate_jacobian(s, drives, dz, vz, slopes):
         ux, uy = moved(s, e, vz)
         ux, uy = rotated(c, n, ux, uy)
         gx, gy = moved(s, f, vz)
+        if s.product_rate[p]:
+            slope(s, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
+            continue
         gx, gy = gx + speed * fy, gy - speed * fx
         slope(s, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
         slope(s, f, k, ux - speed * ey, uy + speed * ex, slopes)
@@ -237,13 +272,15 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
 
     Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the profile, of
     the profile minus h times its rate, of its rate. In `phi += h rate + ...`, rate replaces terms that cancel. With e = R E, `e_0 . f_0`
-    becomes `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
+    becomes `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`. phi of velocity rows stays zero.
     """
     for k in range(phi.shape[0]):
         phi[k] += h * rate[k] + along(s, s.row_slopes, k, dd)
         rate[k] += along(s, s.row_slopes, k, dv)
-    add_shifts(s, gains, 1, phi)
-    add_shifts(s, gains, 2, rate)
+    for i in range(s.shift_row.shape[0]):
+        k, gain = s.shift_row[i], gains[s.shift_drive[i]]
+        phi[k] += s.shift_factor[i] * gain[1]
+        rate[k] += s.shift_factor[i] * gain[2 * s.shift_order[i]]
     for p in range(s.product_row.shape[0]):
         k, f = s.product_row[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)
@@ -253,9 +290,14 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
         dvfx, dvfy = moved(s, f, dv)
         ux, uy, ddx, ddy, dvx, dvy = turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv)
         dex, dey, dfx, dfy = h * ux + ddx, h * uy + ddy, h * gx + ddfx, h * gy + ddfy
+        if s.product_rate[p]:
+            rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
+            continue
         phi[k] += ddx * fx + ddy * fy + ex * ddfx + ey * ddfy + dex * dfx + dey * dfy
         rate[k] += dvx * (fx + dfx) + dvy * (fy + dfy) + ux * dfx + uy * dfy
         rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
+    for i in range(s.velocity_rows.shape[0]):
+        phi[s.velocity_rows[i]] = 0.0
 
 
 @part

@@ -41,13 +41,13 @@ def velocity_at(model, t, q):
     """
     if not moves_at(model, t, q):
         return np.zeros(model.n)
-    given, R = motions_given(model), rigid_motions(model, q)
-    change = np.zeros_like(given)
+    prescribed, R = motions_given(model), rigid_motions(model, q)
+    change = np.zeros_like(prescribed)
     if model.m:
         rows, roots = rows_of_motions(model, t, q, R)
-        change = -roots @ _least_solution(rows @ roots, rows @ given + model.phi_t(t, q))
-    _warn_of_change(model, R, given, change)
-    return R @ (given + change)
+        change = -roots @ _least_solution(rows @ roots, rows @ prescribed + model.phi_t(t, q))
+    _warn_of_change(model, R, prescribed, change)
+    return R @ (prescribed + change)
 
 
 def moves_at(model, t, q):
@@ -76,6 +76,7 @@ def rigid_motions(model, q):
         centre = np.vdot(placed.translation_momentum, own) / (np.vdot(placed.translation_momentum, T) or 1.0)
         units = [T * velocity + 1j * spin * (own - T * centre) for velocity, spin in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
         columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
+    columns += [np.zeros((2 * len(placed.rest), 0)) for placed in (*model.states.values(), *model.strains.values())]
     return block_diag(columns, format="csr")
 
 
@@ -109,19 +110,19 @@ def _least_solution(A, b):
     return np.linalg.lstsq(A.toarray(), b, rcond=NO_MASS)[0]
 
 
-def _warn_of_change(model, R, given, change):
+def _warn_of_change(model, R, prescribed, change):
     """Warn if joints change the given motions by much. Given motions far below those of moving joints count as none."""
-    M, changed, bodies = model.mass(np.zeros(model.n)), given + change, (*model.bodies, *model.few)
+    M, changed, bodies = model.mass(np.zeros(model.n)), prescribed + change, (*model.bodies, *model.few)
 
     def energy(w):
         return (R @ w) @ (M @ (R @ w))
 
-    if not energy(change) > CHANGED**2 * energy(given) > CHANGED**4 * energy(changed):
+    if not energy(change) > CHANGED**2 * energy(prescribed) > CHANGED**4 * energy(changed):
         return
-    share, changes = np.sqrt(energy(change) / energy(given)), []
+    share, changes = np.sqrt(energy(change) / energy(prescribed)), []
     energies = [energy(alone * change) for alone in np.eye(len(bodies)).repeat(3, axis=1)]
     for k in np.argsort(energies)[::-1][:NAMED]:
-        (vx, vy, spin), (ux, uy, turn) = given[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
+        (vx, vy, spin), (ux, uy, turn) = prescribed[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
         changes.append(f"{bodies[k].name!r} from ({vx:.3g}, {vy:.3g}) m/s, {spin:.3g} rad/s to ({ux:.3g}, {uy:.3g}) m/s, {turn:.3g} rad/s")
     warnings.warn(
         f"the joints do not let the bodies move as given: they change the start by {100 * share:.0f} % (root of its kinetic energy), "
@@ -150,10 +151,10 @@ def motion_slopes(model, t, q, bar):
     the rows `-g^T dY^T lam - kappa^T (dY (w + c) + dphi_t)`. If a centre moves by dx, the velocity v of the body becomes
     `v - i spin dx`, `dx = T^H dM (z - T x_G) / m`.
     """
-    given, R = motions_given(model), rigid_motions(model, q)
+    prescribed, R = motions_given(model), rigid_motions(model, q)
     rows, roots = rows_of_motions(model, t, q, R)
     least = np.linalg.pinv((rows @ roots).toarray(), rcond=NO_MASS)
-    bar_of_motions, rate = R.T @ bar, rows @ given + model.phi_t(t, q)
+    bar_of_motions, rate = R.T @ bar, rows @ prescribed + model.phi_t(t, q)
     kappa = least.T @ (roots.T @ bar_of_motions)
     motions, change = bar_of_motions - rows.T @ kappa, -roots @ (least @ rate)
     g = roots @ (roots.T @ motions)
@@ -162,11 +163,11 @@ def motion_slopes(model, t, q, bar):
     for k, placed in enumerate((*model.bodies, *model.few)):
         mass = np.vdot(placed.translation_momentum, placed.translation).real or 1.0
         centre = np.vdot(placed.translation_momentum, z[placed.pairs]) / mass
-        slope, spin = complex(*motions[3 * k : 3 * k + 2]), given[3 * k + 2]
+        slope, spin = complex(*motions[3 * k : 3 * k + 2]), prescribed[3 * k + 2]
         left[placed.pairs] = slope * 1j * spin / mass * placed.translation
         right[placed.pairs] = z[placed.pairs] - placed.translation * centre
     centres = pairs_of(left).ravel(), pairs_of(right).ravel()
-    return MotionSlopes(motions, -(R @ g), R @ change, *centres, R @ (given + change), least.T @ (least @ rate), -kappa)
+    return MotionSlopes(motions, -(R @ g), R @ change, *centres, R @ (prescribed + change), least.T @ (least @ rate), -kappa)
 
 
 def hint_of_left_out(model, t, frames, accelerations):
@@ -181,14 +182,18 @@ def left_out(model, t, frames, accelerations):
     """{name: (share of its strain energy, m, m over its size)} that the modes of each reduced plate leave out, in its frame of largest energy.
 
     The residual `r = M x'' + f(x) - M g` of the full plate at the recovered motion, in the plate's frame, would move it by d, `K d + C^T l = -r`
-    with its supports fixed, `C d = 0`: energy `-d^T r / 2`. Forces of joints have no part in it.
+    with its supports fixed, `C d = 0`: energy `-d^T r / 2`. Forces of joints have no part in it. Not of viscoelastic plates, whose f depends on the past.
     """
-    reduced = [(number, placed) for number, placed in enumerate(model.few) if placed.body.truncation_error is not None]
+    reduced = [
+        (number, placed)
+        for number, placed in enumerate(model.few)
+        if placed.body.truncation_error is not None and placed.name not in model.strains
+    ]
     if not (reduced and len(frames)):
         return {}
     chosen, errors = np.unique(np.linspace(0, len(frames) - 1, COMPARED).astype(int)), {}
     pairs = np.array([frames[k] for k in chosen], float).reshape(len(chosen), -1, 2)
-    energies = np.empty((len(chosen), len(model.few)))
+    energies = np.empty((len(chosen), len(model.arrays.compact.drag)))
     compact.energies(model.arrays.compact, pairs, energies)
     for number, placed in reduced:
         worst = int(np.argmax(energies[:, number]))

@@ -7,9 +7,12 @@ from dataclasses import fields, replace
 import numpy as np
 
 from polyida.body.body import writes
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
+from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.model import differences
+from polyida.model.algebraic import solved
+from polyida.model.differences import along
 from polyida.profile import constant, difference
 from polyida.validation import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
 
@@ -25,16 +28,22 @@ class OwnForce:
     """
 
     strain = False
+    names: tuple[str, ...] = ()  # of its states, the algebraic ones, and the outputs of a controller
+    period = 0.0  # s, of a controller
 
     def __init__(self, name, element, model):
         from scipy.sparse import csr_array
 
         self.name, self.element, self.not_finite = name, element, ""
-        sides = sides_of(name, element)
+        sides, self.placed = sides_of(name, element), model.states.get(name)
+        self.own_sides, self.names = slice(len(sides)), element.states + element.algebraic
+        if isinstance(element, Controller):
+            self.period, self.names = element.period, self.names + element.outputs
+        sides += self.placed.sides() if self.placed else ()
         self.rest = np.array([side.rest for side in sides])
-        held = [(k, *model.held(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
-        rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
-        columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
+        attachments = [(k, *model.pairs_and_weights(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
+        rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in attachments])
+        columns, weights = (np.concatenate([entry[i] for entry in attachments]) for i in (1, 2))
         self.A = on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
         self.columns = np.unique(self.A.tocsr().indices)
         self.near = self.A[:, self.columns].toarray()
@@ -43,10 +52,12 @@ class OwnForce:
     def pushed(self, profile, by):
         """This force with the profile, if it is one of its fields, increased by `by`."""
         names = [field.name for field in fields(self.element) if getattr(self.element, field.name) is profile]
-        if not names:
-            return self
+        return self.with_element(replace(self.element, **dict.fromkeys(names, difference(profile, constant(-by))))) if names else self
+
+    def with_element(self, element):
+        """This force with another element of the same sides and states."""
         other = copy(self)
-        other.element = replace(self.element, **dict.fromkeys(names, difference(profile, constant(-by))))
+        other.element = element
         return other
 
     def places(self, q):
@@ -58,21 +69,80 @@ class OwnForce:
         return (self.near @ v[self.columns]).reshape(-1, 2)
 
     def forces(self, t, x, v):
-        """Forces on the sides, (sides, 2), N."""
-        return self._call("forces", x.shape, t, x, v)
+        """Forces on the sides, (sides, 2), N; on states as of PlacedStates."""
+        if not self.names:
+            return self._call("forces", x.shape, t, x, v)
+        own, speeds, states = x[self.own_sides], v[self.own_sides], self.all_states(t, x, v)
+        if not np.isfinite(states[0]).all() and self.not_finite:
+            return np.full(x.shape, np.nan)
+        forces, first = self._call("forces", own.shape, t, own, speeds, *states), len(self.element.states)
+        if not self.placed:
+            return forces
+        rates = self._call("rates", states[0].shape, t, own, speeds, *states)[:first] if first else np.zeros(0)
+        return np.concatenate([forces, self.placed.forces_of(rates)])
 
-    def energy(self, x):
-        """Energy, J; 0 without. Raises InputError if it is no finite number."""
-        value = self.element.energy(read_only(x))
+    def states(self, v):
+        """The states (states,), and of a controller its outputs (outputs,), from velocities of the sides, (sides, 2)."""
+        return self.placed.states_of(v[self.own_sides.stop :]) if self.placed else (np.zeros(0),)
+
+    def all_states(self, t, x, v):
+        """`states` with the algebraic ones, at places x; nan for these if they have no solution."""
+        (s, *outputs), element = self.states(v), self.element
+        if not element.algebraic:
+            return s, *outputs
+        first, x, v = len(s), x[self.own_sides], v[self.own_sides]
+
+        def rates(free):
+            whole = np.append(s, free)
+            return self._call("rates", whole.shape, t, x, v, whole, *outputs)[first:]
+
+        start, sizes = (np.array(values, float)[first:] for values in (element.start(), element.sizes()))
+        free, why = solved(rates, start, sizes)
+        if why:
+            self.not_finite = f"the algebraic states {', '.join(element.algebraic)} of {self.name!r} have no solution: {why}"
+        return np.append(s, free), *outputs
+
+    def states_at(self, t, q, v):
+        """The values of `names` at a state of the scene."""
+        return np.concatenate(self.all_states(t, self.places(q), self.velocities(v)))
+
+    def sample(self, t, q, v, after):
+        """Put the outputs of a controller that samples at (t, q, v) into the velocities `after`."""
+        x, speeds = self.places(q), self.velocities(v)
+        states = self.all_states(t, x, speeds)
+        outputs = self._call("sample", states[-1].shape, t, x[self.own_sides], speeds[self.own_sides], *states)
+        if self.not_finite:
+            raise StepFailure("not finite", f"{self.not_finite} at t = {t:.9g} s", t)
+        after[self.placed.columns[self.placed.own :]] = outputs / self.placed.units[self.placed.own :]
+
+    def energy(self, x, v=None):
+        """Energy, J; 0 without. v: velocities of the sides, needed if there are states. Raises InputError if it is no finite number."""
+        if not self.strain and not writes(self.element, ForceElement, "energy"):
+            return 0.0
+        own = read_only(x[self.own_sides]) if self.placed else read_only(x)
+        value = self.element.energy(own, *map(read_only, self.states(v))) if self.placed else self.element.energy(own)
         if value is None:
             return 0.0
         if not is_number(value):
             raise InputError(f"{self.name}: energy(x) must return a finite number or None, not {value!r}")
         return float(value)
 
+    def power(self, t, q, v):
+        """Work done on the system beyond the energy, W: `f . v + dE/dt`."""
+        x, speeds = self.places(q), self.velocities(v)
+        forces, rates = self.forces(t, x, speeds), np.zeros_like(speeds)
+        if self.placed:
+            rates[self.own_sides.stop :] = forces[self.own_sides.stop :] / self.placed.mass[0, 0].real
+            forces = forces[self.own_sides]
+        pace = float(max(np.abs(speeds[self.own_sides] / self.sizes[self.own_sides]).max(), np.abs(rates / self.sizes).max()))
+        if not pace:
+            return 0.0
+        power, moved = float(np.vdot(forces, speeds[self.own_sides])), speeds / pace
+        return power + pace * float(along(lambda s: self.energy(x + s * moved, speeds + s / pace * rates), NEAR))
+
     def conservative(self, t, x):
         """Forces at zero velocity, (sides, 2), if they must be the negative gradient of the energy; else None."""
-        if self.element.works or not writes(self.element, ForceElement, "energy"):
+        if self.names or self.element.works or not writes(self.element, ForceElement, "energy"):
             return None
         now, later = (self.forces(at, x, np.zeros_like(x)) for at in (t, t + differences.LATER))
         return now if np.array_equal(now, later) else None
@@ -90,10 +160,11 @@ class OwnForce:
 
     def gaps(self, q):
         """Gaps at q, (k,). Raises InputError if they are no finite numbers."""
-        given = self.element.gap(read_only(self.places(q)))
-        gaps = None if given is None else floats(given)
+        places = self.places(q)
+        values = self.element.gap(read_only(places[self.own_sides] if self.placed else places))
+        gaps = None if values is None else floats(values)
         if gaps is None or gaps.ndim > 1:
-            raise InputError(f"{self.name}: gap(x) must return a finite number or an array (k,) of them, not {given!r:.100}")
+            raise InputError(f"{self.name}: gap(x) must return a finite number or an array (k,) of them, not {values!r:.100}")
         return gaps.reshape(-1)
 
     def slopes(self, t, x, v, c_v, c_q):
@@ -103,7 +174,7 @@ class OwnForce:
             (c_v, "forces_v", lambda d: self.forces(t, x, v + d)),
             (c_q, "forces_x", lambda d: self.forces(t, x + d, v)),
         ):
-            if c and getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
+            if c and not self.names and getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
                 result += c * self._call(name, x.shape * 2, t, x, v).reshape(x.size, x.size)
             elif c:
                 result += c * self._differences(x, moved)
@@ -135,7 +206,7 @@ class OwnForce:
                 raise InputError(f"{self.name}: {name} {wrong}") from error
             raise
         bad = not np.isfinite(values).all() and all(np.isfinite(x).all() for x in arguments)
-        why = self.element.undefined(arguments[1]) if bad and len(arguments) == 3 else ""
+        why = self.element.undefined(arguments[1]) if bad and name == "forces" else ""
         self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{': ' * bool(why)}{why}" if bad else ""
         return values
 
@@ -143,7 +214,7 @@ class OwnForce:
 class Elastic(OwnForce):
     """The elastic force of a user's body, as a force on its pairs."""
 
-    strain = True
+    strain, placed = True, None
     switches = False
 
     def __init__(self, placed, n_pairs):
@@ -165,7 +236,7 @@ class Elastic(OwnForce):
         """Its forces: they must be the negative gradient of energy(z)."""
         return self.forces(t, x, x)
 
-    def energy(self, x):
+    def energy(self, x, v=None):
         return super().energy(x @ (1, 1j))
 
     def slopes(self, t, x, v, c_v, c_q):
@@ -176,46 +247,23 @@ class Elastic(OwnForce):
         return c_q * self._differences(x, lambda d: self.forces(t, x + d, v))
 
 
-class OwnForces:
-    """All these forces, as a part of g: `g = ... - A^T f`."""
+def take_from(r, forces, t, q, v):
+    """Subtract forces, a part of g, `g = ... - A^T f`, from r (n,), in place."""
+    for own in forces:
+        r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
-    def __init__(self, each, n):
-        self.each, self.n = each, n
 
-    def __bool__(self):
-        return bool(self.each)
+def slopes_of(forces, t, q, v, c_v, c_q):
+    """`c_v dg/dv + c_q dg/dq` of forces, (n, n) sparse."""
+    from scipy.sparse import csc_array
 
-    def pushed(self, profile, by):
-        """These forces with a profile increased by `by`."""
-        return OwnForces([own.pushed(profile, by) for own in self.each], self.n)
+    result = csc_array((q.size, q.size))
+    for own in forces:
+        result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
+    return result
 
-    def take_from(self, r, t, q, v):
-        """Subtract the forces from r (n,), in place."""
-        for own in self.each:
-            r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
-    def slopes(self, t, q, v, c_v, c_q):
-        """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
-        from scipy.sparse import csc_array
-
-        result = csc_array((self.n, self.n))
-        for own in self.each:
-            result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
-        return result
-
-    def energy(self, q, strain):
-        """Their energy, J: strain energy of bodies, or all other energy."""
-        return sum((own.energy(own.places(q)) for own in self.each if own.strain == strain), 0.0)
-
-    def gaps(self, q):
-        """Gaps of the force elements with switches, (k,)."""
-        return np.concatenate([own.gaps(q) for own in self.each if own.switches])
-
-    def gap_names(self, q):
-        """Name of the force element of each of `gaps`."""
-        return [repr(own.name) for own in self.each if own.switches for _ in own.gaps(q)]
-
-    @property
-    def not_finite(self):
-        """The functions that last gave non-finite values; empty if there are none."""
-        return " and ".join(own.not_finite for own in self.each if own.not_finite)
+def energy_of(forces, q, strain, v=None):
+    """The energy of forces, J: strain energy of bodies, or all other energy; v is needed if there are states."""
+    v = np.zeros_like(q) if v is None else v
+    return sum((own.energy(own.places(q), own.velocities(v)) for own in forces if own.strain == strain), 0.0)

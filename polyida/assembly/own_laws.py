@@ -5,13 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
-from polyida.assembly.joints import point_values, spread
+from polyida.assembly.joints import point_value, spread_one
 from polyida.body.body import writes
 from polyida.errors import DONE, InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.jit.user_functions import OwnData
+from polyida.jit.owner_data import OwnData
+from polyida.linear.dense import factor, solve
+from polyida.model.algebraic import CLOSE, FAST, LEAST, MOST, ROUND, SINGULAR
 from polyida.profile import polynomial
 from polyida.validation import pairs_of
 
@@ -25,7 +27,11 @@ STEP = 1e-7  # relative step of central differences: small, because contact forc
 class Laws(NamedTuple):
     """The force laws of a scene: one for each force element, and for each elastic body of a user."""
 
-    parts: np.ndarray  # (laws + 1, 3) address of the forces, first side, first of its numbers; the last row is the ends
+    # (laws + 1, 7) of each law: address of the forces, first side, first of its numbers, address of the rates, first state, how many rates it
+    # has, and first algebraic state; the last row is the ends. s are its states, algebraic states, and outputs of a controller
+    parts: np.ndarray
+    states: np.ndarray  # (states, 2) `units` and `scale` of PlacedStates; the last sides of a law are its states, two each
+    guesses: np.ndarray  # (algebraic states, 2) where Newton's method begins, and typical size
     points: np.ndarray  # point of each side; -1 on the ground
     rest: np.ndarray  # (sides, 2) places of the sides at rest, m
     sizes: np.ndarray  # (sides,) typical size of each side's coordinates
@@ -46,71 +52,183 @@ def numbers_at(laws, drives):
 
 
 @part
-def call_law(laws, function, k, numbers, x, v, f):
-    """Fill f by a C function of law k at places x and velocities v; nan if it raises or returns another shape."""
+def call_law(laws, function, k, numbers, x, v, s, f):
+    """Fill f by a C function of law k at places x, velocities v and states s; nan if it raises or returns another shape."""
     data = address(numbers) + 8 * laws.parts[k, 2]
-    if call(function, data, 0, address(numbers), address(x), address(v), 0, 0, address(f)) != DONE:
+    outputs = address(s) + 8 * laws.parts[k, 5]
+    if call(function, data, 0, address(numbers), address(x), address(v), address(s), outputs, address(f)) != DONE:
         f[:] = np.nan
 
 
 @part
-def evaluate(laws, k, numbers, x, v, f):
-    """Fill f (sides, 2), N, with the forces of law k."""
-    call_law(laws, laws.parts[k, 0], k, numbers, x, v, f)
+def states_of(laws, k, v, s):
+    """Fill s with the states of law k, from the velocities v (sides, 2) of its sides, and guesses of the algebraic ones.
+
+    Returns the number of its other sides.
+    """
+    first, count = laws.parts[k, 4], laws.parts[k + 1, 4] - laws.parts[k, 4]
+    guess, free = laws.parts[k, 6], laws.parts[k + 1, 6] - laws.parts[k, 6]
+    own, begin = v.shape[0] - (count + 1) // 2, laws.parts[k, 5] - free
+    for j in range(count):
+        s[j if j < begin else j + free] = laws.states[first + j, 0] * v[own + j // 2, j % 2]
+    for j in range(free):
+        s[begin + j] = laws.guesses[guess + j, 0]
+    return own
 
 
 @part
-def energy_at(laws, k, numbers, x, f):
-    """The energy of law k at places x; f is workspace."""
-    call_law(laws, laws.energies[k], k, numbers, x, x, f)
+def fill_algebraic(laws, k, numbers, x, v, s, rates):
+    """Fill the algebraic states of s, and the rates, by the Newton iteration of model.algebraic.solved; False without a solution."""
+    first, count = laws.parts[k, 6], laws.parts[k + 1, 6] - laws.parts[k, 6]
+    begin, slope, pivots = laws.parts[k, 5] - count, np.empty((count, count)), np.empty(count, np.int64)
+    free, sizes, behind = s[begin : begin + count], laws.guesses[first : first + count, 1], np.zeros_like(rates)
+    change, left, rows = np.empty(count), np.empty(count), np.empty(count)
+    call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
+    for i in range(count):
+        left[i] = rates[begin + i]
+    for _ in range(MOST):
+        for j in range(count):
+            middle, step = free[j], STEP * max(sizes[j], abs(free[j]))
+            free[j] = middle + step
+            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
+            free[j] = middle - step
+            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, behind)
+            free[j] = middle
+            for i in range(count):
+                slope[i, j] = (rates[begin + i] - behind[begin + i]) / (2.0 * step) * sizes[j]
+        for i in range(count):
+            rows[i] = np.max(np.abs(slope[i]))
+            change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
+            slope[i] /= rows[i]
+        if not factor(slope, pivots):
+            return False
+        for i in range(count):
+            if not abs(slope[i, i]) < 1.0 / SINGULAR:
+                return False
+        solve(slope, pivots, change)
+        ratio = 0.0
+        while ratio <= FAST:
+            share, moved, before, size = 1.0, 0.0, 0.0, 0.0
+            for i in range(count):
+                before = max(before, abs(change[i]) * sizes[i] / (sizes[i] + abs(free[i])))
+            while True:
+                for i in range(count):
+                    free[i] += (share - moved) * change[i] * sizes[i]
+                call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
+                for i in range(count):
+                    left[i] = -rates[begin + i] / rows[i]
+                solve(slope, pivots, left)
+                size = 0.0
+                for i in range(count):
+                    size = max(size, abs(left[i]) * sizes[i] / (sizes[i] + abs(free[i])))
+                if size <= max(CLOSE, (1.0 - 0.25 * share) * before):
+                    break
+                moved, share = share, 0.5 * share
+                if share < LEAST:
+                    return False
+            if size <= ROUND or before <= CLOSE:
+                for i in range(count):
+                    free[i] += left[i] * sizes[i]
+                call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
+                return True
+            change[:], ratio = left, size / before
+        for i in range(count):
+            left[i] = rates[begin + i]
+    return False
+
+
+@part
+def evaluate(laws, k, numbers, x, v, s, f):
+    """Fill f (sides, 2), N, with the forces of law k, on its states as of PlacedStates; s, like f, is workspace."""
+    own, first, rated, free = states_of(laws, k, v, s), laws.parts[k, 4], laws.parts[k, 5], laws.parts[k + 1, 6] - laws.parts[k, 6]
+    if free > 0:
+        rates = np.zeros(s.shape[0])
+        if not fill_algebraic(laws, k, numbers, x, v, s, rates):
+            f[:] = np.nan
+            return
+    call_law(laws, laws.parts[k, 0], k, numbers, x, v, s, f)
+    if own < v.shape[0]:
+        f[own:] = 0.0
+        if free > 0:
+            for j in range(rated - free):
+                f[own + j // 2, j % 2] = rates[j]
+        elif laws.parts[k, 3] != 0:
+            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, f[own:])
+        for j in range(rated - free):
+            f[own + j // 2, j % 2] *= laws.states[first + j, 1]
+
+
+@part
+def energy_at(laws, k, numbers, x, v, s, f):
+    """The energy of law k at places x and velocities v; s and f are workspace."""
+    states_of(laws, k, v, s)
+    call_law(laws, laws.energies[k], k, numbers, x, v, s, f)
     return f[0, 0]
 
 
 @part
-def place(laws, k, dz, vz):
-    """Places x and velocities v of the sides of law k at displacements dz and velocities vz of the points, and an array for its forces."""
+def point_of(links, u, p):
+    """A u at point p; u itself holds the values of points if links is None."""
+    if links is None:
+        return u[p, 0], u[p, 1]
+    return point_value(links, u, p)
+
+
+@part
+def place(laws, k, links, u, speeds):
+    """Places x and velocities v of the sides of law k, and workspaces for its states and forces; from displacements and velocities of nodes,
+    or of points if links is None."""
     first, count = laws.parts[k, 1], laws.parts[k + 1, 1] - laws.parts[k, 1]
-    x, v = laws.rest[first : first + count].copy(), np.zeros((count, 2))
+    sides = np.empty((3, count, 2))  # one array: making three would cost more than a force
+    x, v = sides[0], sides[1]
     for i in range(count):
         p = laws.points[first + i]
+        x[i, 0], x[i, 1], v[i, 0], v[i, 1] = laws.rest[first + i, 0], laws.rest[first + i, 1], 0.0, 0.0
         if p >= 0:
-            for e in range(2):
-                x[i, e] += dz[p, e]
-                v[i, e] = vz[p, e]
-    return x, v, np.empty((count, 2))
+            dx, dy = point_of(links, u, p)
+            x[i, 0] += dx
+            x[i, 1] += dy
+            v[i, 0], v[i, 1] = point_of(links, speeds, p)
+    return x, v, np.empty(laws.parts[k + 1, 4] - laws.parts[k, 4] + laws.parts[k + 1, 6] - laws.parts[k, 6]), sides[2]
 
 
 @entry
 def add_own_forces(laws, links, drives, u, v, r):
     """r (nodes, 2) -= the forces of all laws at displacements u and velocities v, (nodes, 2)."""
-    dz, vz, forces = np.zeros((3, links.point_mass.shape[0], 2))
-    point_values(links, u, dz)
-    point_values(links, v, vz)
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
-        x, speeds, f = place(laws, k, dz, vz)
-        evaluate(laws, k, numbers, x, speeds, f)
-        subtract_sides(laws, k, f, forces)
-    spread(links, forces, r)
+        x, speeds, s, f = place(laws, k, links, u, v)
+        evaluate(laws, k, numbers, x, speeds, s, f)
+        for i in range(f.shape[0]):
+            p = laws.points[laws.parts[k, 1] + i]
+            if p >= 0:
+                spread_one(links, p, -f[i, 0], -f[i, 1], r)
 
 
 @part
-def take_midpoint_forces(laws, drives, dz0, dz1, vz, forces):
+def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
     """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by the discrete gradient (Gonzalez 1996).
 
-    With `[V_1 - V_0 - V'] dx / (dx^T dx)` subtracted, the work of f from x0 to x1 is that of the law's energy V. V' is the work of the
-    forces at the middle at zero velocity. A bracket within round-off of V counts as zero.
+    vz: velocities in the middle; half: half their change in the step. With `[V_1 - V_0 - V'] dx / (dx^T dx)` subtracted, the work of f from
+    x0 to x1 is that of the law's energy V. V' is the work of the forces at the middle at zero velocity. A bracket within round-off of V counts
+    as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0).
     """
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
-        x0, v, f = place(laws, k, dz0, vz)
-        x1, _, _ = place(laws, k, dz1, vz)
+        x0, v, s, f = place(laws, k, None, dz0, vz)
+        x1, change, _, static = place(laws, k, None, dz1, half)
+        own = x0.shape[0] - (laws.parts[k + 1, 4] - laws.parts[k, 4] + 1) // 2
         middle = 0.5 * (x0 + x1)
-        evaluate(laws, k, numbers, middle, v, f)
+        evaluate(laws, k, numbers, middle, v, s, f)
         if laws.energies[k] != 0:
-            dx, static = x1 - x0, np.empty_like(f)
-            first, last = energy_at(laws, k, numbers, x0, static), energy_at(laws, k, numbers, x1, static)
-            evaluate(laws, k, numbers, middle, np.zeros_like(f), static)
+            dx, v0, v1 = x1 - x0, v - change, v + change
+            dx[own:] = 0.0
+            first, last = energy_at(laws, k, numbers, x0, v0, s, static), energy_at(laws, k, numbers, x1, v1, s, static)
+            if own < x0.shape[0]:
+                first -= energy_at(laws, k, numbers, middle, v0, s, static)
+                last -= energy_at(laws, k, numbers, middle, v1, s, static)
+            v[:own] = 0.0
+            evaluate(laws, k, numbers, middle, v, s, static)
             size, bracket = np.sum(dx * dx), last - first + np.sum(static * dx)
             if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
                 f -= bracket / size * dx
@@ -127,40 +245,61 @@ def subtract_sides(laws, k, f, forces):
             forces[p, 1] -= f[i, 1]
 
 
-@entry
-def add_own_curvature(laws, coupling, drives, dz, vz, c_q, c_v, curvature):
-    """Blocks of the coupling -= `c_q df/dx + c_v df/dv` of all laws; dz, vz (points, 2): displacements and velocities of the points."""
+@part
+def take_damping_forces(laws, drives, dz, vz, moved, forces):
+    """forces (points, 2) += C moved, C the derivative of -f in the velocities of the points at displacements dz and velocities vz."""
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
-        x, v, ahead = place(laws, k, dz, vz)
-        behind, blocks = np.empty_like(ahead), coupling.laws[coupling.law_start[k] : coupling.law_start[k + 1]]
-        if c_q != 0.0:
-            add_slopes(laws, k, numbers, x, v, x, c_q, ahead, behind, blocks, curvature)
-        if c_v != 0.0:
-            add_slopes(laws, k, numbers, x, v, v, c_v, ahead, behind, blocks, curvature)
+        x, v, s, ahead = place(laws, k, None, dz, vz)
+        _, d, _, behind = place(laws, k, None, dz, moved)
+        size = 0.0
+        for i in range(d.shape[0]):
+            size = max(size, (abs(d[i, 0]) + abs(d[i, 1])) / laws.sizes[laws.parts[k, 1] + i])
+        if size > 0.0:
+            step = STEP / size
+            evaluate(laws, k, numbers, x, v + step * d, s, ahead)
+            evaluate(laws, k, numbers, x, v - step * d, s, behind)
+            ahead -= behind
+            ahead /= 2.0 * step
+            subtract_sides(laws, k, ahead, forces)
+
+
+@entry
+def add_own_curvature(laws, coupling, drives, dz, vz, c_q, c_v, curvature):
+    """Blocks of the coupling -= `c_q df/dx + c_v df/dv` of all laws, c_q real; dz, vz (points, 2): displacements and velocities of the points."""
+    numbers = numbers_at(laws, drives)
+    for k in range(laws.parts.shape[0] - 1):
+        sides, blocks = place(laws, k, None, dz, vz), coupling.laws[coupling.law_start[k] : coupling.law_start[k + 1]]
+        add_slopes(laws, k, numbers, sides, c_q, c_v.real, 1.0, blocks, curvature)
+        if c_v.imag != 0.0:
+            add_slopes(laws, k, numbers, sides, 0.0, c_v.imag, (c_v - c_v.real) / c_v.imag, blocks, curvature)
 
 
 @part
-def add_slopes(laws, k, numbers, x, v, varied, c, ahead, behind, blocks, curvature):
-    """curvature -= c times the derivative of the forces of law k in `varied`, x or v, by central differences."""
-    first, count = laws.parts[k, 1], x.shape[0]
+def add_slopes(laws, k, numbers, sides, c_q, c_v, unit, blocks, curvature):
+    """curvature -= unit times the derivative of the forces of law k along (c_q, c_v) in (x, v) of each side, by central differences."""
+    x, v, s, ahead = sides
+    first, count, behind, most = laws.parts[k, 1], x.shape[0], np.empty_like(ahead), max(abs(c_q), abs(c_v), 1.0)
+    own = 2 * count - (laws.parts[k + 1, 4] - laws.parts[k, 4]) % 2  # an odd number of states leaves a component unused
     for j in range(count):
-        step = STEP * laws.sizes[first + j]
-        for e in range(2 if laws.points[first + j] >= 0 else 0):
-            middle = varied[j, e]
-            varied[j, e] = middle + step
-            evaluate(laws, k, numbers, x, v, ahead)
-            varied[j, e] = middle - step
-            evaluate(laws, k, numbers, x, v, behind)
-            varied[j, e] = middle
+        step = STEP * laws.sizes[first + j] / most
+        for e in range(min(2, own - 2 * j) if laws.points[first + j] >= 0 else 0):
+            place, speed = x[j, e], v[j, e]
+            x[j, e], v[j, e] = place + c_q * step, speed + c_v * step
+            evaluate(laws, k, numbers, x, v, s, ahead)
+            x[j, e], v[j, e] = place - c_q * step, speed - c_v * step
+            evaluate(laws, k, numbers, x, v, s, behind)
+            x[j, e], v[j, e] = place, speed
             for i in range(count):
                 block = blocks[i * count + j]
                 for a in range(2 if block >= 0 else 0):
-                    curvature[block, a, e] -= c * (ahead[i, a] - behind[i, a]) / (2.0 * step)
+                    curvature[block, a, e] -= unit * ((ahead[i, a] - behind[i, a]) / (2.0 * step))
 
 
-def laws_of(elements, elastic, points, drives, size):
+def laws_of(elements, states, elastic, points, drives, size):
     """The Laws of {name: force element} and of PlacedBody with an elastic force; None if there are none, or one is not compiled.
+
+    states: {name: PlacedStates} of the elements that have states.
 
     Sides of elements and coordinates of bodies become points. Profiles of elements become drives in any case, so that steps end at their
     kinks. Raises InputError, naming the part, for a function that numba does not compile.
@@ -173,38 +312,57 @@ def laws_of(elements, elastic, points, drives, size):
         return None
     laws = []
     for name, element in elements.items():
-        sides = sides_of(name, element)
+        sides, placed = sides_of(name, element), states.get(name)
         shape, no_energy = (len(sides), 2), NO_ENERGY if writes(element, ForceElement, "energy") else 0
         arguments = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
-        laws.append((sides, *_addresses(name, element, "forces", arguments, shape, no_energy)))
+        if names := element.states + element.algebraic:
+            arguments["s"] = ("d", (len(names),))
+        if placed:
+            arguments["s"], sides = ("d", (len(names),)), sides + placed.sides()
+            arguments |= {"u": ("e", (len(placed.units) - placed.own,))} if placed.controls else {}
+        of_energy = {key: value for key, value in arguments.items() if key not in "tvs"} | ({"s": ("d", (placed.own,))} if placed else {})
+        laws.append((sides, *_addresses(name, element, "forces", arguments, of_energy, shape, no_energy)))
     for placed in elastic:  # its elastic force acts on its coordinates, with the opposite sign
         count = len(placed.rest)
         sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
         arguments = {"z": ("b", (count,), True)}
-        laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, (count,), 0, "-found", True)))
+        laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, arguments, (count,), 0, "-found", True)))
     sides, data, addresses = zip(*laws)
     numbers = [np.zeros(1), *(one.words for one in data)]  # the time comes first
+    of_laws = [states.get(name) for name in elements] + [None] * len(elastic)
+    units = [np.column_stack([one.units, one.scale]) if one else np.zeros((0, 2)) for one in of_laws]
+    guesses = [np.column_stack([one.start(), one.sizes()])[len(one.states) :] for one in elements.values()] + [np.zeros((0, 2))] * len(
+        elastic
+    )
+    rated = [len(one.states) + len(one.algebraic) for one in elements.values()] + [0] * len(elastic)
     first, each = starts(numbers)[1:], [side for group in sides for side in group]
     driven = [(begin + k, drives.add(profile, "")) for begin, one in zip(first, data) for k, profile in one.profiles]
+
+    def ended(which):
+        return np.array([*(each[which] for each in addresses), 0], np.int64)
+
     return Laws(
-        parts=np.stack([np.array([*(forces for forces, _ in addresses), 0], np.int64), starts(sides), first], axis=1),
+        parts=np.stack([ended(0), starts(sides), first, ended(2), starts(units), [*rated, 0], starts(guesses)], axis=1),
+        states=np.concatenate(units),
+        guesses=np.concatenate(guesses),
         points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
         rest=np.array([side.rest for side in each], float),
         sizes=np.array([side.size(size) for side in each], float),
-        energies=np.array([energy for _, energy in addresses], np.int64),
+        energies=np.array([energy for _, energy, _ in addresses], np.int64),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
         clock=drives.add(polynomial([0.0, 1.0]), ""),
     )
 
 
-def _addresses(name, part, forces, arguments, shape, no_energy, *result):
-    """(OwnData, (address of the forces, address of the energy or `no_energy`)) of a part."""
+def _addresses(name, part, forces, arguments, of_energy, shape, no_energy, *result):
+    """(OwnData, (address of the forces, address of the energy or `no_energy`, address of the rates or 0)) of a part."""
     functions = part.compiled_functions()
     data = OwnData(part, functions.values())
     try:
         address = data.c_function(functions[forces], arguments, shape, *result)
-        energy = functions.get("energy")
-        return data, (address, data.c_function(energy, arguments, ()) if energy else no_energy)
+        energy, rates = functions.get("energy"), functions.get("rates")
+        energy = data.c_function(energy, of_energy, ()) if energy else no_energy
+        return data, (address, energy, data.c_function(rates, arguments, arguments["s"][1]) if rates else 0)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None

@@ -6,7 +6,10 @@ from functools import cached_property
 import numpy as np
 
 from polyida.body.body import Body, coordinates_of, form_of, mass_of, translation_of, writes
+from polyida.body.plate import series
 from polyida.body.rigid_body import PointMass
+from polyida.force.controllers import Controller
+from polyida.force.force_element import Side
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.profile import Profile
 from polyida.validation import complex_of_pairs, pairs_of, read_only
@@ -38,6 +41,16 @@ class PlacedPlate:
         return np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
 
     @property
+    def prony(self):
+        """Terms (g, tau) of its relaxation."""
+        return self.plate.material.prony
+
+    @property
+    def strains(self):
+        """Number of strains that relax: three at each point."""
+        return 3 * len(self.operator.weights)
+
+    @property
     def whole_mass(self):
         """Mass, kg."""
         return float(self.translation_momentum.sum())
@@ -46,7 +59,7 @@ class PlacedPlate:
         """Gravity on the nodes, (nodes, 2), N."""
         return np.outer(self.translation_momentum, gravity)
 
-    def held(self, side, part):
+    def pairs_and_weights(self, side, part):
         """(pairs of q, complex weights) whose sum is an attachment's "point" or "direction"."""
         weights = side.weights if part == "point" else side.turn_weights
         return side.nodes + self.nodes.start, weights.astype(complex)
@@ -64,8 +77,8 @@ class PlacedBody:
     elastic force, which has no form for the kernels. axis (pairs,): weights of the vector that turns with the body; zero without one.
     """
 
-    def __init__(self, name, user, first, held):
-        self.name, self.user, self.body = name, user, user.prepared(held)
+    def __init__(self, name, user, first, attachments):
+        self.name, self.user, self.body = name, user, user.prepared(attachments)
         self.rest = coordinates_of(self.body)
         self.pairs = slice(first, first + len(self.rest))
         self.mass, self.uneven = mass_of(self.body)
@@ -74,6 +87,20 @@ class PlacedBody:
         self.deforms, self.damped = self.elastic or self.form is not None, any(self.body.damping())
         weights = self.body.x_axis()
         self.axis = np.zeros(len(self.rest), complex) if weights is None else np.asarray(weights, complex)
+
+    def damping(self):
+        """(Rayleigh mass coefficient, 1/s; Kelvin-Voigt time, s)."""
+        return self.body.damping()
+
+    @property
+    def prony(self):
+        """Terms (g, tau) of its relaxation."""
+        return series(self.body.label, self.body.prony()) if self.form is not None else ()
+
+    @property
+    def strains(self):
+        """Number of strains that relax: those of y."""
+        return len(self.form[1])
 
     @property
     def python(self):
@@ -113,7 +140,7 @@ class PlacedBody:
             return pairs_of(self.mass @ acceleration)
         return (self.uneven @ pairs_of(acceleration).ravel()).reshape(-1, 2)
 
-    def held(self, side, part):
+    def pairs_and_weights(self, side, part):
         """(pairs of q, complex weights) whose sum is an attachment's "point" or "direction"."""
         weights = self.body.weights_of(side, part)
         used = np.flatnonzero(weights)
@@ -123,6 +150,93 @@ class PlacedBody:
         """(pairs of q, forces (., 2) on them) of forces on an attachment's nodes."""
         shares = self.body.pair_forces(side, complex_of_pairs(forces))
         return np.arange(self.pairs.start, self.pairs.stop, dtype=np.int32), pairs_of(shares)
+
+
+class PlacedStates:
+    """The states of a force element: the velocities of auxiliary coordinates of mass `mass`, `s_k = units_k v`.
+
+    The equation of such a coordinate, `mass (v' - s'/units) = 0`, has the form of an equation of motion, so that integrators know nothing
+    of states. pairs: their slice of the pairs of q; an odd number of states leaves the last component unused. speed: the velocity that
+    stands for a state of typical size, m/s.
+    """
+
+    form = None
+
+    def __init__(self, name, element, first, mass, speed):
+        outputs = element.outputs if isinstance(element, Controller) else ()
+        self.name, self.own, self.names = name, len(element.states), (*element.states, *outputs)
+        count, self.controls = len(self.names), bool(outputs)
+        sizes, start = (
+            np.append(np.array(values, float)[: self.own], fill(len(outputs)))
+            for values, fill in ((element.sizes(), np.ones), (element.start(), np.zeros))
+        )
+        self.units, self.start = sizes / speed, start
+        self.speed, self.scale = speed, mass / self.units
+        self.pairs = slice(first, first + (count + 1) // 2)
+        self.columns = np.arange(2 * first, 2 * first + count)
+        self.rest = self.translation = self.axis = np.zeros(self.pairs.stop - first, complex)
+        self.mass = mass * np.eye(len(self.rest), dtype=complex)
+
+    def damping(self):
+        """No damping."""
+        return 0.0, 0.0
+
+    def weight(self, gravity):
+        """No weight."""
+        return np.zeros((len(self.rest), 2))
+
+    def pairs_and_weights(self, side, part):
+        """(pairs of q, complex weights) of one of `sides`."""
+        return np.array([side.pair], np.int32), np.ones(1, complex)
+
+    def sides(self):
+        """The coordinates as sides of the element."""
+        return tuple(StateSide(StatePair(self, pair), "point", np.zeros(2)) for pair in range(self.pairs.start, self.pairs.stop))
+
+    def states_of(self, rows):
+        """(states,), and of a controller (states, outputs), from velocities of the sides, (pairs, 2)."""
+        values = self.units * rows.ravel()[: len(self.units)]
+        return (values[: self.own], values[self.own :]) if self.controls else (values,)
+
+    def forces_of(self, rates):
+        """The forces on the sides, (pairs, 2), of the states' derivatives."""
+        forces = np.zeros(2 * len(self.rest))
+        forces[: len(rates)] = self.scale[: len(rates)] * rates
+        return forces.reshape(-1, 2)
+
+
+class PlacedStrains(PlacedStates):
+    """The relaxed strains of a viscoelastic plate, states of no force element (relaxation.py). terms: (g, tau) of each; mass: of each pair."""
+
+    def __init__(self, body, first, mass, unit):
+        self.name, self.terms, strains = body.name, body.prony, body.strains
+        self.padded = strains + strains % 2  # numbers of a term
+        whole = self.padded * len(self.terms)
+        self.columns = 2 * first + np.arange(whole).reshape(len(self.terms), -1)[:, :strains].ravel()
+        self.units, self.start = np.full(len(self.columns), unit), np.zeros(len(self.columns))
+        self.pairs = slice(first, first + whole // 2)
+        self.rest = self.translation = np.zeros(whole // 2, complex)
+        self.mass = mass
+
+    def pull_of(self, v):
+        """sum g x, (strains,), of velocities v (n,) of a scene."""
+        return np.array([g for g, _ in self.terms]) @ (self.units * v[self.columns]).reshape(len(self.terms), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class StatePair:
+    """A pair of states as an attachment."""
+
+    body: PlacedStates
+    pair: int
+
+
+class StateSide(Side):
+    """A pair of states as a side of a force element."""
+
+    def size(self, extent):
+        """The velocity that stands for a state of typical size."""
+        return self.at.body.speed
 
 
 def steady(gravity):

@@ -7,8 +7,10 @@ import numpy as np
 from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
 from polyida.assembly.placement import PlacedPlate
+from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of
 from polyida.element import kernels
+from polyida.element.relaxation import relax_stress
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
 from polyida.joint.formula import rest_of
@@ -37,7 +39,8 @@ class Constraints(Model):
         """This model with the value of profile `number` at time t increased by `by`, its rates unchanged."""
         table, other = self.drives(t), object.__new__(type(self))
         table[number, 0] += by
-        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=self.own_forces.pushed(self.profiles[number], by))
+        forces = tuple(own.pushed(self.profiles[number], by) for own in self.own_forces)
+        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=forces)
         return other
 
     def kinks(self, t0, t1):
@@ -112,19 +115,18 @@ class Constraints(Model):
         return self._points_of_q.toarray()
 
     def phi_t(self, t, q):
-        return self._rates(t, q, np.zeros(self.n))[0]
+        return self._rates(t, q, np.zeros(self.n))[0] if self.needs.driven else np.zeros(self.m)
 
     def phi_rate(self, t, q, v):
-        return self._slopes(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
-
-    def phi_bias(self, t, q, v):
         return self._rates(t, q, v)[1]
 
+    def phi_bias(self, t, q, v):
+        return self._rates(t, q, v)[2] if self.needs.driven or self.needs.phi_q_varies else np.zeros(self.m)
+
     def _rates(self, t, q, v):
-        phi_t, rate, bias = np.zeros((3, self.m))
-        if self.needs.driven or self.needs.phi_q_varies:
-            joints.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
-        return phi_t, bias
+        rates = np.zeros((3, self.m))
+        joints.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), *rates)
+        return rates
 
     def phi_rate_q(self, t, q, v):
         return self._rates_q(t, q, v, 1)
@@ -189,11 +191,11 @@ class Constraints(Model):
             raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, named))}")
         return named[name]
 
-    def held(self, side, part="point"):
+    def pairs_and_weights(self, side, part="point"):
         """(pairs of q, complex weights) of an attachment's "point" or "direction". Raises InputError for a body of another scene."""
         if id(side.body) not in self.places:
             raise InputError(f"{side!r}: its body is not in the scene")
-        return self.places[id(side.body)].held(side, part)
+        return self.places[id(side.body)].pairs_and_weights(side, part)
 
     def displacement(self, name, q):
         """Displacement (2,), m, of the point of a mass, load or joint; its velocity for q = v."""
@@ -207,9 +209,13 @@ class Constraints(Model):
         side = self.side(name)
         return side.point + self._moved(side, "point", q)
 
+    def velocity(self, name, v):
+        """Velocity (2,), m/s, of the same, for v (n,)."""
+        return self._moved(self.side(name), "point", v[None])[0]
+
     def _moved(self, side, part, q):
         """Change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2)."""
-        pairs, weights = self.held(side, part)
+        pairs, weights = self.pairs_and_weights(side, part)
         return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ weights)
 
     def side(self, name):
@@ -253,7 +259,7 @@ class Constraints(Model):
     def pulled(self, place, forces):
         """Generalised forces (frames, n) of forces (frames,), complex, on a place."""
         result = np.zeros((len(forces), self.n_nodes), complex)
-        pairs, weights = self.held(*place)
+        pairs, weights = self.pairs_and_weights(*place)
         np.add.at(result, (slice(None), pairs), forces[:, None] * np.conj(weights))
         return result.view(float)
 
@@ -287,8 +293,13 @@ class SceneBodies(Constraints):
 
         (indptr, indices), s = self.pattern, self.arrays
         values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
-        values = np.concatenate([concatenated(values, float), s.compact.mass @ (1, 1j)])
-        weights = self.point_weights
+        values = [concatenated(values, float), s.compact.mass @ (1, 1j)]
+        for placed in self.strains.values():
+            count = placed.pairs.stop - placed.pairs.start
+            values.append(np.full(count, placed.mass))
+            indptr = np.append(indptr, indptr[-1] + np.arange(1, count + 1, dtype=np.int32))
+            indices = np.append(indices, np.arange(placed.pairs.start, placed.pairs.stop, dtype=np.int32))
+        values, weights = np.concatenate(values), self.point_weights
         mass = csr_array((values, indices, indptr), shape=(self.n_nodes, self.n_nodes))
         mass = (mass + weights.conj().T @ diags_array(s.links.point_mass) @ weights).tocsc()
         if not mass.data.imag.any():
@@ -310,7 +321,8 @@ class SceneBodies(Constraints):
     @cached_property
     def translation(self):
         """Velocity of each pair of q if all bodies translate with unit velocity, (pairs,), complex."""
-        return np.concatenate([np.zeros(0, complex), *(placed.translation for placed in (*self.bodies, *self.few))])
+        placed = (*self.bodies, *self.few, *self.states.values(), *self.strains.values())
+        return np.concatenate([np.zeros(0, complex), *(one.translation for one in placed)])
 
     @property
     def lightest(self):
@@ -322,7 +334,7 @@ class SceneBodies(Constraints):
 
         z are the pairs of all bodies as points of the complex plane, masses at points included.
         """
-        z, momentum = (complex_of_pairs(x.reshape(-1, 2)) for x in (self.reference.ravel() + q, self._mass @ v))
+        z, momentum = (complex_of_pairs(x.reshape(-1, 2)) for x in (self.reference.ravel() + q, self._mass @ self.without_states(v)))
         p = np.vdot(self.translation, momentum)
         return np.array([p.real, p.imag, np.vdot(z, momentum).imag])
 
@@ -373,14 +385,19 @@ class SceneBodies(Constraints):
                 segments.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None])
         return np.concatenate(segments)
 
-    def stress(self, q):
-        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+    def stress(self, q, v=None):
+        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate; viscoelastic plates have states in v, by default 0."""
         parts, nodal = [np.zeros((0, 3))], self.nodal(q)
         for body in self.drawn:
             (modulus, nu), operator = body.plate.material.in_plane, body.operator
             parts.append(np.empty((body.mesh.n_cells, 3)))
             at = operator.lane_cells, operator.areas, body.nodes.start
             kernels.stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, parts[-1])
+            if v is not None and body.name in self.strains:
+                pull = self.strains[body.name].pull_of(v)
+                fields = self.once(fields_at_points, of_shape=True).get(body.name)
+                pull = pull if fields is None else pull_at_points(fields, pull)
+                relax_stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, pull, parts[-1])
         return np.concatenate(parts)
 
     def stress_across(self, stress):

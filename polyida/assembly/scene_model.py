@@ -9,28 +9,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.build import assemble, extent_of, of_kind, place_bodies
+from polyida.assembly.build import CLOSED, assemble, extent_of, of_kind, place_bodies, place_states
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.equilibrium import add_damping, blocks_at
-from polyida.assembly.factors import given_factors, scaled
+from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
-from polyida.assembly.own_forces import Elastic, OwnForce, OwnForces
+from polyida.assembly.own_forces import Elastic, OwnForce, energy_of, slopes_of, take_from
 from polyida.assembly.own_laws import add_own_forces
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
+from polyida.assembly.relaxation import add_relaxing_forces, relaxation_energies, slopes, stiffness_changes
 from polyida.assembly.scene_bodies import SceneBodies, deepest
+from polyida.body.rigid_body import PointMass
+from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.joint.formula import Row, rows_of
+from polyida.joint.formula import all_rows
+from polyida.joint.held import held_at
+from polyida.joint.joint import Joint
 from polyida.linear.lu import dense
 from polyida.linear.saddle import StepMatrix
-from polyida.model import Needs
-from polyida.model.differences import along
+from polyida.model import NONE, Needs
+from polyida.model.row_laws import require_no_laws
 from polyida.profile import Profile
 from polyida.validation import pairs_of
 
 SMALL = 100  # largest n + m with dense matrices at the start and in adjoints: up to there sparse ones cost more in Python
+KEPT = 64  # modes that a model with events keeps
+SAME_TIME = 1e-9  # of a period: distance of a time from a sample that is round-off
+SECOND = 1.0  # s: time in which a state of typical size passes the scene's extent, without gravity
 NEAR = 1e-3  # of the size of its sides' places: range over which the energy of an element is differentiated; contacts are that shallow
 
 
@@ -41,61 +49,152 @@ class SceneModel(SceneBodies):
 
     bodies, few: the plates, and the other bodies, in order; places: {id: either}. arrays: all that the kernels read; laws: the compiled force
     elements and elastic forces, None if one is not compiled; own_forces: the same in Python. compiled: True if kernels can take whole steps.
-    rows: {name: slice of phi and lam} of each joint and body with rows.
+    rows: {name: slice of phi and lam} of each joint and body with rows. late: names of the parts that events add, or None without events; see
+    `mode`.
     """
 
     is_scene = has_constraint_increments = True
     switching = False  # True if a force element declares switches, by `gap`
     looks_apart = 1024  # without few: joints hold on to points of their own, and only motors turn rows
 
-    def __init__(self, parts, gravity, redundant="refuse"):
-        self.parts, self.treats_redundant, self._driven = dict(parts), redundant, (None, None)
+    def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
+        self.parts, self.treats_redundant, self.without_strains = dict(parts), redundant, without_strains
+        self.late, self._modes = late, {}
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
         self.bodies, self.few = place_bodies(parts)
         self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
         self.extent = extent_of(self.bodies, self.few)
-        self.n_nodes = [*self.bodies, *self.few][-1].pairs.stop
-        self.n = 2 * self.n_nodes
-        self._assemble()
-        links, size = self.arrays.links, np.diff(self.arrays.links.vector_start)
-        elements, elastic = of_kind(parts, ForceElement), [placed for placed in self.few if placed.elastic]
+        self.state_speed = float(np.sqrt(self.free_fall * self.extent) or self.extent / SECOND)
+        self.states, self.strains = place_states(parts, self.bodies, self.few, self.state_speed, without_strains)
+        self.places |= {id(placed): placed for placed in self.states.values()}
+        self.n_factored = [*self.bodies, *self.few, *self.states.values()][-1].pairs.stop
+        self.n_nodes = list(self.strains.values())[-1].pairs.stop if self.strains else self.n_factored
+        self.n, all_states = 2 * self.n_nodes, [*self.states.values(), *self.strains.values()]
+        self.state_columns, self.state_units = (
+            concatenated([getattr(placed, name) for placed in all_states], dtype)
+            for name, dtype in (("columns", np.int64), ("units", float))
+        )
+        self.k = len(self.state_columns)
+        compact = [*self.few, *all_states]
+        self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in compact])
         self.damped = any(placed.damped for placed in (*self.bodies, *self.few))
         self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.few)
-        self.needs = Needs(
-            mass_varies=False,
-            velocity_forces=self.damped or bool(elements),
-            driven=bool(len(self.motor_profiles) or len(self.path_profiles)),
-            phi_q_varies=bool(((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
-        )
-        self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in self.few])
-        forces = [*(OwnForce(name, element, self) for name, element in elements.items()), *(Elastic(own, self.n_nodes) for own in elastic)]
-        self.own_forces = OwnForces(forces, self.n)
-        self.switching = any(own.switches for own in forces)
         uneven = [body for body in self.few if body.uneven is not None]
         self.uneven_mass = _uneven([(body, 1.0) for body in uneven], self.n)
         self.uneven_drag = _uneven([(body, body.body.damping()[0]) for body in uneven], self.n)
+        self.solid = not any(placed.massless for placed in self.few) and self.uneven_mass is None
+        self.uniform_units = not (self.few or self.strains)
+        self._use_parts(self._late_joints())
+        if redundant == "least-norm":
+            require_no_laws("Scene.build", self, 'redundant="least-norm" is for equations alone; redundant contacts need none')
+        if redundant == "least-norm" and late is None:
+            self._leave_out_redundant(0.0, np.zeros(self.n))
+
+    def _use_parts(self, held, left_out=()):
+        """Take from the parts all that depends on which of them act; held and left_out as of `_assemble`."""
+        self._assemble(held, left_out)
+        links, size = self.arrays.links, np.diff(self.arrays.links.vector_start)
+        elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.few if placed.elastic]
+        self.needs = Needs(
+            mass_varies=False,
+            velocity_forces=self.damped or bool(elements or self.strains),
+            driven=bool(len(self.motor_profiles) or len(self.path_profiles) or links.row_constant[self.velocity_rows].any()),
+            phi_q_varies=bool(((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
+        )
+        forces = (OwnForce(name, element, self) for name, element in elements.items())
+        self.own_forces = (*forces, *(Elastic(own, self.n_nodes) for own in elastic))
+        self.switching = any(own.switches for own in self.own_forces)
+        self.controllers = [own for own in self.own_forces if own.period]
         python = [placed.name for placed in self.few if placed.python]
         python += [name for name, element in elements.items() if not element.compiled_functions()]
         massless = [placed.name for placed in self.few if placed.massless]
-        self.solid = not massless and self.uneven_mass is None
-        self.compiled, self.uniform_units, self.looks_apart = self.solid and not python, not self.few, 1 if self.few else self.looks_apart
+        self.compiled, self.looks_apart = self.solid and not python, 1 if self.few else self.looks_apart
         why = (("the Python of", python), ("the massless coordinates of", massless))
         self.remark = " and ".join(f"plain paths for {what} {', '.join(map(repr, names))}" for what, names in why if names)
-        if redundant == "least-norm":
-            whole = object.__new__(type(self))
-            whole.__dict__.update(self.__dict__)
-            self.redundant = Redundant(whole)
-            self._assemble(self.redundant.left_out)
-            self.remark = " and ".join(filter(None, (self.remark, self.redundant.remark())))
 
-    def _assemble(self, left_out=()):
-        """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`."""
-        assembled = assemble(self.bodies, self.few, self.places, self.parts, self.gravity, self.extent, left_out)
+    def _leave_out_redundant(self, t, q, held=NONE, left_out=()):
+        """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`. Returns the numbers of those that stay."""
+        whole = object.__new__(type(self))
+        whole.__dict__.update(self.__dict__)
+        redundant, columns = Redundant(whole, t, q), np.setdiff1d(np.arange(whole.m + len(left_out)), left_out)
+        if redundant.labels or self.treats_redundant == "least-norm":
+            self.redundant = redundant
+            self._assemble(held, [*left_out, *columns[redundant.left_out]])
+            self.remark = " and ".join(filter(None, (self.remark, redundant.remark())))
+        return columns[redundant.independent]
+
+    def mode(self, absent, since):
+        """The model of the same coordinates without the parts named in `absent`, of a model that has the rows of all parts.
+
+        Its `columns` are the numbers of its rows of phi among all. since: {name: (1 + n,), t and q} of joints that were added there; their rows
+        take from this position what other joints take from the drawing. Rows that depend on others at the last one are left out.
+        """
+        key = absent, tuple((name, at.tobytes()) for name, at in since.items())
+        if not (absent or since or self.treats_redundant == "least-norm"):
+            return self
+        if key not in self._modes:
+            if len(self._modes) >= KEPT:
+                self._modes.clear()
+            self._modes[key] = self._mode(absent, since)
+        return self._modes[key]
+
+    def _mode(self, absent, since):
+        heavy = any(isinstance(self.parts[name], PointMass) for name in {*absent, *(self.late or ())})
+        other = self._copy({"pattern", "first_pairs", *(() if heavy else OF_FACTORS)})
+        other.absent = absent
+        other.parts = {name: part for name, part in self.parts.items() if isinstance(part, Joint) or name not in absent}
+        held = self._late_joints()
+        held |= {name: held_at(self.parts[name], lambda place, at=at: self.place(place, at[None, 1:])[0]) for name, at in since.items()}
+        left_out = concatenated([np.arange(self.m)[self.rows[name]] for name in absent if name in self.rows], np.int64)
+        other._use_parts(held, left_out)
+        other.columns = np.setdiff1d(np.arange(self.m), left_out)
+        for name, at in since.items():
+            gap = float(np.abs(other.phi(float(at[0]), at[1:])[other.rows[name]]).max(initial=0.0))
+            if gap > CLOSED * self.extent:
+                raise InputError(f"{name!r} does not fit where it is added: it is open by {gap:.3g} m")
+        if since or self.treats_redundant == "least-norm":
+            at = list(since.values())[-1] if since else np.zeros(1 + self.n)
+            other.columns = other._leave_out_redundant(float(at[0]), at[1:], held, left_out)
+        return other
+
+    def with_rows(self, rows):
+        """This model with only these rows of phi, (k,) int, all of them equations; stored."""
+        key = tuple(np.asarray(rows).tolist())
+        if key not in self._modes:
+            if len(self._modes) >= KEPT:
+                self._modes.clear()
+            held, left_out = self._assembled
+            numbers = np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
+            mode = self._modes[key] = self._copy({"pattern", "first_pairs", *OF_FACTORS})
+            mode._use_parts(held, [*left_out, *np.delete(numbers, key).tolist()])
+            mode.row_laws, mode.columns = (), np.array(key, np.int64)
+        return self._modes[key]
+
+    def _copy(self, kept):
+        """A copy without what is derived, but for these names."""
+        other = object.__new__(type(self))
+        cached = {name for kind in type(self).__mro__ for name, value in vars(kind).items() if isinstance(value, cached_property)}
+        other.__dict__.update({name: value for name, value in vars(self).items() if name not in cached - kept}, _modes={})
+        return other
+
+    def _late_joints(self):
+        return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
+
+    def _assemble(self, held, left_out=()):
+        """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`.
+
+        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold.
+        """
+        self._assembled = held, list(left_out)
+        of_bodies = self.bodies, self.few, self.states, self.strains, self.places
+        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
+        self._driven = None, None
         self.arrays, points, table, drives, self.laws = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.m, self.n_points, self._derived, self._derived_of_shape, self._reactions = len(self.labels), len(points.nodes), {}, {}, {}
         links = self.arrays.links
+        self.velocity_rows, self.row_laws = links.velocity_rows, tuple(table.laws)
         self.motor_profiles, self.path_profiles = np.unique(links.product_drive[links.product_drive >= 0]), np.unique(links.shift_drive)
 
     @property
@@ -109,7 +208,15 @@ class SceneModel(SceneBodies):
         return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
 
     def __reduce__(self):
-        return _unpickled, (type(self), self.parts, self.gravity, self.treats_redundant, given_factors(self))
+        return _unpickled, (
+            type(self),
+            self.parts,
+            self.gravity,
+            self.treats_redundant,
+            self.without_strains,
+            self.late,
+            given_factors(self),
+        )
 
     @property
     def factors(self) -> dict[str, tuple[NDArray, NDArray]]:
@@ -143,6 +250,21 @@ class SceneModel(SceneBodies):
         """
         return scaled(self, factors)
 
+    def elastic(self, relaxed):
+        """This model with elastic plates in place of viscoelastic ones, with fewer coordinates behind the same first ones.
+
+        Their modulus is that of a sudden strain, or if `relaxed` that of a constant one after a long time.
+        """
+        model = type(self)(self.parts, self.gravity, self.treats_redundant, True, self.late).with_factors(**given_factors(self))
+        if relaxed:
+            plates, compact, shares = model.arrays.plates, model.arrays.compact, 1.0 + stiffness_changes(self, 0.0)
+            full, few = np.split(shares, [len(self.bodies)])
+            forms = compact.form * np.repeat(few, np.diff(compact.form_start[: len(few) + 1]))
+            model.arrays = model.arrays._replace(
+                plates=plates._replace(body_c1=plates.body_c1 * full), compact=compact._replace(form=forms)
+            )
+        return model
+
     def evaluate(self, t, q, a, lam, rotation=None):
         """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
         r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
@@ -162,35 +284,65 @@ class SceneModel(SceneBodies):
             add_damping(self.arrays, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
         if self.uneven_drag is not None:
             r += self.uneven_drag @ v
+        if self.strains:
+            add_relaxing_forces(self.arrays, self._nodal(q), self._nodal(v), 1.0, r.reshape(-1, 2))
+        if not self.own_forces:
+            return r
         if self.laws is None:
-            self.own_forces.take_from(r, t, q, v)
+            take_from(r, self.own_forces, t, q, v)
             return r
         add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
         if not np.isfinite(r).all():
             with suppress(Exception):  # the same in Python, so that `not_finite` names the function
-                self.own_forces.take_from(r, t, q, v)
+                take_from(r, self.own_forces, t, q, v)
         return r
 
     def call_all(self, t, q, v):
         """Call each function of the user once."""
-        self.own_forces.take_from(np.zeros(self.n), t, q, v), self.potential(q)
+        take_from(np.zeros(self.n), self.own_forces, t, q, v), self.potential(q)
+
+    @property
+    def hidden(self):
+        placed = [*self.states.values(), *self.strains.values()]
+        return np.concatenate([np.zeros(0, np.int64), *(np.arange(2 * one.pairs.start, 2 * one.pairs.stop) for one in placed)])
+
+    def samples(self, t0, t1):
+        if not self.controllers:
+            return ()
+        times = set()
+        for period in {own.period for own in self.controllers}:
+            numbers = np.arange(np.floor(t0 / period), np.ceil(t1 / period) + 1.0) * period
+            times |= set(numbers[(numbers > t0) & (numbers < t1)].tolist())
+        return tuple(sorted(times))
+
+    def sampled(self, t, q, v):
+        due = [own for own in self.controllers if abs(round(t / own.period) * own.period - t) <= SAME_TIME * own.period]
+        if not due:
+            return v
+        after = v.copy()
+        for own in due:
+            own.sample(t, q, v, after)
+        return after
 
     def gaps(self, t, q):
-        return self.own_forces.gaps(q) if self.switching else np.zeros(0)
+        return np.concatenate([own.gaps(q) for own in self.own_forces if own.switches]) if self.switching else np.zeros(0)
 
     def gap_names(self):
-        return self.own_forces.gap_names(np.zeros(self.n)) if self.switching else []
+        return [repr(own.name) for own in self.own_forces if own.switches for _ in own.gaps(np.zeros(self.n))]
 
     @property
     def not_finite(self):
-        return self.own_forces.not_finite
+        return " and ".join(own.not_finite for own in self.own_forces if own.not_finite)
 
     def force(self, t, q, v):
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
     def initial_velocity(self, t, q):
-        """The velocities that the user gave to the bodies, as far as the joints permit, (n,)."""
-        return velocity_at(self, t, q)
+        """The velocities that the user gave to the bodies, as far as the joints permit, and the start of states, (n,)."""
+        v = velocity_at(self, t, q)
+        for placed in self.states.values():
+            v[placed.columns] = placed.start / placed.units
+        return self.sampled(t, q, v)
 
     def force_q(self, t, q, v):
         return self._forces_q(t, q, v, 0.0, 1.0)
@@ -204,10 +356,13 @@ class SceneModel(SceneBodies):
 
         indptr, indices = self.pattern
         blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, c_v, c_q)
+        indptr = np.append(indptr, np.full(self.n_nodes - self.n_factored, indptr[-1], np.int32))
         bodies = bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
         if self.uneven_drag is not None:
             bodies = bodies + c_v * self.uneven_drag
-        return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
+        if self.strains:
+            bodies = bodies + slopes(self, q, v, c_v, c_q)
+        return bodies if not self.own_forces else (bodies + slopes_of(self.own_forces, t, q, v, c_v, c_q)).tocsc()
 
     def mass_a_q(self, q, a):
         """d(M a)/dq: zero."""
@@ -226,7 +381,7 @@ class SceneModel(SceneBodies):
     @property
     def small(self):
         """True if starts and adjoints take dense matrices."""
-        return self.n + self.m <= SMALL
+        return self.n + self.m <= SMALL and not self.strains
 
     def small_mass(self):
         """The mass matrix of a small scene as a dense array."""
@@ -239,7 +394,7 @@ class SceneModel(SceneBodies):
         blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, 0.0, 1.0)
         result.reshape(self.n_nodes, 2, self.n_nodes, 2)[pairs, :, indices, :] = blocks
         if self.own_forces:
-            result += dense(self.own_forces.slopes(t, q, v, 0.0, 1.0))
+            result += dense(slopes_of(self.own_forces, t, q, v, 0.0, 1.0))
         if self.needs.phi_q_varies:
             result += self._small_points.T @ self._sparse_curvature(t, lam) @ self._small_points
         return result
@@ -276,13 +431,16 @@ class SceneModel(SceneBodies):
         """Strain energy, energy of force elements and potential of gravity, J, relative to the reference configuration."""
         return sum(self.potentials(q))
 
-    def potentials(self, q):
-        """(potential of gravity and force elements, strain energy), J."""
-        return self.gravity_potential(q) + self.own_forces.energy(q, strain=False), self.strain_energy(q)
+    def potentials(self, q, v=None):
+        """(potential of gravity and force elements, strain energy), J; v is needed if energies depend on states."""
+        return self.gravity_potential(q) + energy_of(self.own_forces, q, strain=False, v=v), self.strain_energy(q, v)
 
-    def strain_energy(self, q):
-        """Elastic energy of all bodies, J."""
-        return compiled.strain_energy(self.arrays, self._nodal(q)) + self.own_forces.energy(q, strain=True)
+    def strain_energy(self, q, v=None):
+        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default."""
+        energy = compiled.strain_energy(self.arrays, self._nodal(q)) + energy_of(self.own_forces, q, strain=True)
+        if self.strains:
+            energy += relaxation_energies(self.arrays, self._nodal(q), self._nodal(np.zeros(self.n) if v is None else v))[0]
+        return energy
 
     def gravity_potential(self, q):
         """Potential of steady gravity on bodies and masses, J, zero at q = 0. Gravity that follows a profile does work instead."""
@@ -303,7 +461,7 @@ class SceneModel(SceneBodies):
         for body, first in zip(self.bodies, s.body_block):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
-        for placed, first in zip(self.few, self.arrays.compact.block):
+        for placed, first in zip([*self.few, *self.states.values()], self.arrays.compact.block):
             pairs = np.arange(placed.pairs.start, placed.pairs.stop)
             indptr.append((first + len(pairs) * np.arange(1, len(pairs) + 1)).astype(np.int32))
             indices.append(np.tile(pairs, len(pairs)))
@@ -326,8 +484,8 @@ def _dense_mass(model):
     return model.mass().toarray()
 
 
-def _unpickled(kind, parts, gravity, redundant, factors):
-    model = kind(parts, gravity, redundant)
+def _unpickled(kind, parts, gravity, redundant, without_strains, late, factors):
+    model = kind(parts, gravity, redundant, without_strains, late)
     return model.with_factors(**factors) if factors else model
 
 
@@ -345,7 +503,7 @@ def _uneven(masses, n):
 
 
 class Powers:
-    """{name: W} at an instant, of loads, of driven joints, of force elements beyond their energy, and of damping.
+    """{name: W} at an instant, of loads, of driven joints, of friction, of force elements beyond their energy, and of damping.
 
     A load has the power `f . v`, also gravity that follows a profile; a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and
     `phi_q v = -phi_t`); an element `sum f . v + dE/dt`; damping of a plate a negative power. dissipating: names of those that only take energy.
@@ -355,11 +513,14 @@ class Powers:
         self.model = model
         self._loads, self._driven = dead_loads(model.parts, model.gravity, model.places), {}
         for name, part in model.joints.items():
-            if any(row.driven for row in rows_of(part.rows()) if isinstance(row, Row)):
+            if any(row.driven for row in all_rows(part)):
                 self._driven[name] = model.rows[name]
-        self._elements = [own for own in model.own_forces.each if not own.strain]
+        self._elements = [own for own in model.own_forces if not own.strain]
         self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
-        self.dissipating = (*(own.name for own in self._elements if own.element.dissipates), *(body.name for body in self._damped))
+        of_bodies = dict.fromkeys([*(body.name for body in self._damped), *model.strains])
+        self._rubbing = {law.row: law.name for law in model.row_laws if not law.is_contact}
+        elements = [own.name for own in self._elements if own.element.dissipates]
+        self.dissipating = (*elements, *of_bodies, *dict.fromkeys(self._rubbing.values()))
 
     def __call__(self, t, q, v, lam):
         powers = {}
@@ -368,12 +529,17 @@ class Powers:
         if self._driven:
             power = lam * self.model.phi_t(t, q)
             powers |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}
+        rates = self.model.phi_rate(t, q, v) if self._rubbing else ()
+        for row, name in self._rubbing.items():
+            powers[name] = powers.get(name, 0.0) - float(lam[row] * rates[row])
         for own in self._elements:  # `sum f . v + dE/dt`, which is zero if its forces derive from its energy E
-            x, speeds = own.places(q), own.velocities(v)
-            power, pace = float(np.vdot(own.forces(t, x, speeds), speeds)), float(np.abs(speeds / own.sizes).max())
-            if pace:
-                power += pace * float(along(lambda s, own=own, x=x, step=speeds / pace: own.energy(x + s * step), NEAR))
-            powers[own.name] = power if pace else 0.0
+            powers[own.name] = own.power(t, q, v)
+        if self.model.strains:
+            at = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
+            lost = relaxation_energies(self.model.arrays, *at)[1]
+            powers |= {
+                body.name: -power for body, power in zip((*self.model.bodies, *self.model.few), lost) if body.name in self.model.strains
+            }
         if not self._damped:
             return powers
         u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
@@ -381,4 +547,6 @@ class Powers:
         add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
         if self.model.uneven_drag is not None:
             force += (self.model.uneven_drag @ v).reshape(force.shape)
-        return powers | {body.name: -float(np.vdot(force[body.pairs], speeds[body.pairs])) for body in self._damped}
+        for body in self._damped:
+            powers[body.name] = powers.get(body.name, 0.0) - float(np.vdot(force[body.pairs], speeds[body.pairs]))
+        return powers

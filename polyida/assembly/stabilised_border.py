@@ -1,7 +1,7 @@
-"""The border of a scene's step matrix by constraints and their rates, with the multipliers lam and mu, on the points z = A q.
+"""The constraint system of a scene's step matrix with the multipliers lam of phi and mu of its rate (GGL stabilisation).
 
-With B = Bz A and H = d(B v + phi_t)/dq = Hz A, S and M those of the plates, m the masses at points, C the curvature of the rows and
-the slopes of force elements, c real or complex,
+Points of the bodies are z = A q. B = Bz A is phi_q, H = Hz A is d(B v + phi_t)/dq. S and M are the step and mass matrices of the plates, m the
+point masses, C the curvature of the rows of phi and the slopes of force elements; c is a real or complex number.
 
     S dq + A^T (w + Bz^T dlam + c m A A^T Bz^T dmu) + c M B^T dmu = r2,   w = (C + c^2 m) A dq
     Bz A dq = r3,   (Hz + c Bz) A dq + Bz A A^T Bz^T dmu = r4
@@ -18,7 +18,7 @@ from polyida.assembly.border import (
     body_blocks,
     border,
     border_workspace,
-    look,
+    measure,
     solve_border,
     solve_border_again,
     width,
@@ -30,16 +30,16 @@ from polyida.linear.dense import clear
 
 @pack
 class StabilisedWorkspace(NamedTuple):
-    """Scratch of the border, in the numbers of c; border: the pattern of the unknowns w, lam and mu. swing: Bz^T dmu, left there."""
+    """Scratch of the type of c. border: pattern of the unknowns w, lam and mu. rate_forces, displacements (points, 2): Bz^T dmu, and A dq."""
 
     border: Border
     workspace: BorderWorkspace
-    swing: np.ndarray
-    moved: np.ndarray
+    rate_forces: np.ndarray
+    displacements: np.ndarray
 
 
 def stabilised_workspace(model, dtype=float, transposed=False):
-    """Scratch for the borders of a model's step matrices, float or complex; transposed: for those of the backward sweep."""
+    """A StabilisedWorkspace of a model. transposed: True for the systems of the backward sweep."""
     pattern = model.once(transposed_border if transposed else border_with_rates, of_shape=True)
     numbers, flat, at, points = border_workspace(model, pattern, dtype), model.once(overlaps, of_shape=True), 0, (model.n_points, 2)
     for begin, end in zip(pattern.block, pattern.block[1:]):
@@ -51,38 +51,40 @@ def stabilised_workspace(model, dtype=float, transposed=False):
 
 
 def border_with_rates(model):
-    """The Border of a scene with the multipliers of the rows' rates."""
+    """The Border of a scene with mu."""
     return border(model, rates=True)
 
 
 def transposed_border(model):
-    """The same of the transposed system."""
+    """The Border of the transposed system."""
     return border(model, rates=True, transposed=True)
 
 
 def overlaps(model):
-    """`A A^T` body by body."""
+    """The blocks A A^T of the bodies."""
     weights = model.point_weights
     return body_blocks(model.once(border_with_rates, of_shape=True), weights, weights.conj().T.tocsc())
 
 
-def massive(model, system, damping=None, before=None):
-    """The Corotated `system` with columns `S^-1 (M + damping) A^T`, M of the plates.
+def mass_columns(model, system, damping=None, before=None):
+    """The Corotated `system` with the columns `S^-1 (M + damping) A^T`, M of the plates.
 
-    damping (n, n): C/c, so that c times the columns is that of c M + C; without it C B^T dmu, as good as zero, is left out. before: one made
-    for the same system, which is filled anew.
+    damping (n, n): C/c, so that c times the columns is S^-1 (c M + C) A^T. Without it C B^T dmu, which is nearly zero, is neglected. before:
+    an earlier result for the same system, whose columns are overwritten.
     """
     loads = model.once(momenta)
     if damping is not None:
         units = model.once(corotated.unit_loads, of_shape=True)
-        loads = loads + (damping @ units.reshape(len(units), -1).T).T.reshape(units.shape)
+        loads = loads + (damping[: 2 * model.n_factored, : 2 * model.n_factored] @ units.reshape(len(units), -1).T).T.reshape(units.shape)
     before = system._replace(compliance_columns=np.zeros_like(system.compliance_columns)) if before is None else before
-    corotated.fill_compliance_columns(system, before.compliance_columns, system.frame[:0], loads, np.empty(model.n, system.panels.dtype))
+    corotated.fill_compliance_columns(
+        system, before.compliance_columns, system.frame[:0], loads, np.empty(2 * model.n_factored, system.panels.dtype)
+    )
     return before
 
 
 def momenta(model):
-    """M A^T of the plates, as `unit_loads`."""
+    """M A^T of the plates, arranged as `corotated.unit_loads`."""
     loads = np.zeros_like(model.once(corotated.unit_loads, of_shape=True))
     for load, unit in zip(loads, model.once(corotated.unit_loads, of_shape=True)):
         momentum(model.arrays, unit, load)
@@ -91,11 +93,11 @@ def momenta(model):
 
 @part
 def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r4, dlam, dmu):
-    """Fill dlam, dmu (m,); move dq (nodes, 2), S^-1 r2 of the plates, by them; leave w.swing. False where the border is singular.
+    """Compute dlam, dmu (m,) and w.rate_forces, and correct dq (nodes, 2), which is S^-1 r2. Returns False if the system is singular.
 
-    c, cm: the factor with its columns and with those of `massive`; cr: its SolveWorkspace, frames as `solve_plates` left them; dz, vz: displacements
-    and velocities of the points; c_v: c; anew: whether the border is made of these, or is that of before. Of the last equation
-    c times the one before is taken, which leaves `Hz A dq + Bz A A^T Bz^T dmu = r4 - c r3`.
+    c, cm: factors with the columns of the corotated solver and of `mass_columns`. cr: SolveWorkspace with the frames that `solve_plates` sets.
+    dz, vz: displacements and velocities of the points. c_v: the number c. anew: True if the system is assembled; False if that of the last call is
+    used. c times the third equation is subtracted from the last one, which gives `Hz A dq + Bz A A^T Bz^T dmu = r4 - c r3`.
     """
     b, y, m = w.border, w.workspace, r3.shape[0]
     if anew:
@@ -105,8 +107,8 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r
         joints.joint_jacobian(s, drives, dz, y.slopes)
         joints.joint_rate_jacobian(s, drives, dz, vz, y.rates)
         corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
-    joints.point_values(s, dq, w.moved)
-    look(b, y, w.moved, w.moved[:0])
+    joints.point_values(s, dq, w.displacements)
+    measure(b, y, w.displacements, w.displacements[:0])
     count = b.active.shape[0]
     for k in range(m):
         y.right[count + k] -= r3[k]
@@ -119,7 +121,7 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r
 
 @part
 def add_masses(s, b, c_v, blocks):
-    """Second layer of the bodies' first rows: c (S^-1 M A^T on the points + G m A A^T), A A^T from the last rows."""
+    """Set the block H of each body to c (A S^-1 M A^T + G m A A^T); A A^T is read from the block below."""
     for n in range(b.block.shape[0] - 1):
         wide, at = width(b, n), b.block[n]
         size = wide // 2
@@ -136,15 +138,15 @@ def add_masses(s, b, c_v, blocks):
 
 @part
 def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
-    """dq -= X (w + Bz^T dlam + c m A A^T Bz^T dmu) + c S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
-    clear(w.swing)
+    """dq -= S^-1 A^T (w + Bz^T dlam + c m A A^T Bz^T dmu) + c S^-1 M A^T Bz^T dmu; w.rate_forces = Bz^T dmu."""
+    clear(w.rate_forces)
     b, m = w.border, dlam.shape[0]
     corotated.point_forces_of(s, b, w.workspace, cr.point_forces, dlam)
     for k in range(m):
         dmu[k] = w.workspace.x[b.active.shape[0] + m + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
             p = s.row_columns[e]
-            w.swing[p // 2, p % 2] += w.workspace.slopes[e] * dmu[k]
+            w.rate_forces[p // 2, p % 2] += w.workspace.slopes[e] * dmu[k]
     for n in range(b.block.shape[0] - 1):
         wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
         size = wide // 2
@@ -153,16 +155,17 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
             if mass != 0.0:
                 for q in range(size):
                     across = -w.workspace.blocks[b.block[n] + (size + p) * wide + size + q]
-                    cr.point_forces[2 * points[p // 2] + p % 2] += c_v * mass * across * w.swing[points[q // 2], q % 2]
+                    cr.point_forces[2 * points[p // 2] + p % 2] += c_v * mass * across * w.rate_forces[points[q // 2], q % 2]
     corotated.apply_point_forces(s, c, cr, dq)
     for p in range(cr.point_forces.shape[0]):
-        cr.point_forces[p] = c_v * w.swing[p // 2, p % 2]
+        cr.point_forces[p] = c_v * w.rate_forces[p // 2, p % 2]
     corotated.apply_point_forces(s, cm, cr, dq)
+    corotated.settle_states(s, c, w.workspace.curvature, w.displacements, dq)
 
 
 @part
 def transpose_blocks(b, blocks, out):
-    """The blocks of the transposed border from those of the border, ((G, H), (0, -A A^T)): ((-A A^T, H^T), (0, G))."""
+    """Copy H and G from the blocks ((G, H), (0, -A A^T)) to the blocks of the transposed system, ((-A A^T, H^T), (0, G))."""
     for n in range(b.block.shape[0] - 1):
         wide, at = width(b, n), b.block[n]
         size = wide // 2
@@ -174,14 +177,16 @@ def transpose_blocks(b, blocks, out):
 
 @part
 def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
-    """Fill the multipliers (2, m) of the transposed system, and cr.point_forces; dw (nodes, 2) = S^-1 r of the plates, r (nodes, 2) and rows (2, m):
+    """Compute multipliers (2, m), lam and kappa, and cr.point_forces of the transposed system. Returns False if it is singular.
 
-    `S dw + A^T (C A dw + Bz^T dmu + (Hz + c Bz)^T dkappa) = r`, `Bz A dw = -rows_0`, `B (c M + C) dw + B B^T dkappa = -rows_1`. w: the workspace of
-    the border, whose blocks those of z, the workspace of the transposed one, are made of. False where the border is singular.
+        S dw + A^T (C A dw + Bz^T dlam + (Hz + c Bz)^T dkappa) = r,   Bz A dw = -rows_0,   B (c M + C) dw + B B^T dkappa = -rows_1
+
+    dw, r (nodes, 2): S^-1 r of the plates, and r. rows (2, m). w, z: workspaces of the system and of the transposed one; `transpose_blocks` has
+    copied the blocks.
     """
     b, y, m = z.border, z.workspace, rows.shape[1]
-    joints.point_values(s, dw, z.moved)
-    momenta_at_points(c, cm, cr, c_v, r, z.swing)
+    joints.point_values(s, dw, z.displacements)
+    momenta_at_points(c, cm, cr, c_v, r, z.rate_forces)
     for n in range(w.border.block.shape[0] - 1):  # c A A^T m A dw
         wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
         size = wide // 2
@@ -190,8 +195,8 @@ def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
             if mass != 0.0:
                 for p in range(size):
                     across = -y.blocks[b.block[n] + p * wide + q]
-                    z.swing[points[p // 2], p % 2] += c_v * mass * across * z.moved[points[q // 2], q % 2]
-    look(b, y, z.swing, z.moved)
+                    z.rate_forces[points[p // 2], p % 2] += c_v * mass * across * z.displacements[points[q // 2], q % 2]
+    measure(b, y, z.rate_forces, z.displacements)
     count = b.active.shape[0]
     for k in range(m):
         y.right[count + k] += rows[0, k]
@@ -208,9 +213,9 @@ def transposed(s, c, cm, cr, w, z, c_v, r, dw, rows, multipliers):
 
 
 @part
-def momenta_at_points(c, cm, cr, c_v, r, moved):
-    """moved = A (c M + C) S^-1 r of the plates, from the columns of `massive`."""
-    for f in range(moved.shape[0]):
+def momenta_at_points(c, cm, cr, c_v, r, out):
+    """out = A (c M + C) S^-1 r of the plates, by the columns of `mass_columns`."""
+    for f in range(out.shape[0]):
         first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
         size, p, q = end - first, 0.0 * c_v, 0.0 * c_v
         for i in range(size):
@@ -219,4 +224,4 @@ def momenta_at_points(c, cm, cr, c_v, r, moved):
             p += cm.compliance_columns[at + i, 0] * x + cm.compliance_columns[at + i, 1] * y
             q += cm.compliance_columns[at + size + i, 0] * x + cm.compliance_columns[at + size + i, 1] * y
         co, si = cr.spin[f, 0], cr.spin[f, 1]
-        moved[f, 0], moved[f, 1] = c_v * (co * p - si * q), c_v * (si * p + co * q)
+        out[f, 0], out[f, 1] = c_v * (co * p - si * q), c_v * (si * p + co * q)

@@ -51,7 +51,7 @@ def writes(part, base, function):
 
 def compiled_functions(part, base, *names):
     """Return {name: function} of the overridden functions for numba; empty if they, or functions that they call, are Python."""
-    from polyida.jit.user_functions import OwnData
+    from polyida.jit.owner_data import OwnData
 
     functions = {name: getattr(type(part), name) for name in names if writes(part, base, name)}
     return functions if part.by_numba and not OwnData(part, functions.values()).python else {}
@@ -133,6 +133,10 @@ class Body(OwnPart):
     def damping(self) -> tuple[float, float]:
         """Return (Rayleigh mass coefficient c, 1/s; Kelvin-Voigt time tau, s): forces `c M z'` and, of a form, `tau (dy/dz)^T form y'`."""
         return 0.0, 0.0
+
+    def prony(self) -> "tuple[tuple[float, float], ...]":
+        """Return the terms (g, tau), no unit and s, by which the stress of a form relaxes, as `prony` of `pi.Material`; none by default."""
+        return ()
 
     def prepared(self, attachments: list[Attachment]) -> "Body":
         """Return the body for a scene whose parts use these attachments; a reduced plate computes its modes from them."""

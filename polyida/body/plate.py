@@ -1,8 +1,9 @@
 """A flexible plate: a polygon mesh with a St. Venant-Kirchhoff material and a thickness, placed in the plane."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
-from polyida.validation import is_number, is_one_of, named_keywords, number, positive, settle, vector2
+from polyida.validation import floats, is_number, is_one_of, named_keywords, number, positive, settle, vector2
 
 
 @named_keywords
@@ -36,6 +37,11 @@ class Material:
     mass_damping : float, 1/s, >= 0
         Rayleigh mass coefficient: the force is `mass_damping M v` with the plate's M, the damping ratio `mass_damping / (2 w)`. Rigid motion
         is damped too: a free plate slows down as `exp(-mass_damping t)`. Point masses are not damped.
+    prony : list of (g, tau), no unit and s
+        Relaxation of a viscoelastic material: `S = D : (E_GL - sum g x)`, `x' = (E_GL - x) / tau`. E is the modulus of a sudden strain, and
+        `E (1 - sum g)` that of a constant one after a long time; g > 0, sum g < 1, tau > 0. Modes take the first, `pi.static` the second. The
+        stabilisation of virtual elements does not relax, nor do rigid bodies. A reduced plate
+        relaxes in the span of its fields, with (modes + 1)^2 states for each term.
 
     Raises
     ------
@@ -49,6 +55,7 @@ class Material:
     plane: str = "stress"
     viscosity: float = 0.0
     mass_damping: float = 0.0
+    prony: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self):
         for name, inside, want in (
@@ -64,6 +71,7 @@ class Material:
             settle(self, **{name: float(value)})
         if not is_one_of(self.plane, ("stress", "strain")):
             raise InputError(f'Material: plane = {self.plane!r} must be "stress" or "strain"')
+        settle(self, prony=series("Material", self.prony))
 
     @property
     def damped(self) -> bool:
@@ -81,6 +89,15 @@ class Material:
     def across(self) -> float:
         """Stress normal to the plane over xx + yy: nu in plane strain (exact for small strains), 0 in plane stress."""
         return self.nu if self.plane == "strain" else 0.0
+
+
+def series(part: str, prony: Any) -> tuple[tuple[float, float], ...]:
+    """Return a Prony series as pairs of floats. Raise InputError, naming the part, if it is none."""
+    terms = np.zeros((0, 2)) if isinstance(prony, (tuple, list)) and not prony else floats(prony)
+    if terms is None or terms.ndim != 2 or terms.shape[1] != 2 or not (terms > 0).all() or not terms[:, 0].sum() < 1:
+        what = "must be a list of pairs (g, tau) with g > 0, tau > 0 in s, and a sum of g below 1"
+        raise InputError(f"{part}: prony = {prony!r:.100} {what}")
+    return tuple((float(g), float(tau)) for g, tau in terms)
 
 
 ELEMENTS = ("wachspress", "virtual")

@@ -158,6 +158,10 @@ class _InModes(FieldBody, part=False):
         """The material's."""
         return self.plate.material.mass_damping, self.plate.material.viscosity
 
+    def prony(self) -> tuple[tuple[float, float], ...]:
+        """The material's."""
+        return tuple(self.plate.material.prony)  # type: ignore[arg-type]
+
     def truncation_error(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
         """Return (strain energy, J; displacement, m) that the modes cannot represent: `-d^T r / 2` and the largest |d_i|.
 
@@ -285,14 +289,14 @@ def rows_of(n, sides):
         array[0, side.nodes, 0], array[0, side.nodes, 1] = x * weights, y * weights
         return array.reshape(1, -1)
 
-    held, stretches = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]
+    rotations, stretches = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]
     for side in {(side.nodes.tobytes(), side.weights.tobytes()): side for side in sides}.values():
-        held += [row(side, side.weights, 1.0, 0.0), row(side, side.weights, 0.0, 1.0)]
+        rotations += [row(side, side.weights, 1.0, 0.0), row(side, side.weights, 0.0, 1.0)]
         if side.turn_weights is not None:
             x, y = side.direction
-            held.append(row(side, side.turn_weights, -y, x))
+            rotations.append(row(side, side.turn_weights, -y, x))
             stretches.append(row(side, side.turn_weights, x, y))
-    return np.concatenate(held), np.concatenate(stretches)
+    return np.concatenate(rotations), np.concatenate(stretches)
 
 
 def _completed(rows, M, arms, whole):

@@ -57,17 +57,17 @@ def print_lines(*lines, style="", file=None):
 
 
 @contextmanager
-def document(wanted):
-    """Context of `--json`: if `wanted`, all printed text goes to the error stream.
+def document(as_document):
+    """Context of `--json`: if `as_document`, all printed text goes to the error stream.
 
     It gives a function of the document, which is printed at the end, also if the command ends with an error.
     """
     out, documents = sys.stdout, []
     try:
-        with redirect_stdout(sys.stderr) if wanted else nullcontext():
+        with redirect_stdout(sys.stderr) if as_document else nullcontext():
             yield documents.append
     finally:
-        if wanted and documents:
+        if as_document and documents:
             from polyida.study.result import finite
 
             print(json.dumps(finite(documents[-1]), indent=1, allow_nan=False), file=out)

@@ -119,8 +119,8 @@ def run_function(spec, function, arguments, command, free_path):
             values = {"quick": options.quick, "progress": progress}
             result = function(**{key: value for key, value in values.items() if key in accepted})
         if not isinstance(result, Result):
-            wanted = "a result of pi.study is needed, as work_precision gives"
-            raise InputError(f"{spec}: its function returned {type(result).__name__}; {wanted}")
+            expected = "a result of pi.study is needed, as work_precision gives"
+            raise InputError(f"{spec}: its function returned {type(result).__name__}; {expected}")
         result.report(folder, overwrite=True, command=command)
         set_document(result.as_dict() | {"command": command})
         print_result(result, [folder / "report.html"])

@@ -28,6 +28,7 @@ from polyida.element.material import (
     moduli,
     moduli_times,
     negative,
+    relaxed_moduli,
     scaled,
     symmetric,
     transposed,
@@ -41,6 +42,7 @@ from polyida.jit.intrinsics import (
     lane,
     load,
     load2,
+    load3,
     load4,
     load8,
     load_float,
@@ -104,11 +106,11 @@ def _scatter_turn(turn, corners, first, node_offset, m, rotation):
 
 
 @part
-def _least(seen):
+def _least(least):
     """The least det F in the state of `watch`; NaN if a det F is not finite."""
     low, total = np.inf, 0.0
     for k in range(LANES):
-        low, total = min(low, lane(seen[0], k)), total + lane(seen[1], k)
+        low, total = min(low, lane(least[0], k)), total + lane(least[1], k)
     return low if np.isfinite(total) else np.nan
 
 
@@ -130,7 +132,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
     angle of this vector is the node's rotation.
     """
     work = _workspace(layout, 4, 0)
-    seen = spread(np.inf), spread(0.0)
+    least = spread(np.inf), spread(0.0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         force, size = work[2 * m * LANES :], 2 * m * LANES
@@ -141,7 +143,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
         for p in range(layout[b, 1]):
             g, w = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
             h = _gradient(gradients, g, work, m)
-            seen, turn = watch(seen, h), add_rotation(turn, w, h)
+            least, turn = watch(least, h), add_rotation(turn, w, h)
             stress = first_piola(h, w, c1 * nu, c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
@@ -154,12 +156,24 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
         if rotation.shape[0] > 0:
             for k in range(first, first + (m + 1) * LANES, LANES):
                 scatter_add(rotation, corners, k, node_offset, turn)
-    return _least(seen)
+    return _least(least)
 
 
 @entry
 def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, blocks):
     """Add scale * K to blocks (M, 2, 2) of the node pattern; the body's blocks start at pair_offset."""
+    _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, None, 0.0, blocks)
+
+
+@entry
+def relaxed_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks):
+    """The same with the stress -D : pull, and `change` times D elsewhere: what relaxation adds to K; pull as in relaxation.py."""
+    _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks)
+
+
+@part
+def _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks):
+    """Add scale * K of `tangent`, or of `relaxed_tangent` if pull is not None."""
     work = _workspace(layout, 6, 8)
     for b in range(layout.shape[0]):
         m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
@@ -167,9 +181,8 @@ def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset
         _differences(u, corners, layout[b, 2], node_offset, m, work)
         for p in range(points):
             start = g + 2 * p * m * LANES
-            a = moduli(
-                _gradient(gradients, start, work, m), load(weights, layout[b, 4] + p * LANES), scale * c1 * nu, scale * c1 * (1.0 - nu)
-            )
+            h, elastic = _gradient(gradients, start, work, m), (scale * c1 * nu, scale * c1 * (1.0 - nu))
+            a = _moduli(pull, change, h, weights, layout[b, 4] + p * LANES, elastic[0], elastic[1])
             for j in range(m):
                 store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(gradients, start + 2 * j * LANES)))
         for k in range(0, 4 * m * LANES, 4 * LANES):
@@ -183,6 +196,14 @@ def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset
                     )
                 _add_block(block, i, j, m, pairs, layout[b, 5], pair_offset, blocks, sums)
         _add_last(m, pairs, layout[b, 5], pair_offset, blocks, sums)
+
+
+@part
+def _moduli(pull, change, h, weights, at, spherical, deviatoric):
+    """The moduli of a point. Its own function: numba drops a branch only if an argument is None."""
+    if pull is None:
+        return moduli(h, load(weights, at), spherical, deviatoric)
+    return relaxed_moduli(h, load3(pull, 3 * at), load(weights, at), spherical, deviatoric, change)
 
 
 @part

@@ -105,7 +105,12 @@ def add_strain(state, h, w):
 @traced(3)
 def add_cauchy(state, h, w, spherical, deviatoric):
     """state + w (sigma_xx, sigma_yy, sigma_xy) with sigma = F S F^T / det F."""
-    p11, p12, p21, p22 = first_piola(h, w / determinant(h), spherical, deviatoric)
+    return add_cauchy_of(state, h, first_piola(h, w / determinant(h), spherical, deviatoric))
+
+
+def add_cauchy_of(state, h, p):
+    """state + (xx, yy, xy) of P F^T."""
+    p11, p12, p21, p22 = p
     f11, f22 = 1.0 + h[0], 1.0 + h[3]
     xx, yy, xy = p11 * f11 + p12 * h[1], p21 * h[2] + p22 * f22, p11 * h[2] + p12 * f22
     return state[0] + xx, state[1] + yy, state[2] + xy
@@ -117,8 +122,19 @@ def moduli(h, w, spherical, deviatoric):
 
     A[a, k, b, l] = delta_ab S_kl + spherical F_ak F_bl + deviatoric / 2 ((F F^T)_ab delta_kl + F_al F_bk)
     """
-    ball, half = spherical * w, 0.5 * (deviatoric * w)
-    s11, s12, s22 = second_piola(strain(h), ball, deviatoric * w)
+    return moduli_of_stress(h, second_piola(strain(h), spherical * w, deviatoric * w), spherical * w, deviatoric * w)
+
+
+@traced(10)
+def relaxed_moduli(h, pull, w, spherical, deviatoric, change):
+    """The same with S = -D : pull, and `change` times D elsewhere."""
+    ball, shear = spherical * w, deviatoric * w
+    return moduli_of_stress(h, second_piola(pull, -1.0 * ball, -1.0 * shear), change * ball, change * shear)
+
+
+def moduli_of_stress(h, s, ball, shear):
+    """The same with the stress S, ball and shear the moduli of D times w."""
+    half, (s11, s12, s22) = 0.5 * shear, s
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     both = ball + half
     c11, c12, c22 = half * (f11 * f11 + f12 * f12), half * (f11 * f21 + f12 * f22), half * (f21 * f21 + f22 * f22)

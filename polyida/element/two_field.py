@@ -109,7 +109,7 @@ def _fields(a, b, corners, start, node_offset, m, mix, out):
 def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, a, b, f, rotation):
     """Add the force of the two fields `mix` of a and b; response = (rate, square, factor of d in the F whose det F is returned)."""
     work = _workspace(layout, 6, 0)
-    seen = spread(np.inf), spread(0.0)
+    least = spread(np.inf), spread(0.0)
     rate, square, ahead = response
     for k in range(layout.shape[0]):
         m, first = layout[k, 0] - 1, layout[k, 2]
@@ -122,10 +122,10 @@ def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, m
         for p in range(layout[k, 1]):
             g, w = layout[k, 3] + p * size, load(weights, layout[k, 4] + p * LANES)
             h, d = _gradient(gradients, g, work, m), _gradient(gradients, g, direction, m)
-            seen, turn = watch(seen, advanced(h, d, ahead)), add_rotation(turn, w, h)
+            least, turn = watch(least, advanced(h, d, ahead)), add_rotation(turn, w, h)
             stress = two_state_piola(h, d, w, c1 * nu, c1 * (1.0 - nu), rate, square)
             for i in range(0, size, 2 * LANES):
                 store(force, i, add_times(load2(force, i), stress, load2(gradients, g + i)))
         _scatter_balanced(force, corners, first, node_offset, m, f)
         _scatter_turn(turn, corners, first, node_offset, m, rotation)
-    return _least(seen)
+    return _least(least)

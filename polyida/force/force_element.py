@@ -9,16 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.body.body import OwnPart, compiled_functions, require_whole
+from polyida.body.body import OwnPart, compiled_functions, require_whole, writes
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
-from polyida.validation import reals, settle
+from polyida.validation import floats, reals, settle
 
 
 class ForceElement(OwnPart):
     """A force on attachments: base class of a user's frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
+
+    It may have states s, numbers of its own with `s' = rates(t, x, v, s)`: a class with `states = ("current", ...)` writes
+    `rates(t, x, v, s)` and `forces(t, x, v, s)`, with an energy `energy(x, s)`. `run.states(name)` returns them.
+
+    States may also be algebraic: a class with `algebraic = ("pressure", ...)` has these behind `states` in s, and the last entries of `rates`
+    are zero: `0 = rates(t, x, v, s)`. They are found by Newton's method from `start()`, where forces are evaluated, and have no energy. The
+    slope of the last rates in the algebraic states must be regular.
 
     Its fields (numbers, profiles, attachments) are its data; files store them. A side is a point, or the direction d of an attachment
     (`at.d`) without unit; the force on a direction is the generalised one, J: a moment M is `M i d / |d|^2`. x and v, (sides, 2), are
@@ -35,14 +42,20 @@ class ForceElement(OwnPart):
     works : bool
         True if the forces do work beyond the energy even at v = 0, as a spring with an actuator does. If False, `forces` at v = 0 must be
         minus the gradient of `energy` (unless they depend on t): `check_derivatives` reports it and EnergyMomentum requires it.
+    states : tuple of str
+        Names of its states; a class attribute or a property.
+    algebraic : tuple of str
+        Names of its algebraic states, in the same way.
     """
 
     dissipates = False
     works = False
+    states: tuple[str, ...] = ()
+    algebraic: tuple[str, ...] = ()
 
     def compiled_functions(self) -> dict[str, Any]:
-        """Return {"forces", "energy": function(self, ...)} for numba; empty for Python."""
-        return compiled_functions(self, ForceElement, "forces", "energy")
+        """Return {"forces", "energy", "rates": function(self, ...)} for numba; empty for Python."""
+        return compiled_functions(self, ForceElement, "forces", "energy", "rates")
 
     def sides(self) -> Sequence:
         """Return what it acts on: attachments, places of the ground (`ground.at`), or directions of both (`.d`)."""
@@ -59,6 +72,21 @@ class ForceElement(OwnPart):
     def forces_v(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray | None:
         """Return d forces / dv, (sides, 2, sides, 2), N s/m; None: by differences."""
         return None
+
+    def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> ArrayLike:
+        """Return s', (states,), in the states' units per s; behind them what is zero for algebraic states."""
+        raise NotImplementedError
+
+    def require(self) -> None:
+        """Raise InputError unless what is special to its class is right; `Scene.add` calls it."""
+
+    def sizes(self) -> ArrayLike:
+        """Return typical sizes of the states, (states,), positive; 1 by default. Tolerances of s are relative to them."""
+        return np.ones(len(self.states) + len(self.algebraic))
+
+    def start(self) -> ArrayLike:
+        """Return the states at the start, (states,), of algebraic ones a guess; 0 by default."""
+        return np.zeros(len(self.states) + len(self.algebraic))
 
     def energy(self, x: np.ndarray) -> float | None:
         """Return the potential energy, J, of the conservative part of the forces; None: no potential."""
@@ -90,8 +118,25 @@ class Side:
 
 
 def require_element(element):
-    """Raise InputError if the class of a force element is incomplete."""
+    """Raise InputError if the class of a force element is incomplete, or its states are wrong."""
     require_whole(element, ForceElement, ("sides", "forces"))
+    element.require()
+    names, label = element.states, element.label
+    for field in ("states", "algebraic"):
+        names = getattr(element, field)
+        if not isinstance(names, tuple) or not all(isinstance(name, str) and name for name in names) or len({*names}) < len(names):
+            raise InputError(f"{label}: {field} = {names!r:.80} must be a tuple of different names")
+    names = element.states + element.algebraic
+    if both := {*element.states} & {*element.algebraic}:
+        raise InputError(f"{label}: {min(both)!r} is in states and in algebraic")
+    if bool(names) != writes(element, ForceElement, "rates"):
+        lacking = "no rates(t, x, v, s): it must return their derivatives" if names else "rates(), but no states: it must name them"
+        raise InputError(f"{label}: its class has {f'the states {names} and ' * bool(names)}{lacking}")
+    for function, good in (("sizes", lambda x: (x > 0).all()), ("start", lambda x: True)) if names else ():
+        values = floats(getattr(element, function)())
+        if values is None or values.shape != (len(names),) or not good(values):
+            wanted = f"{len(names)} {'positive' if function == 'sizes' else 'finite'} numbers, one for each of its states {names}"
+            raise InputError(f"{label}: {function}() gave {str(getattr(element, function)())[:80]}; it must give {wanted}")
 
 
 def profiles_of(part):
@@ -115,8 +160,8 @@ def sides_of(name, element):
         at, part = terms[0][:2] if terms else (None, "point")
         sides.append(Side(at, part, np.array([summand.rest.real, summand.rest.imag])))
     if not any(side.at for side in sides):
-        wanted = "a tuple of attachments, like (self.at,), one at least of a body"
-        raise InputError(f"{name}: sides() gave {str(listed)[:80]}; it must give {wanted}")
+        expected = "a tuple of attachments, like (self.at,), one at least of a body"
+        raise InputError(f"{name}: sides() gave {str(listed)[:80]}; it must give {expected}")
     return tuple(sides)
 
 
@@ -137,8 +182,8 @@ def with_checked_function(element, field, arguments, shape=()):
         answer = function(*values)
         numbers = reals(answer)
         if numbers is None or numbers.shape != shape:
-            wanted = "two numbers" if shape else "a number"
-            raise InputError(f"{element.label}: {field}({arguments}) must return {wanted}, not {str(answer)[:80]}")
+            expected = "two numbers" if shape else "a number"
+            raise InputError(f"{element.label}: {field}({arguments}) must return {expected}, not {str(answer)[:80]}")
         return numbers if shape else float(numbers)
 
     if not callable(function := getattr(element, field)):

@@ -95,13 +95,19 @@ def profile_torque(self, t, x, v):
 
 def state_torque(self, t, x, v):
     """Moment of a function `moment(t, angle, rate)`."""
+    angle, rate = measured(self, x, v)
+    return as_forces(x, self.moment(t, angle, rate))
+
+
+def measured(self, x, v):
+    """(angle, rate) of the rotation since rest of the first direction, relative to the second if there is one, rad, in (-pi, pi]."""
     cosine, sine, rate, sign = 1.0, 0.0, 0.0, 1.0
     for i in range(x.shape[0]):
         c, s, dx, dy = self.rest_directions[i, 0], self.rest_directions[i, 1], x[i, 0], x[i, 1]
         ex, ey = c * dx + s * dy, sign * (c * dy - s * dx)
         cosine, sine = cosine * ex - sine * ey, cosine * ey + sine * ex
         rate, sign = rate + sign * (dx * v[i, 1] - dy * v[i, 0]) / (dx * dx + dy * dy), -sign
-    return as_forces(x, self.moment(t, np.arctan2(sine, cosine), rate))
+    return np.arctan2(sine, cosine), rate
 
 
 def as_forces(x, moment):
@@ -113,10 +119,33 @@ def as_forces(x, moment):
     return f
 
 
+class RotationElement(ForceElement, part=False):
+    """A force element that acts on the direction of `at`, and with the opposite sign on that of `against`, if this is not None."""
+
+    at: Any
+    against: Any
+
+    def require_rotation(self) -> None:
+        """Raise InputError unless `at` and `against` are attachments of two bodies, with directions."""
+        require_sides(self.label, self.at, ground if self.against is None else self.against)
+        for side in (self.at,) if self.against is None else (self.at, self.against):
+            require_attachment(self.label, side)
+            require_directions(self.label, side)
+
+    @property
+    def rest_directions(self) -> np.ndarray:
+        """The directions at rest, (sides, 2)."""
+        return np.array([[side.rest.real, side.rest.imag] for side in self.sides()])
+
+    def sides(self) -> tuple:
+        """Return the direction, or both."""
+        return (self.at.d,) if self.against is None else (self.at.d, self.against.d)
+
+
 @compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
-class Torque(ForceElement):
+class Torque(RotationElement):
     """A moment M, counter-clockwise, on the direction d of an attachment: the generalised force `M i d / |d|^2` on d.
 
     Its work is M times the angle by which d turns.
@@ -145,10 +174,7 @@ class Torque(ForceElement):
     name: str | None = None
 
     def __post_init__(self):
-        require_sides(self.label, self.at, ground if self.against is None else self.against)
-        for side in (self.at,) if self.against is None else (self.at, self.against):
-            require_attachment(self.label, side)
-            require_directions(self.label, side)
+        self.require_rotation()
         if not takes_three(self.moment):
             settle(self, moment=as_profile(self.moment, self.label))
 
@@ -156,15 +182,6 @@ class Torque(ForceElement):
         """Return {"forces": function}; empty if the moment is a Python function of state."""
         of_time = isinstance(self.moment, Profile)
         return {"forces": profile_torque if of_time else state_torque} if of_time or is_compiled(self.moment) else {}
-
-    @property
-    def rest_directions(self) -> np.ndarray:
-        """The directions at rest, (sides, 2)."""
-        return np.array([[side.rest.real, side.rest.imag] for side in self.sides()])
-
-    def sides(self) -> tuple:
-        """Return the direction, or both."""
-        return (self.at.d,) if self.against is None else (self.at.d, self.against.d)
 
     def forces(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return `M i d / |d|^2`, and the opposite for a second direction, (sides, 2), J."""

@@ -261,7 +261,7 @@ def circle_energy(self, x):
 @compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
-class Contact(ForceElement):
+class PenaltyContact(ForceElement):
     """Frictionless contact of a point with a line, or with a circle from outside: `F = k delta^n (1 + 3/2 c delta')` >= 0, delta the depth.
 
     Energy `k delta^(n + 1) / (n + 1)`, dissipation `3/2 c k delta^n delta'^2`; a slow impact with speed v rebounds with (1 - c v) v. The

@@ -30,9 +30,15 @@ SAMPLES = 4096  # least number in a run whose integrator chooses its steps, of c
 
 
 def edges(model, t0, t_end):
-    """[t0, the model's kinks, t_end], without kinks that are within round-off of an end."""
-    near = 1e-12 * max(abs(t0), abs(t_end), t_end - t0)
-    return [t0, *(t for t in model.kinks(t0, t_end) if t0 + near < t < t_end - near), t_end]
+    """[t0, the model's kinks and samples, t_end], without those that are within round-off of an end, or samples of a kink or each other."""
+    near, inner = 1e-12 * max(abs(t0), abs(t_end), t_end - t0), []
+    for t, is_sample in sorted([(t, False) for t in model.kinks(t0, t_end)] + [(t, True) for t in model.samples(t0, t_end)]):
+        if is_sample and inner and t - inner[-1][0] <= near:
+            continue
+        if not is_sample and inner and inner[-1][1] and t - inner[-1][0] <= near:
+            inner.pop()
+        inner.append((t, is_sample))
+    return [t0, *(t for t, _ in inner if t0 + near < t < t_end - near), t_end]
 
 
 def run_interval(state, t_end):

@@ -31,7 +31,7 @@ ITERATIONS = 4  # of a step of the right length
 LONGEST = 64.0  # times the first step
 FARTHEST = 0.1  # of the model's extent: the longest step
 SHORTEST = 2.0**-16  # of the first step
-CLOSE = 1e-9  # of a step: tolerance of a turning point
+TURNING_TOLERANCE = 1e-9  # of a step: tolerance of a turning point
 LOST = "the path of equilibria is lost"
 STRAIGHT = 0.9  # least cosine of the angle between a step and the path at its two ends
 
@@ -282,4 +282,4 @@ def _turning_point(arc, last, length):
     from scipy.optimize import brentq
 
     rate = lambda s: arc.next(last, s)[0].rate if s else last.rate  # noqa: E731
-    return arc.next(last, brentq(rate, 0.0, length, xtol=CLOSE * length))[0]
+    return arc.next(last, brentq(rate, 0.0, length, xtol=TURNING_TOLERANCE * length))[0]

@@ -2,12 +2,13 @@
 
 If phi_q loses rank, a mechanism can branch and the further motion follows from round-off. With the rows of phi_q scaled to length one, a state is
 singular if their smallest singular value s is zero. Between two states s was zero if s_0 + s_1 is not more than the distance that the rows moved
-(no singular value changes by more than the matrix) and their space is reversed: `det(B_0 B_1^T) < 0`, which no smooth step gives. For
-nearly every state of a scene compiled code proves that it is neither (assembly/independence.py); only the others are examined here.
+(no singular value changes by more than the matrix) and their space is reversed: `det(B_0 B_1^T) < 0`. In a step in which a body turns far, rows
+are reversed too, and regular all the time: so this must hold for one half of the step, one half of this, and so on. For nearly every state of a scene compiled code proves that it is neither (assembly/independence.py); only the others are examined here.
 """
 
 from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
+from polyida.integrate.state import between as state_between
 from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, path_length, rows_of
 from polyida.model.guarded import Compiled, unguarded
 from polyida.system.python import small_own
@@ -17,6 +18,7 @@ NEAR = 1e-3  # one that a failure reports
 AHEAD = 0.1  # of the last step: distance over which the speed of the rows is measured
 MOST = 32  # steps between two examinations, because what rests may begin to turn
 REVERSED = 0.5  # cosine of the turn of the rows' space below which s was zero between two states
+BISECTIONS = 6  # of a step in whose parts the same must hold
 
 
 class SingularPosition(StepFailure):
@@ -24,37 +26,35 @@ class SingularPosition(StepFailure):
 
 
 class Watch:
-    """Begins at a state; `look` examines the next ones, unless phi_q is constant.
+    """Begins at a state; `look` examines the next ones. For models whose phi_q varies.
 
     A model that is no scene is examined again before the rows, at their present speed, have moved a quarter of the distance to a singular
     position.
     """
 
     def __init__(self, model, state):
-        varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.speed = model, 0, state, 0.0, 0.0
-        self.every = model.looks_apart if varies else 0
-        self.proof = None
+        self.every, self.proof = model.looks_apart, None
         if self.every == 1 and model.is_scene:
             self.proof = UnitRows(model, state)
         elif self.every == 1 and small_own(model) and unguarded(model).by_numba:
             self.proof = UnitRows(model, state, Compiled(model, ("phi_q",)))
-        if varies:
-            self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
-            self.t = self.due = state.t
-            if not (self.proof and self.proof.begin(state)):
-                self.rows, self.least = self._examined(state)
+        self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
+        self.t = self.due = state.t
+        if not (self.proof and self.proof.begin(state)):
+            self.rows, self.least = self._examined(state)
 
     def look(self, stretch):
         """Examine the next accepted states: (number of regular ones, the StepFailure if the next one is singular or behind a singular position)."""
-        k, before = 0, self.state.t
+        k, begin = 0, self.state
+        before = begin.t
         try:
             for k in self._to_examine(stretch):
                 state = stretch.state(k)
                 self.state, self.h = state, state.t - (stretch.t[k - 1] if k else before)
                 rows, size = self._examined(state)
                 if self.every == 1:
-                    self._require_no_passage(state.t, rows, size)
+                    self._require_no_passage(stretch.state(k - 1) if k else begin, rows, size)
                 self.speed = self._speed_of_least(size)
                 self.t, self.rows, self.least = state.t, rows, size
         except SingularPosition as failure:
@@ -69,7 +69,7 @@ class Watch:
             for k in self.proof.unproven(stretch):
                 self._recall(stretch.t[k])
                 yield k
-        elif self.every:
+        else:
             yield from (k for k in range(-(self.steps + 1) % self.every, len(stretch), self.every) if not stretch.t[k] < self.due)
 
     def _recall(self, t):
@@ -90,23 +90,35 @@ class Watch:
             raise self._failure(rows, state.t)
         return rows, size
 
-    def _require_no_passage(self, t, rows, size):
-        before, products = self.least, between(self.rows, rows)
-        distance, since = path_length(products), t - self.t
-        if size + before <= distance and cosine(self.rows, rows, products) < REVERSED:
-            raise self._failure(rows if size < before else self.rows, self.t + since * before / (before + size))
+    def _require_no_passage(self, previous, rows, size):
+        state, t = self.state, self.state.t
+        end, since = (t, rows, size), t - self.t
+        if _reversed(known := (self.t, self.rows, self.least), end):
+            begin = (previous.t, *self._examined(previous))
+            self._require_no_passage_within(None, None, known, begin, 0)
+            self._require_no_passage_within(previous, state, begin, end, BISECTIONS)
         if self.proof:
             return
-        speed, ahead, state = distance / since if since else 0.0, AHEAD * self.h, self.state
+        speed, ahead = path_length(between(self.rows, rows)) / since if since else 0.0, AHEAD * self.h
         if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
             q = state.q + ahead * state.v
             speed = max(speed, path_length(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
         self.due = t + min(2.0 * since, MOST * self.h, 0.25 * size / max(speed, 1e-300))
 
+    def _require_no_passage_within(self, before, after, begin, end, depth):
+        """Bisect a step between two States. begin, end: (t, rows, least) at the ends of a part of it."""
+        if not _reversed(begin, end):
+            return
+        (t0, rows, size), (t1, later, other) = begin, end
+        if depth == 0:
+            raise self._failure(later if other < size else rows, t0 + (t1 - t0) * size / (size + other))
+        state = state_between(before, after, 0.5 * (t0 + t1))
+        middle = (state.t, *self._examined(state))
+        for ends in ((begin, middle), (middle, end)):
+            self._require_no_passage_within(before, after, *ends, depth - 1)
+
     def suspicion(self, t):
         """Text beside a failure at t if phi_q was about to lose rank, else empty."""
-        if not self.every:
-            return ""
         if self.proof:
             self._recall(self.state.t)
         rows = rows_of(self.model.phi_q(self.state.t, self.state.q), self.sizes)
@@ -119,3 +131,10 @@ class Watch:
         names = involved(self.model, rows)
         reason = f"a singular position: there the constraints {names} are not independent of each other and the motion can branch"
         return SingularPosition("singular", reason, t)
+
+
+def _reversed(begin, end):
+    """True if the rows of two (t, rows, least) may have lost rank between them."""
+    (_, rows, size), (_, later, other) = begin, end
+    products = between(rows, later)
+    return size + other <= path_length(products) and cosine(rows, later, products) < REVERSED

@@ -27,11 +27,12 @@ CALM = 1e-3  # of gravity: a state with a greater acceleration is not at rest
 def typical_sizes(model, state, span):
     """[length, speed]: absolute tolerances of q and v are rtol times these; the state is consistent, `span` is the run's time, s.
 
-    length: a scene's extent, m; for a user's model |q|, or if q = 0 the distance at which its stiffness reverses the motion.
+    length: a scene's extent, m; for a user's model |q|, or if q = 0 the distance at which its stiffness reverses the motion. States of first
+    order are left out.
     speed: the largest of |v|, `sqrt(|a| length)`, in a scene `sqrt(g length)`, and, for motors and paths, their largest rate (times the
     length for angles); length/span if all of these are zero. |x| is the root mean square. Both scale with the units of length and time.
     """
-    q, v, a = (float(np.sqrt(x @ x / max(1, x.size))) for x in (state.q, state.v, state.a))
+    q, v, a = (float(np.sqrt(x @ x / max(1, x.size - model.k))) for x in map(model.without_states, (state.q, state.v, state.a)))
     length = model.extent or (q if q > NOTHING else _distance(model, state, span, v, a))
     rates = [
         max(float(np.abs(model.drives(at)[profiles, 1]).max(initial=0.0)) for at in state.t + span * TIMES) if len(profiles) else 0.0
@@ -43,7 +44,7 @@ def typical_sizes(model, state, span):
 
 def _distance(model, state, span, v, a):
     """Distance that v and a cover from q = 0 in the run or in 1/w, `w^2 = |d^T K d| / |d^T M d|`, d along v or a; 1 if it is zero."""
-    d = state.v if v else state.a
+    d = model.without_states(state.v if v else state.a)
     stiffness = model.tangent(state.t, state.q, state.v, state.a, state.lam, 0.0, 0.0, 1.0)
     mass, spring = (abs(d @ (matrix @ d)) for matrix in (model.mass(state.q), stiffness))
     time = min(span, np.sqrt(mass / spring)) if spring > 0 else span
@@ -64,7 +65,7 @@ def sizes_of_run(model, state, t_end):
     frequency = speed / length
     if not model.extent:  # of a user's model: mass-weighted norms, independent of the units of its coordinates
         shares = weights(model, state.q)
-        q, v, a = (float(np.sqrt(shares @ x**2)) for x in (state.q, state.v, state.a))
+        q, v, a = (float(np.sqrt(shares @ model.without_states(x) ** 2)) for x in (state.q, state.v, state.a))
         frequency = (max(v / q, np.sqrt(a / q)) if q > NOTHING else 0.0) or frequency
     return np.array([length, speed, span, span * frequency], float)
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import asdict, dataclass, field
 from inspect import signature
 from typing import Any, NamedTuple, Protocol
@@ -12,7 +13,7 @@ from polyida.errors import InputError
 from polyida.model import Model
 from polyida.model.differences import cubic
 from polyida.reprs import brief
-from polyida.validation import is_number, takes
+from polyida.validation import is_number, settle, takes
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class State:
         states.
     within : function t -> State, optional
         The state at a time t in the step that ends here, by the integrator's own polynomial.
+    states : tuple, optional
+        Columns and units of the model's first-order states in v; the states that users see have it.
     """
 
     t: float
@@ -44,8 +47,22 @@ class State:
     memory: dict = field(default_factory=dict)
     restart: bool = True
     within: Callable[[float], "State"] | None = None
+    states: tuple = ()
 
     __repr__ = brief
+
+    @property
+    def x(self) -> np.ndarray:
+        """First-order states, (k,), in the order of `run.x`; empty without."""
+        return self.v[self.states[0]] * self.states[1] if self.states else np.zeros(0)
+
+    def of(self, model: Model) -> "State":
+        """This state with the states x of its model."""
+        if not model.k or self.states:
+            return self
+        other = copy(self)
+        settle(other, states=(model.state_columns, model.state_units))
+        return other
 
     def finite(self) -> bool:
         """True if q, v and lam are finite. One product checks each pair."""
@@ -229,8 +246,11 @@ class Integrator:
 
     Attributes
     ----------
-    nonholonomic : bool
-        True if rows of `phi_rate` need not be derivatives of phi. `solve` then does not compare them.
+    velocity_rows : bool
+        True if it satisfies `phi_rate = 0` in the rows `model.velocity_rows`, where phi is 0 and phi_rate not its derivative. `solve` refuses
+        models with such rows for other integrators of users.
+    takes_laws : bool
+        True if it satisfies the laws of `model.row_laws`, contact and friction. `solve` refuses models with laws for other integrators.
     second_order : bool
         True if the error of a step in v is O(h^3). Steps that end at a switch of `gaps` may then be longer.
     trusted : bool
@@ -242,7 +262,7 @@ class Integrator:
         The matrix of Newton's method, for `pi.study.conditioning`.
     """
 
-    nonholonomic = second_order = trusted = writes_rows = False
+    velocity_rows = takes_laws = second_order = trusted = writes_rows = False
     iteration_matrix: Any = None
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
@@ -315,20 +335,20 @@ class _Adapter(Integrator):
         return type(self.user).__name__
 
 
-def declared(given: object, part: str = "solve") -> Integrator:
+def declared(user: object, part: str = "solve") -> Integrator:
     """A user's integrator with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
-    if isinstance(given, Integrator):
-        return given
-    if not hasattr(given, "steps"):
+    if isinstance(user, Integrator):
+        return user
+    if not hasattr(user, "steps"):
         lacking = "it has no method steps(model, state, t_end, counts)"
-        raise InputError(f"{part}: {given!r} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
-    if isinstance(given, type):
-        needed = ", ".join(f"{one.name}=..." for one in signature(given).parameters.values() if one.default is one.empty)
-        raise InputError(f"{part}: {given.__name__} is a class: give an instance, {given.__name__}({needed})")
-    name = type(given).__name__
-    if not callable(given.steps):
-        wanted = "must be a function, steps(model, state, t_end, counts), that yields a State a step"
-        raise InputError(f"{part}: steps = {given.steps!r:.100} of {name} {wanted}")
-    if not takes(given.steps, 4):
+        raise InputError(f"{part}: {user!r} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    if isinstance(user, type):
+        needed = ", ".join(f"{one.name}=..." for one in signature(user).parameters.values() if one.default is one.empty)
+        raise InputError(f"{part}: {user.__name__} is a class: give an instance, {user.__name__}({needed})")
+    name = type(user).__name__
+    if not callable(user.steps):
+        expected = "must be a function, steps(model, state, t_end, counts), that yields a State a step"
+        raise InputError(f"{part}: steps = {user.steps!r:.100} of {name} {expected}")
+    if not takes(user.steps, 4):
         raise InputError(f"{part}: steps of {name} must take (model, state, t_end, counts)")
-    return _Adapter(given)
+    return _Adapter(user)

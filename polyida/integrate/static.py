@@ -1,12 +1,13 @@
 """Static equilibrium: `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0`, by Newton's method along a growing load."""
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.sizes import memory_of_rest
 from polyida.integrate.start import vector_of
@@ -16,6 +17,7 @@ from polyida.linear.saddle import KKT, negative_directions, require_independent,
 from polyida.model import Model, differences
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
+from polyida.model.row_laws import require_no_laws
 from polyida.reprs import brief
 from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, read_only
 
@@ -73,17 +75,36 @@ class Loading:
 
     def residuals(self, q, lam, factor):
         """r (n,) and phi (m,). Raises StepFailure if they are not finite."""
-        zero = np.zeros(self.model.n)
-        r = self.model.residual(self.t, q, zero, zero, lam) - self.base - factor * self.slope
+        r = self.model.residual(self.t, *self.at_rest(q), lam) - self.base - factor * self.slope
         phi = self.model.phi(self.t, q)
         if not (np.isfinite(r).all() and np.isfinite(phi).all()):
             raise StepFailure("not finite", "r or phi is not finite; use more load steps", self.t)
         return r, phi
 
+    def at_rest(self, q):
+        """(q, v, a) of a state at rest. The entries of q that belong to first-order states are their velocities: unknowns, as q is."""
+        columns, zero = self.model.state_columns, np.zeros(self.model.n)
+        if not len(columns):
+            return q, zero, zero
+        place, v = q.copy(), zero.copy()
+        place[columns], v[columns] = 0.0, q[columns]
+        return place, v, zero
+
     def stiffness(self, q, lam):
-        """`K = d(g + phi_q^T lam)/dq`, (n, n)."""
-        zero = np.zeros(self.model.n)
-        return self.model.tangent(self.t, q, zero, zero, lam, 0.0, 0.0, 1.0)
+        """`K = d(g + phi_q^T lam)/dq`, (n, n), with the derivatives in first-order states. A state whose rate is zero identically stays."""
+        model, state = self.model, self.at_rest(q)
+        K = model.tangent(self.t, *state, lam, 0.0, 0.0, 1.0)
+        if not model.k:
+            return K
+        from scipy.sparse import csc_array, diags_array
+
+        chosen = np.zeros(model.n)
+        chosen[model.state_columns] = 1.0
+        K = csc_array(K) + csc_array(model.force_v(self.t, *state[:2])) @ diags_array(chosen)
+        zero_rows, zero_columns = (abs(K).sum(axis=axis) == 0.0 for axis in (1, 0))
+        # the second: the component beside an odd number of states
+        unknown = (zero_rows & (chosen > 0.0)) | (zero_rows & zero_columns)
+        return (K + diags_array(unknown.astype(float))).tocsc()
 
     def multipliers(self, q, factor):
         """lam (m,) that best balances the forces at q, for all stiffness may come from it. Raises InputError for redundant constraints."""
@@ -92,7 +113,7 @@ class Loading:
             return np.zeros(0)
         B = model.phi_q(self.t, q)
         require_independent(model, B, q)
-        return np.linalg.solve(dense(B @ B.T), B @ (self.base + factor * self.slope - model.force(self.t, q, np.zeros(model.n))))
+        return np.linalg.solve(dense(B @ B.T), B @ (self.base + factor * self.slope - model.force(self.t, *self.at_rest(q)[:2])))
 
     def solve(self, q, lam, factor):
         """(q, lam, the factored system) in equilibrium, from a guess. Raises StepFailure."""
@@ -141,13 +162,13 @@ class Loading:
 
     def equilibrium(self, q, lam, solve, **parts):
         """The Equilibrium at (q, lam); solve: of the system factored there."""
-        model, t, zero = self.model, self.t, np.zeros(self.model.n)
-        memory = memory_of_rest(model, t, q, lam, model.residual(t, q, zero, zero, lam), solve)
+        model, t, (place, v, zero) = self.model, self.t, self.at_rest(q)
+        memory = {} if model.k else memory_of_rest(model, t, q, lam, model.residual(t, q, v, zero, lam), solve)
         try:
             directions = negative_directions(self.stiffness(q, lam), model.phi_q(t, q))
         except SingularSystem:
             directions = None
-        return Equilibrium(t, q, zero, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts)
+        return Equilibrium(t, place, v, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts)
 
     def small_displacements(self):
         """The Equilibrium of small displacements under the whole load. Raises InputError for redundant constraints, StepFailure."""
@@ -160,7 +181,7 @@ class Loading:
         if system.lu.doubtful():
             raise StepFailure("singular", FREE, self.t)
         q, lam = system.solve(r, phi)
-        return Equilibrium(self.t, q, zero, zero.copy(), lam, model=unguarded(model), linear=True)
+        return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True)
 
 
 def whole_load(part, model, t, tolerance, max_iterations):
@@ -171,6 +192,9 @@ def whole_load(part, model, t, tolerance, max_iterations):
         raise InputError(f"{part}: t = {t!r} must be a finite time in s")
     if not (is_number(tolerance) and 0 < tolerance < 1):
         raise InputError(f"{part}: tolerance = {tolerance!r} must be between 0 and 1")
+    require_no_laws(part, model, "put joints in their place, such as polyida.Slot for a closed contact, or let a damped run come to rest")
+    if model.strains:
+        raise InputError(f"{part}: it takes no viscoelastic plates yet: {', '.join(map(repr, model.strains))}; give them elastic materials")
     load = model.force(float(t), np.zeros(model.n), np.zeros(model.n))
     load = np.where(np.isfinite(load), load, 0.0)  # a model that is singular at q = 0 gets its whole load at once
     return Loading(model, float(t), load, -load, tolerance, max_iterations)
@@ -186,7 +210,7 @@ def static(
     max_iterations: int = 50,
     linear: bool = False,
 ) -> Equilibrium:
-    """Solve `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0` for the static equilibrium.
+    """Solve `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0`, and `rates = 0` of first-order states, for the static equilibrium.
 
     Parameters
     ----------
@@ -221,15 +245,25 @@ def static(
 
     Notes
     -----
-    `equilibrium_path` continues beyond the largest load that a structure bears.
+    `equilibrium_path` continues beyond the largest load that a structure bears. Viscoelastic plates have their long-time modulus, and their
+    strains have relaxed.
     """
     model = guard(model, "static")
+    if model.strains:
+        count = 2 * model.n_factored
+        q0 = None if q0 is None else vector_of("q0", q0, model)[:count]
+        elastic = static(model.elastic(relaxed=True), t, q0, steps, tolerance, max_iterations, linear)
+        q = np.append(elastic.q, np.zeros(model.n - count))
+        v = relaxed_velocities(model, q)
+        v[:count] = elastic.v
+        return replace(elastic, q=q, v=v, a=np.zeros(model.n), memory={}, model=unguarded(model))
     loading = whole_load("static", model, t, tolerance, max_iterations)
     if not is_whole(steps):
         raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
     if not is_flag(linear):
         raise InputError(f"static: linear = {linear!r} must be True or False")
     q = vector_of("q0", q0, model)
+    q[model.state_columns] = 0.0
     require_declared(model, loading.t, q, np.zeros(model.n))
     if linear:
         return loading.small_displacements()
@@ -252,6 +286,10 @@ def static(
         factor, parts, (q, lam) = target, parts + 1, reached
         part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
     equilibrium = loading.equilibrium(q, lam, system.solve, parts=parts, halved=halved)
+    if model.velocity_rows.size:
+        name = model.constraint_name(int(model.velocity_rows[0]))
+        path = "the path of the bodies, here that of Newton's method; more steps follow the load"
+        warnings.warn(f"static: with the velocity row {name} the equilibrium depends on {path}", stacklevel=3)
     if equilibrium.stable is False:
         warnings.warn(f"static: {equilibrium.summary()}; look for another from a disturbed q0", stacklevel=3)
     return equilibrium

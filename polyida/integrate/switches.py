@@ -53,8 +53,8 @@ def steps_of(own_steps, integrator, model, state, t_end, counts):
 
 
 def unresolved(model, integrator, state):
-    """Message of the gaps whose rate changes too much in the shortest steps, up to a state; empty if there are none."""
-    memory = state.memory.get("switches", ()) if model.switching else ()
+    """Message of a model with switches about the gaps whose rate changes too much in the shortest steps, up to a state; empty if there are none."""
+    memory = state.memory.get("switches", ())
     turns, times = np.reshape(memory[2:], (len(ROWS), -1))[-2:] if len(memory) else np.zeros((2, 0))
     least = f"h/{FINEST}" if integrator.fixed_step() else f"{STANDING:g} of the run's time"
     return "; ".join(

@@ -19,7 +19,6 @@ from contextlib import suppress
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.validation import is_number
 
 FORMAT = "polyida trajectory 4"
 HEAD = struct.Struct("<QII")  # of a slot: number of bytes that follow, their CRC-32, bytes of the record
@@ -94,12 +93,6 @@ def require_unwritten(path):
 
 def _request(kind):
     return struct.pack(LOCK_FORMAT, kind, os.SEEK_SET, 0, 0, 0)
-
-
-def require_bytes(part, memory_limit):
-    """Raise InputError, in the name of `part`, unless it is a number of bytes."""
-    if not (is_number(memory_limit) and memory_limit >= 0):
-        raise InputError(f"{part}: memory_limit = {memory_limit!r} must be a number of bytes")
 
 
 def blocks(frames):

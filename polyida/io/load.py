@@ -7,12 +7,13 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.io.layout import MEMORY_LIMIT, require_bytes
+from polyida.event import Events
+from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
-from polyida.validation import is_flag, named_keywords
+from polyida.validation import is_flag, named_keywords, require_bytes
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
 KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"
@@ -74,6 +75,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
                 plan=dict(about["plan"]),
                 missing=missing,
                 sensors=sensors,
+                events=Events.from_data(record.get("events", [])),
             )
         except BaseException:
             stored.file.close()
@@ -81,6 +83,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
 
 
 def sensors_of(stored):
+    """The Sensors of an open run file."""
     return Sensors(stored.sensors, np.asarray(stored.sensed)) if stored.sensors else Sensors()
 
 
@@ -105,16 +108,18 @@ def integrator_of(stored):
 
 def model_of(stored, drives):
     """The model of the scene in the file, None for a user's model; drives: {key: profile}. Raises UnknownPart."""
+    from polyida.assembly.scene_model import SceneModel
     from polyida.scene import Scene
 
     if "scene" not in stored.about:
         return None
     arrays = stored.arrays("scene")
     parts, gravity = from_data(stored.about["scene"], arrays, drives.get)
-    scene = Scene(gravity)
+    scene, late, redundant = Scene(gravity), stored.about.get("late"), stored.about.get("redundant", "refuse")
     for part in parts.values():
         scene.add(part)
-    model, factors = scene.build(stored.about.get("redundant", "refuse")), factors_from(stored.about["scene"], arrays)
+    model = scene.build(redundant) if late is None else SceneModel(scene.parts, scene.gravity, redundant, False, tuple(late))
+    factors = factors_from(stored.about["scene"], arrays)
     model = model.with_factors(**factors) if factors else model
     if (model.n, model.m) != (stored.n, stored.m):
         raise InputError(

@@ -121,10 +121,10 @@ def naming(path, everything=True):
 def read(path):
     """The Stored of a file. Raises InputError if it is missing, damaged or of another kind."""
     try:
-        found = Path(path).is_file()
+        exists = Path(path).is_file()
     except (TypeError, ValueError, OSError):
-        found = False
-    if not found:
+        exists = False
+    if not exists:
         wrong = isinstance(path, (str, Path)) and f"{path}: no such file"
         raise InputError(wrong or f"{path!r:.100} must be the path of a file")
     if not being_written(path):
@@ -186,8 +186,8 @@ class Stored:
             raise InputError(f"{name} does not hold numbers")
         if shape and (len(shape) != node.ndim or any(b not in (None, a) for a, b in zip(node.shape, shape))):
             raise InputError(f"{name} has the shape {node.shape}; {shape} is needed")
-        made = node.id.get_create_plist()
-        if node.is_virtual or node.external or {made.get_filter(k)[0] for k in range(made.get_nfilters())} - {h5py.h5z.FILTER_FLETCHER32}:
+        plist = node.id.get_create_plist()
+        if node.is_virtual or node.external or {plist.get_filter(k)[0] for k in range(plist.get_nfilters())} - {h5py.h5z.FILTER_FLETCHER32}:
             raise InputError(f"{name} is virtual, external or compressed")
         self._claimed[name] = node.dtype.itemsize * math.prod(node.shape)
         claim = max(sum(self._claimed.values()), node.dtype.itemsize * math.prod(node.chunks or (0,)))
@@ -246,30 +246,30 @@ class Stored:
         shapes = [(), (n,), (n,), (n,), (m,), *(shape for _, shape in memory)] if record["restart"] else []
         self.count, rows = int(record["frames"]), int(record["tail"])
         steps, sensed, width = int(record.get(SENSORS, 0)), int(record.get("sensors tail", 0)), (sensed_width(self.sensors),)
-        found = self._found("frames", self.shapes, self.count, rows)
+        datasets = self._found("frames", self.shapes, self.count, rows)
         shapes += [*((rows, *shape) for shape in self.shapes.values()), (sensed, *width)]
         sizes = [int(np.prod(shape)) for shape in shapes]
         if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
             raise InputError("the last frames, or the state to go on from, are damaged")
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
         tails = dict(zip(self.shapes, parts[-len(self.shapes) - 1 :]))
-        self.single = found["q"].dtype == np.float32
+        self.single = datasets["q"].dtype == np.float32
         none = np.zeros((self.count, 0))  # lam without constraints
         self.columns = {
-            name: StoredFrames(found.get(name, none), tails[name].astype(dtype), self.count, self.path)
+            name: StoredFrames(datasets.get(name, none), tails[name].astype(dtype), self.count, self.path)
             for name, dtype in dtypes_of(self.shapes, self.single).items()
         }
-        found = self._found("steps of sensors", {SENSORS: width}, steps, sensed)
-        self.sensed = StoredFrames(found.get(SENSORS, none[:0]), parts[-1], steps, self.path)
+        datasets = self._found("steps of sensors", {SENSORS: width}, steps, sensed)
+        self.sensed = StoredFrames(datasets.get(SENSORS, none[:0]), parts[-1], steps, self.path)
         self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
 
     def _found(self, what, shapes, count, rows):
         """{name: dataset} of columns with `count` committed rows, the last `rows` of which are in the slot."""
-        found = {name: self._dataset(name, None, *shape) for name, shape in shapes.items() if shape != (0,)}
-        least = min(map(len, found.values()), default=count)
+        datasets = {name: self._dataset(name, None, *shape) for name, shape in shapes.items() if shape != (0,)}
+        least = min(map(len, datasets.values()), default=count)
         if not 0 <= rows <= count <= least + rows:
             raise InputError(f"it holds {least} {what}, {count - rows} are stated; the file is damaged")
-        return found
+        return datasets
 
     def _restart(self, names, parts):
         stored, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
@@ -282,7 +282,7 @@ class Stored:
 
         Raises InputError if no frame is left.
         """
-        good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda found: found[0])
+        good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda pair: pair[0])
         sensed, fault = self._whole(SENSORS, self.sensed)
         wrong = []
         if good == 0 < self.count:
@@ -320,12 +320,12 @@ class Stored:
 
         The file is closed if all are arrays.
         """
-        found = {name: self.columns[name] for name in FRAMES}
-        whole = sum(values.nbytes for values in found.values()) <= limit
-        found = {name: np.asarray(x) if whole or name == "t" or 32 * x.nbytes <= limit else x for name, x in found.items()}
-        if not any(isinstance(values, StoredFrames) for values in found.values()):
+        columns = {name: self.columns[name] for name in FRAMES}
+        whole = sum(values.nbytes for values in columns.values()) <= limit
+        columns = {name: np.asarray(x) if whole or name == "t" or 32 * x.nbytes <= limit else x for name, x in columns.items()}
+        if not any(isinstance(values, StoredFrames) for values in columns.values()):
             self.file.close()
-        return found
+        return columns
 
 
 def counts_of(stored):

@@ -27,32 +27,32 @@ def save(run, path, overwrite=False):
         store.copy([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
         seconds, sensed = (run.cpu_seconds, run.wall_seconds), behind_blocks(file, run.sensors.rows)
-        commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, last=True)
+        commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, True, run.events)
         file.close()
     os.close(file.descriptor)
 
 
-def free(given, overwrite):
+def free(path_given, overwrite):
     """The absolute path of a file that can be written, symbolic links followed.
 
     Raises InputError if the file exists and must not be overwritten, is being written, or cannot be written there.
     """
     if not is_flag(overwrite):
-        raise InputError(f"{given}: overwrite = {overwrite!r} must be True or False")
+        raise InputError(f"{path_given}: overwrite = {overwrite!r} must be True or False")
     try:
-        path = Path(given).resolve()
+        path = Path(path_given).resolve()
         folder, file, there, home = path.is_dir(), path.is_file(), path.exists(), path.parent.is_dir()
     except (TypeError, ValueError, OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{given!r:.100} must be the path of a file ({reason})") from None
+        raise InputError(f"{path_given!r:.100} must be the path of a file ({reason})") from None
     if folder:
-        raise InputError(f"{str(given)!r} is a folder; give the name of a file")
+        raise InputError(f"{str(path_given)!r} is a folder; give the name of a file")
     if there and not file:
-        raise InputError(f"{given} is a device or a pipe, no file; frames cannot be written there")
+        raise InputError(f"{path_given} is a device or a pipe, no file; frames cannot be written there")
     if there and not overwrite:
-        raise InputError(f"{given} exists; pass overwrite=True (--overwrite) to replace it, or give another name")
+        raise InputError(f"{path_given} exists; pass overwrite=True (--overwrite) to replace it, or give another name")
     if not home:
-        raise InputError(f"{given}: the folder {path.parent} does not exist")
+        raise InputError(f"{path_given}: the folder {path.parent} does not exist")
     if there:
         require_unwritten(path)
     return path
@@ -73,7 +73,7 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
     about |= {SENSORS: dict(sensors)} if sensors else {}
     scene, arrays, drives = to_data(model) if model.parts else (None, {}, {})
-    about |= ({"scene": scene, "redundant": model.treats_redundant} if scene else {}) | {
+    about |= ({"scene": scene, "redundant": model.treats_redundant, "late": model.late} if scene else {}) | {
         "drives": {key: name for key, (name, _) in drives.items()}
     }
     profiles = {key: profile for key, (_, profile) in drives.items()}
@@ -81,8 +81,8 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
     return Writer.create(path, n, m, about, arrays, profiles, bool(plan.get("fsync")), single, sensed_width(sensors))
 
 
-def commit(store, status, message, counts, seconds, restart, sensed, last=False):
-    """Commit the frames so far with the status of the run and the state to continue from; sensed: sensor rows after the blocks."""
+def commit(store, status, message, counts, seconds, restart, sensed, last=False, events=None):
+    """Commit the frames so far with the status of the run and the state to continue from; sensed: sensor rows after the blocks. events: Events or None."""
     record = {
         "status": status,
         "message": message,
@@ -92,6 +92,7 @@ def commit(store, status, message, counts, seconds, restart, sensed, last=False)
         "restart": None,
         "memory": [],
     }
+    record |= {"events": events.to_data()} if events is not None and (events.given or len(events)) else {}
     numbers = []
     if restart:
         s = restart.state

@@ -48,13 +48,13 @@ def to_data(model):
 class _Encoder:
     """Converts fields of parts to data; collects arrays and drives."""
 
-    def __init__(self, parts, made):
-        self.parts, self.made, self.arrays, self.drives, self.meshes = parts, made, {}, {}, {}
+    def __init__(self, parts, stored_fields):
+        self.parts, self.stored_fields, self.arrays, self.drives, self.meshes = parts, stored_fields, {}, {}, {}
 
     def fields(self, name, key, part):
         """{field: data} of a part without its name; key: the prefix of its arrays."""
         values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
-        values |= self.made.get(name, {}) if part is self.parts.get(name) else {}
+        values |= self.stored_fields.get(name, {}) if part is self.parts.get(name) else {}
         return {field: self.value(name, f"{key} {field}", value) for field, value in values.items()}
 
     def value(self, name, key, value):
@@ -106,7 +106,7 @@ class _Encoder:
             self.arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
             pairs = {"supports": mesh.supports, "loads": mesh.loads}
             self.arrays |= {
-                f"{key}/{name}": np.array([[n, *at] for n, at in given.items()], float) for name, given in pairs.items() if given
+                f"{key}/{name}": np.array([[n, *at] for n, at in points.items()], float) for name, points in pairs.items() if points
             }
         return self.meshes[id(mesh)]
 
@@ -139,8 +139,8 @@ def factors_from(description, arrays):
     """{plate: (stiffness, mass)} of plates with factors of cells, from data."""
     reader = _Decoder(arrays, None)
     try:
-        found = description.get("factors", {}).items()
-        return {name: tuple(reader.value({"name": name}, "factors", one) for one in pair) for name, pair in found}
+        pairs = description.get("factors", {}).items()
+        return {name: tuple(reader.value({"name": name}, "factors", one) for one in pair) for name, pair in pairs}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"the factors in the file are damaged: {type(error).__name__} {error}") from None
 
@@ -153,7 +153,8 @@ class _Decoder:
 
     def part(self, entry):
         """The part of an entry."""
-        kind = registry.find(registry.parts, entry["kind"])
+        was_penalty = entry["kind"] == "Contact" and "stiffness" in entry["fields"]  # its name before
+        kind = registry.find(registry.parts, "PenaltyContact" if was_penalty else entry["kind"])
         if kind is None:
             raise UnknownPart(f"its part {entry['name']!r} is a {entry['kind']}; define or import that class before loading")
         values = {key: self.value(entry, key, value) for key, value in entry["fields"].items()}
@@ -200,7 +201,7 @@ class _Decoder:
         real = arrays[f"{key}/weights"].ndim == 1
         kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(coordinates_of(body)))
         weights, turn = (
-            None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
+            None if array is None else _weights(array, kind) for array in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
         )
         if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= count:
             raise InputError(f"the scene in the file is damaged: {key} selects nodes that {side['body']!r} does not have")
@@ -216,6 +217,6 @@ def _real(weights):
     return np.stack([weights.real, weights.imag], axis=1) if np.iscomplexobj(weights) else weights
 
 
-def _weights(found, kind):
-    weights = np.asarray(found, float)
+def _weights(array, kind):
+    weights = np.asarray(array, float)
     return weights if kind is Attachment else weights[:, 0] + 1j * weights[:, 1]

@@ -12,7 +12,7 @@ import numpy as np
 from polyida.io.layout import FRAMES, MEMORY_LIMIT, dtypes_of, shapes_of
 from polyida.io.reader import read_open
 from polyida.io.writer import NotWritten, writing
-from polyida.memory import LAZY, room
+from polyida.memory import LAZY, allocate
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system may drop those before from its cache
@@ -86,9 +86,9 @@ class FrameStore:
 
     def _many(self):
         """A block for all frames, a multiple of blocks of the file."""
-        found = room(self._shapes, self._dtypes, self.limit)
-        rows = len(found[0]) - (len(found[0]) % self.file.rows if self.file else 0)
-        return [values[:rows] for values in found]
+        arrays = allocate(self._shapes, self._dtypes, self.limit)
+        rows = len(arrays[0]) - (len(arrays[0]) % self.file.rows if self.file else 0)
+        return [values[:rows] for values in arrays]
 
     def _few(self):
         """A block for frames on their way to a file."""
@@ -153,7 +153,7 @@ class FrameStore:
             os.close(self.file.descriptor)
         if not self._whole:
             return dict(zip(FRAMES, self._away.arrays(block)))
-        found = [values[: self.file.held if self.file else self.count] for values in block]
-        whole = sum(values.nbytes for values in found)
+        columns = [values[: self.file.committed if self.file else self.count] for values in block]
+        whole = sum(values.nbytes for values in columns)
         stays = LAZY and whole > SMALL
-        return {name: values if stays and PART * values.nbytes > whole else values.copy() for name, values in zip(FRAMES, found)}
+        return {name: values if stays and PART * values.nbytes > whole else values.copy() for name, values in zip(FRAMES, columns)}

@@ -86,7 +86,7 @@ def writing(path):
 class Writer:
     """An open file, beside `shown` until `publishing` moves it there. Methods raise NotWritten.
 
-    path: its present place. single: see FrameStore. frames, sensors: Tables; held: frames of the last commit. drives: {name: profile}; width:
+    path: its present place. single: see FrameStore. frames, sensors: Tables; committed: frames of the last commit. drives: {name: profile}; width:
     of a row of sensors, 0 without sensors.
     """
 
@@ -94,7 +94,7 @@ class Writer:
         import h5py
 
         self.shown, self.path, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0
-        self.held, self.drives, self.fsync, shapes = 0, drives, fsync, shapes_of(n, m, drives)
+        self.committed, self.drives, self.fsync, shapes = 0, drives, fsync, shapes_of(n, m, drives)
         self.frames, self.sensors = Table(shapes, dtypes_of(shapes, single)), Table({SENSORS: (width,)}, {SENSORS: np.dtype("f8")})
         self._tables = self.frames, self.sensors
         self._reserved, self._slots = 0, 2 * (sum(table.block_bytes for table in self._tables) + SLOT_CHUNK)
@@ -174,7 +174,7 @@ class Writer:
                 slot.resize(max(len(slot), len(content)), axis=0)
                 slot[: len(content)] = content
                 self._flush()
-            self.commits, self.held = self.commits + 1, record["frames"]
+            self.commits, self.committed = self.commits + 1, record["frames"]
 
     def _flush(self):
         self._file.flush()

@@ -71,9 +71,9 @@ def c_address(inner, kinds):
         return compilers.c_address(outer, inner, kinds, _COMMON)
     outer.__qualname__ += sha256(repr(kinds).encode()).hexdigest()[:16]  # its own files, see `cache.Files`
     with kernel_cache.cache_folder() as cached:
-        made = numba.cfunc(kinds, cache=cached, nopython=True, **_COMMON)(outer)
-    _c_functions.append(made)
-    return made.address
+        compiled_function = numba.cfunc(kinds, cache=cached, nopython=True, **_COMMON)(outer)
+    _c_functions.append(compiled_function)
+    return compiled_function.address
 
 
 def own_part(function, boundscheck):
@@ -91,9 +91,9 @@ def own_address(function, kinds, cached):
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Cannot cache compiled function")  # because it contains addresses of this process
             return compilers.c_address(function, None, kinds, _COMMON, compilers.OwnCompiler, cached)
-    made = numba.cfunc(kinds, nopython=True, **_COMMON)(function)
-    _c_functions.append(made)
-    return made.address
+    compiled_function = numba.cfunc(kinds, nopython=True, **_COMMON)(function)
+    _c_functions.append(compiled_function)
+    return compiled_function.address
 
 
 _c_functions: list = []  # whose addresses are in use
@@ -119,9 +119,9 @@ def typed(entry):
 
 def _around(function, inner):
     """A function that calls `inner`, with the name, the source position and the arguments of `function`."""
-    names, made, at = ", ".join(signature(function).parameters), {}, function.__code__
-    exec(f"def outer({names}):\n    return inner({names})", {"inner": inner}, made)
-    outer = update_wrapper(made["outer"], function)
+    names, namespace, at = ", ".join(signature(function).parameters), {}, function.__code__
+    exec(f"def outer({names}):\n    return inner({names})", {"inner": inner}, namespace)
+    outer = update_wrapper(namespace["outer"], function)
     outer.__code__ = outer.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
     del outer.__wrapped__
     return outer

@@ -59,32 +59,32 @@ class Entry(CPUDispatcher):
 
 def entry(outer, part, compiler, options, cached=True):
     """An Entry, stored in `cache.Files` if cached."""
-    made = Entry(outer, part, compiler, options)
+    new = Entry(outer, part, compiler, options)
     with kernel_cache.cache_folder() as writable:
         if writable and cached:
-            made.enable_caching()
-            made._cache._cache_file = kernel_cache.Files(made._cache.cache_path, made._cache._impl.filename_base)
-    return made
+            new.enable_caching()
+            new._cache._cache_file = kernel_cache.Files(new._cache.cache_path, new._cache._impl.filename_base)
+    return new
 
 
 def c_address(outer, part, kinds, options, compiler=None, cached=True):
     """The address of a function as a C function."""
-    made = entry(outer, part, compiler or EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, cached)
-    made.compile(kinds)
-    result = made.overloads[kinds.args]
+    new = entry(outer, part, compiler or EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, cached)
+    new.compile(kinds)
+    result = new.overloads[kinds.args]
     environments = result._find_referenced_environments()
     for one in environments:  # Python objects that parts print with: the machine code has a place for them from now on
         result.library.codegen.set_env(one.env_name, one)
-    _in_use.append((made, environments))
+    _in_use.append((new, environments))
     return result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
 
 
 def shared(outer, function, options):
     """An entry whose part is a call of it."""
-    made = entry(outer, None, SharedCompiler, options)
+    new = entry(outer, None, SharedCompiler, options)
     wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    made.part = numba.njit(pipeline_class=partial(Call, made), **wrappers, **options)(function)
-    return made
+    new.part = numba.njit(pipeline_class=partial(Call, new), **wrappers, **options)(function)
+    return new
 
 
 class OwnCompiler(Compiler):
@@ -165,12 +165,12 @@ class Call:
     def compile_extra(self, function):
         """The result of the entry's compilation, without its code."""
         self.entry.compile(self.args)
-        made = self.entry.overloads[self.args]
+        new = self.entry.overloads[self.args]
         library = _NoCode(self.target.codegen(), "call of a shared entry")
         library._reload_init, library._finalized = {CompileShared(function.__module__, function.__name__, self.args)}, True
-        result = self.target.get_executable(library, made.fndesc, made.environment)
-        self.target.insert_user_function(result, made.fndesc, [library])
-        return made._replace(entry_point=result, library=library, metadata={})
+        result = self.target.get_executable(library, new.fndesc, new.environment)
+        self.target.insert_user_function(result, new.fndesc, [library])
+        return new._replace(entry_point=result, library=library, metadata={})
 
 
 class _NoCode(JITCodeLibrary):

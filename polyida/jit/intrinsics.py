@@ -154,6 +154,7 @@ def _loader(result, element, count, doc):
 
 load = _loader(lanes, lanes.element, 1, "One vector of the flat array.")
 load2 = _loader(types.UniTuple(lanes, 2), lanes.element, 2, "Two consecutive vectors.")
+load3 = _loader(types.UniTuple(lanes, 3), lanes.element, 3, "Three consecutive vectors.")
 load4 = _loader(types.UniTuple(lanes, 4), lanes.element, 4, "Four consecutive vectors.")
 load8 = _loader(types.UniTuple(lanes, 8), lanes.element, 8, "Eight consecutive vectors.")
 load_pair = _loader(pair, pair.element, 1, "Two numbers of the flat array.")

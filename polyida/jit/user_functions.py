@@ -8,37 +8,26 @@ The last argument is the address of the result.
 import ctypes
 import hashlib
 import math
-import re
-from collections import namedtuple
 from contextlib import suppress
 from functools import cache, update_wrapper
-from inspect import signature
 from types import CellType, CodeType, FunctionType
 from typing import Any
 
 import numba
 import numpy as np
 from numba import NumbaError, TypingError, carray, types
-from numba.extending import intrinsic, lower_builtin, models, overload_method, register_model
+from numba.extending import intrinsic
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.fingerprint import is_dispatcher, machine_code_fingerprint, of_polyida
 from polyida.jit import cache as kernel_cache
 from polyida.jit import own_address, own_part
 from polyida.jit.intrinsics import integers, pointer, real
-from polyida.profile import Profile
 from polyida.validation import named_keywords
 
 ARGUMENTS = 8
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
-DTYPES = {
-    "b": np.bool_,
-    "i": np.int64,
-    "u": np.int64,
-    "f": np.float64,
-    "c": np.complex128,
-}  # how values of self are stored, by numpy's kind
 _converted: dict = {}  # {(function, its mark): the function that numba compiles}
 
 
@@ -99,21 +88,21 @@ def is_compiled(function):
     return isinstance(function, CompiledFunction) or is_dispatcher(function)
 
 
-def for_numba(given):
+def for_numba(original):
     """A function in the form that numba compiles; the functions that it names are converted too. An index out of bounds raises.
 
     The values that the function names are read anew for each mark, even if numba has compiled the function before.
     """
-    if is_dispatcher(given) and not _is_function(given):
-        return given
-    key = given, machine_code_fingerprint(given)
+    if is_dispatcher(original) and not _is_function(original):
+        return original
+    key = original, machine_code_fingerprint(original)
     if key not in _converted:
-        function = given.function if isinstance(given, CompiledFunction) else getattr(given, "py_func", given)
+        function = original.function if isinstance(original, CompiledFunction) else getattr(original, "py_func", original)
         names, cells = dict(function.__globals__), [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
         names["__name__"] = __name__  # cached code imports its module: the module of the function may be missing in another process
         copy = FunctionType(function.__code__, names, function.__name__, function.__defaults__, tuple(cells))
         copy.__kwdefaults__ = function.__kwdefaults__
-        _converted[key] = numba.jit(**given.targetoptions)(copy) if is_dispatcher(given) else own_part(copy, not of_polyida(function))
+        _converted[key] = numba.jit(**original.targetoptions)(copy) if is_dispatcher(original) else own_part(copy, not of_polyida(function))
         for name in names_of(function.__code__):
             if _is_function(value := names.get(name)):
                 names[name] = for_numba(value)
@@ -227,142 +216,3 @@ def over(label, function, *arrays, shape=()):
 def frozen(typing, array):
     """The array as a read-only one."""
     return array.copy(readonly=True)(array), lambda context, builder, sig, args: args[0]
-
-
-def _names_read(function, seen):
-    """Names in a function and in the functions of its module that it calls."""
-    seen.add(function)
-    for name in names_of(function.__code__):
-        yield name
-        called = function.__globals__.get(name)
-        if isinstance(called, FunctionType) and called not in seen:
-            yield from _names_read(called, seen)
-
-
-class OwnData:
-    """The values that functions read from an object, the owner, as `self`.
-
-    words: the values as float64 words. profiles: [(index of the word of its value, Profile)]. python: True if a field is a Python function.
-    """
-
-    def __init__(self, owner, functions):
-        self.owner, self.python, self.fields, self.functions, self.profiles, self._words = owner, False, {}, [], [], []
-        for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
-            value = getattr(owner, name, None)
-            if name in getattr(owner, "__dict__", ()) or not callable(value):
-                if (field := self._field(value)) is not None:
-                    self.fields[name] = field
-                elif callable(value):
-                    self.python = True
-        self.words = np.frombuffer(b"".join(self._words) or bytes(8)).copy()
-
-    def _field(self, value):
-        """Source text of a field of self; None if machine code cannot hold it."""
-        if is_compiled(value):
-            self.functions.append(value)
-            return f"function{len(self.functions) - 1}"
-        if isinstance(value, Profile):
-            self.profiles.append((len(self._words), value))
-            return f"profile(({self._view(np.zeros(()))}, real(t)))"
-        if isinstance(value, tuple | list) and any(isinstance(one, Profile) for one in value):
-            fields = [self._field(one) for one in value]
-            return None if None in fields else f"({', '.join(fields)},)"
-        try:
-            array = np.asarray(value)
-        except ValueError:
-            return None
-        return self._view(array.astype(DTYPES[array.dtype.kind])) if array.dtype.kind in DTYPES else None
-
-    def _view(self, array):
-        """Append the words of an array; source text of the array, or of the number."""
-        at, content = f"data + {8 * len(self._words)}", array.tobytes()
-        content += bytes(-len(content) % 8)
-        self._words += [content[k : k + 8] for k in range(0, len(content), 8)]
-        if array.dtype == float:
-            return argument_of(at, array.shape)
-        words = f"carray(pointer({at}), ({max(1, len(content) // 8)},)).view(np.{array.dtype})"
-        return f"frozen({words}[:{array.size}].reshape({array.shape}))" if array.ndim else f"{words}[0]"
-
-    def c_function(self, function, arguments, shape, result="found", of_complex=False):
-        """The address of the C function of `function(self, ...)`. Raises InputError.
-
-        arguments: {argument: (its name in `data, instant, t, b, c, d, e, out`, its shape, True if it is complex)}. shape: of the result,
-        () of a number.
-        """
-        used = list(signature(function).parameters)[1:]
-        if wrong := [name for name in used if name not in arguments]:
-            raise InputError(f"{function.__qualname__}: its arguments must be (self, {', '.join(arguments)}), not {wrong[0]!r}")
-        listed = "".join(f"{argument_of(*arguments[name])}, " for name in used)
-        out = argument_of("out", shape or (1,), of_complex).removeprefix("frozen")
-        check = f"if found.shape != {shape}:\n        return {WRONG_SHAPE}\n    " if shape else ""
-        source = f"""def called(data, instant, t, b, c, d, e, out):
-    try:
-        found = inner(Own({", ".join(self.fields.values()) or "0.0"}), {listed})
-    except Exception:
-        return {RAISED}
-    require_result(found)
-    {check}{out}[...] = {result}
-    return {DONE}
-"""
-        mark = machine_code_fingerprint(function, *self.functions)
-        try:
-            return _c_function(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
-        except InputError as error:
-            if not (unknown := re.search(r"Unknown attribute '(\w+)' of type self\(", str(error.__context__))):
-                raise
-            name, owner = unknown[1], self.owner
-            reason = f"`self.{name}` cannot be read in compiled code; numbers, arrays, profiles and compiled functions can"
-            if not hasattr(owner, name):
-                reason = f"{type(owner).__name__} has no field `{name}`; its fields: {', '.join(getattr(owner, '__dict__', ())) or 'none'}"
-            raise InputError(f"{function.__qualname__}: {reason}") from None
-
-
-@cache
-def _c_function(function, mark, source, fields, functions, dimensions, of_complex):
-    """The address of the C function, compiled once for data of one form."""
-    Own = namedtuple("self", [f"f{k}" for k in range(len(fields) or 1)])
-    Own._fields = fields or Own._fields  # namedtuple itself refuses names that begin with an underscore
-    names = {f"function{k}": for_numba(one) for k, one in enumerate(functions)} | {"Own": Own, "profile": as_profile}
-    return c_function_of(function.__qualname__, for_numba(function), (mark, fields), source, names, dimensions, of_complex)
-
-
-class ProfileType(types.Type):
-    """A profile in compiled code: its value at one time, and that time."""
-
-    def __init__(self):
-        super().__init__("Profile")
-
-
-PROFILE, PAIR = ProfileType(), types.UniTuple(types.float64, 2)
-
-
-@register_model(ProfileType)
-class _ProfileModel(models.PrimitiveModel):
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, manager.lookup(PAIR).get_value_type())
-
-
-@intrinsic
-def as_profile(typing, pair):
-    """(value, time) as a profile."""
-    return PROFILE(PAIR), lambda context, builder, sig, args: args[0]
-
-
-@intrinsic
-def as_pair(typing, profile):
-    """A profile as (value, time)."""
-    return PAIR(PROFILE), lambda context, builder, sig, args: args[0]
-
-
-def _value_at(profile, t):
-    value, time = as_pair(profile)
-    if t != time:
-        raise ValueError("a compiled function may call a profile at its own time t only")
-    return value
-
-
-overload_method(ProfileType, "value")(lambda profile, t: _value_at)
-overload_method(ProfileType, "__call__")(lambda profile, t: _value_at)
-lower_builtin(PROFILE, ProfileType, types.Float)(
-    lambda context, builder, sig, args: context.compile_internal(builder, _value_at, sig, args)
-)

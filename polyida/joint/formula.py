@@ -1,11 +1,13 @@
 """The formula language of joints: vectors of points and directions, and rows of phi made of their products.
 
 A `Vector` is linear in the coordinates; parts of it may be turned by a profile of time. `cross`, `dot`, sums, numbers and profiles make
-`Row`s of vectors. Vectors and rows are data: the assembly translates them into tables for compiled kernels.
+`Row`s of vectors; with the `rate` of a vector in each product these are velocity rows, `W(t, q) v + w(t)`. A row may have a law in place of
+the equation, of unilateral contact or of dry friction. Vectors and rows are data: the assembly translates them into tables for compiled kernels.
 """
 
 import re
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +20,17 @@ ADVICE = "a row is a sum of products of at most two factors, so use pi.dot and p
 
 @dataclass(frozen=True, eq=False)
 class Summand:
-    """`R(theta(t)) (constant + sum_j w_j z_j)` in complex numbers, z_j the "point" or "direction" of an attachment.
+    """`R(theta(t)) (constant + sum_j w_j z_j)` in complex numbers, z_j the "point" or "direction" of an attachment, or its rate in time.
 
     terms: (attachment, "point" or "direction", w) each. profile: theta, rad, or None without rotation. of_ground: the places of the ground
-    that the constant contains, in the form of terms.
+    that the constant contains, in the form of terms. rate: True for `sum_j w_j z_j'`, without constant and rotation.
     """
 
     terms: tuple = ()
     constant: complex = 0j
     profile: Profile | None = None
     of_ground: tuple = ()
+    rate: bool = False
 
     def times(self, w):
         """Return the product with the complex number w."""
@@ -40,8 +43,8 @@ class Summand:
         return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
     def at(self, place):
-        """Return the value without the rotation theta; `place(attachment, "point" or "direction")` returns z_j."""
-        return self.constant + sum(w * place(side, part) for side, part, w in self.terms)
+        """Return the value without the rotation theta; `place(attachment, "point" or "direction")` returns z_j. A rate is zero at rest."""
+        return 0j if self.rate else self.constant + sum(w * place(side, part) for side, part, w in self.terms)
 
     @property
     def rest(self):
@@ -51,7 +54,7 @@ class Summand:
 
 @dataclass(frozen=True, eq=False)
 class Vector:
-    """A vector of the plane, m, linear in the coordinates. In the list of `rows()` of a joint it stands for its two components."""
+    """A vector of the plane, m, or its rate, m/s, linear in the coordinates. In a joint's list of rows it stands for its two components."""
 
     summands: tuple
     __array_ufunc__ = None  # numpy leaves the operators to this class
@@ -60,6 +63,8 @@ class Vector:
         return f"<vector of {_sides_of(self.summands)}>"
 
     def __add__(self, other: "Vector") -> "Vector":
+        if self._is_rate != _vector(other)._is_rate:
+            raise InputError("a vector is added to a rate of a vector; a product has one rate, and a sum has rates alone or none")
         summands = {id(s.profile): s for s in self.summands}
         for s in _vector(other).summands:
             known = summands.get(id(s.profile))
@@ -92,6 +97,8 @@ class Vector:
     def turned(self, angle: float | Profile) -> "Vector":
         """Return the vector turned by an angle, rad: a number or a profile of time."""
         if isinstance(angle, Profile):
+            if self._is_rate:
+                raise InputError("turned: a rate cannot be turned by a profile; turn the other factor of the product by minus the profile")
             if any(s.profile is not None for s in self.summands):
                 raise InputError("turned: a part of the vector is turned by a profile already; use the profile of the whole angle")
             return Vector(tuple(replace(s, profile=angle) for s in self.summands))
@@ -111,6 +118,17 @@ class Vector:
         return Vector(tuple(s.times(w) for s in self.summands))
 
     @property
+    def rate(self) -> "Vector":
+        """The derivative in time, for `velocity_rows()` of a joint."""
+        if any(s.profile is not None or s.rate for s in self.summands):
+            raise InputError("rate: there is no rate of a rate, nor of a vector that a profile turns")
+        return Vector(tuple(replace(s, constant=0j, rate=True) for s in self.summands))
+
+    @property
+    def _is_rate(self):
+        return any(s.rate for s in self.summands)
+
+    @property
     def rest(self) -> complex:
         """Value in the reference configuration with all profiles zero, as a complex number."""
         return sum((s.rest for s in self.summands), 0j)
@@ -118,7 +136,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class Product:
-    """`E . F` of two summands; only E may have a profile. one_way: see `Row.one_way`."""
+    """`E . F` of two summands; only E may have a profile, and only F may be a rate. one_way: see `Row.one_way`."""
 
     rotated: Summand
     unrotated: Summand
@@ -130,11 +148,25 @@ class Product:
         return self.rotated.profile is None and not (self.rotated.terms and self.unrotated.terms)
 
 
+@dataclass(frozen=True, eq=False)
+class Law:
+    """The law of a row in place of `phi = 0`: unilateral contact if restitution is a number, else dry friction.
+
+    Contact: `0 <= -lam, phi >= 0, lam phi = 0`, impacts with restitution e. Friction: `|lam| <= constant + mu |lam_on|`, with equality against
+    the rate where this is not zero. on: rows or vectors of the same joint, whose multipliers make the norm |lam_on|.
+    """
+
+    restitution: float | None = None
+    mu: float = 0.0
+    on: tuple = ()
+    constant: float = 0.0
+
+
 @dataclass(frozen=True)
 class Row:
-    """One row of phi: a constant, a sum of products, and in `drives` (factor, profile of time) pairs.
+    """One row of phi or velocity row: a constant, a sum of products, and in `drives` (factor, profile of time) pairs.
 
-    label, unit: of its multiplier, as in "angle", "N m".
+    label, unit: of its multiplier, as in "angle", "N m". law: of contact or friction; None for an equation.
     """
 
     products: tuple
@@ -142,6 +174,7 @@ class Row:
     drives: tuple = ()
     label: str = ""
     unit: str = ""
+    law: Law | None = None
     __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
@@ -176,15 +209,96 @@ class Row:
         return self * _inverse("a row", number)
 
     @property
+    def rate(self):
+        """True for a velocity row, whose products all have a rate; False if none has; None for anything else."""
+        rates = {product.unrotated.rate for product in self.products}
+        return rates.pop() if len(rates) == 1 else False if not rates else None
+
+    @property
     def driven(self):
-        """True if the row depends on a profile of time."""
-        return bool(self.drives) or any(product.rotated.profile is not None for product in self.products)
+        """True if the row depends on a profile of time, or is a velocity row with a constant: it can do work."""
+        return (
+            bool(self.drives) or bool(self.rate and self.constant) or any(product.rotated.profile is not None for product in self.products)
+        )
+
+    @property
+    def gap(self):
+        """True for a row that may open."""
+        return self.law is not None and self.law.restitution is not None
 
     def named(self, label: str, unit: str = "") -> "Row":
         """Return the row with a name and unit for its multiplier."""
         if not (isinstance(label, str) and isinstance(unit, str)):
             raise InputError(f"named: label {label!r:.40} and unit {unit!r:.40} of a row must be texts")
         return replace(self, label=label, unit=unit)
+
+    @named_keywords
+    def opens(self, restitution: float = 0.0) -> "Row":
+        """Return the row as a gap `phi >= 0`, which carries pressure alone and may open: `0 <= -lam`, `lam phi = 0`.
+
+        Parameters
+        ----------
+        restitution : float
+            e in [0, 1] of impacts: `phi' = -e phi'` of before (Newton).
+
+        Returns
+        -------
+        Row
+
+        Raises
+        ------
+        InputError
+            If e is not in [0, 1], or the row is a velocity row.
+        """
+        if not (is_number(restitution) and 0.0 <= restitution <= 1.0):
+            raise InputError(f"opens: restitution = {restitution!r:.60} must be a number in [0, 1]")
+        if self.rate:
+            raise InputError("opens: a velocity row is no gap; use a row of rows()")
+        return replace(self, law=Law(restitution=float(restitution)))
+
+    @named_keywords
+    def rubs(self, mu: float, on: Any = (), constant: float = 0.0) -> "Row":
+        """Return the row as one of dry friction (Coulomb): `|lam| <= constant + mu |lam_on|`; it slips only where that is an equation.
+
+        Parameters
+        ----------
+        mu : float
+            Friction coefficient, mu >= 0; of a row in rad, times the radius, m.
+        on : list of Row or Vector
+            Entries of the same list of rows whose multipliers press; |lam_on| is the root of the sum of their squares.
+        constant : float, N or N m
+            Friction without pressure, >= 0.
+
+        Returns
+        -------
+        Row
+            Only its rate is restricted. A row of `rows()` becomes a velocity row.
+
+        Raises
+        ------
+        InputError
+            For a negative or missing number, or entries of `on` that are neither rows nor vectors.
+        """
+        for name, value in (("mu", mu), ("constant", constant)):
+            if not (is_number(value) and value >= 0.0):
+                raise InputError(f"rubs: {name} = {value!r:.60} must be a number of at least 0")
+        rows = tuple(on) if isinstance(on, (list, tuple)) else (on,)
+        if not all(isinstance(row, (Row, Vector)) for row in rows):
+            raise InputError(f"rubs: on = {on!r:.60} must be a list of rows or vectors that press")
+        if mu and not rows:
+            raise InputError(f"rubs: mu = {mu:g} needs `on`, the rows that press, for example on=[gap]")
+        return replace(self, law=Law(mu=float(mu), on=rows, constant=float(constant)))
+
+    def velocity(self) -> "Row":
+        """Return the derivative in time as a velocity row."""
+        if self.driven:
+            raise InputError("a row of friction depends on a profile of time; give its slip as a velocity row, with .rate")
+        products = []
+        for product in self.products:
+            one, other = product.rotated, product.unrotated
+            products += [replace(product, unrotated=replace(other, constant=0j, rate=True))] if other.terms else []
+            products += [replace(product, rotated=other, unrotated=replace(one, constant=0j, rate=True))] if one.terms else []
+        return replace(self, products=tuple(products), constant=0.0)
 
     def one_way(self) -> "Row":
         """Return a `cross` row that excludes its second solution: a state with one vector turned by half a turn is rejected."""
@@ -233,7 +347,9 @@ def dot(a: Vector, b: Vector) -> Row:
     products = []
     for e in _vector(a).summands:
         for f in _vector(b).summands:
-            rotated, unrotated = (f, e) if e.profile is None and f.profile is not None else (e, f)
+            if e.rate and f.rate:
+                raise InputError("a product of two rates is not linear in the velocities; a velocity row has one rate in each product")
+            rotated, unrotated = (f, e) if e.rate or (e.profile is None and f.profile is not None and not f.rate) else (e, f)
             if unrotated.profile is not None:  # R(alpha) E . R(beta) F = R(alpha - beta) E . F
                 angle = None if rotated.profile is unrotated.profile else difference(rotated.profile, unrotated.profile)
                 rotated = replace(rotated, profile=angle)
@@ -242,17 +358,42 @@ def dot(a: Vector, b: Vector) -> Row:
 
 
 def rows_of(formula):
-    """Yield the Rows in the list that a joint's `rows()` returns, two for each vector. Raise InputError for any other entry."""
+    """Yield the Rows in a joint's list of rows, two for each vector. Raise InputError for any other entry."""
     for number, vector in enumerate(formula, 1):
         if isinstance(vector, Row):
             yield vector
         elif not isinstance(vector, Vector):
-            wanted = "the list needs a vector there, which stands for two rows, or a row made by pi.dot or pi.cross"
-            raise InputError(f"entry {number} of {len(formula)} is {in_words(vector)}; {wanted}")
+            expected = "the list needs a vector there, which stands for two rows, or a row made by pi.dot or pi.cross"
+            raise InputError(f"entry {number} of {len(formula)} is {in_words(vector)}; {expected}")
         else:
             of_points = any(part == "point" for s in vector.summands for _, part, _ in s.terms)
             for label, axis in (("x", 1 + 0j), ("y", 1j)):
                 yield dot(along(axis), vector).named(label, "N" if of_points else "N m")
+
+
+def with_laws(formula):
+    """The Rows of a joint's list of rows. Rows of friction become velocity rows, and `on` of their laws numbers in the list.
+
+    Raises InputError if an entry of `on` is not in the list.
+    """
+    rows, numbers, first = list(rows_of(formula)), {}, 0
+    for entry in formula:
+        last = first + (2 if isinstance(entry, Vector) else 1)
+        numbers[id(entry)], first = range(first, last), last
+    for k, row in enumerate(rows):
+        if row.law and not row.gap:
+            if not all(id(entry) in numbers for entry in row.law.on):
+                raise InputError(
+                    f"row {k + 1} of {len(rows)}: rubs(on=...) must name entries of the same list of rows, as in [gap, slip.rubs(0.3, on=[gap])]"
+                )
+            on = tuple(number for entry in row.law.on for number in numbers[id(entry)])
+            rows[k] = replace(row if row.rate else row.velocity(), law=replace(row.law, on=on))
+    return rows
+
+
+def all_rows(part):
+    """All Rows of a joint, the velocity rows last, or the rows of a body."""
+    return [*rows_of(part.rows()), *rows_of(part.velocity_rows() if hasattr(part, "velocity_rows") else ())]
 
 
 def along(direction):
@@ -269,8 +410,8 @@ def rest_of(side, part):
 def _vector(value):
     if isinstance(value, Vector):
         return value
-    wanted = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
-    raise InputError(f"{wanted}, not {in_words(value)}{_most(value)}")
+    expected = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
+    raise InputError(f"{expected}, not {in_words(value)}{_most(value)}")
 
 
 def _row(value):

@@ -1,8 +1,8 @@
 """The base class of joints, and their reactions.
 
-The force of a joint on the coordinates is `-phi_q^T lam`. If the body of b, or the ground, moves by dx and turns by dphi about the point
-of b, this force does the work `f . dx + m dphi`: f is the sum of the forces on the points of b in the rows, m the sum of their moments and
-of the moments on its directions.
+The force of a joint on the coordinates is `-phi_q^T lam`, of velocity rows `W v + w` it is `-W^T nu` (nu are entries of lam too). If the
+body of b, or the ground, moves by dx and turns by dphi about the point of b, this force does the work `f . dx + m dphi`: f is the sum of
+the forces on the points of b in the rows, m the sum of their moments and of the moments on its directions.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ import numpy as np
 
 from polyida import registry
 from polyida.joint.attachment import Ground, labelled, require_directions, require_sides
-from polyida.joint.formula import Row, Vector, rest_of, rows_of
+from polyida.joint.formula import Row, Vector, all_rows, rest_of
 from polyida.validation import pairs_of
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
@@ -24,13 +24,15 @@ Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" o
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A holonomic constraint between attachments a and b of two bodies, or of a body and the ground.
+    """A constraint between attachments a and b of two bodies, or of a body and the ground.
 
-    A user's joint is a subclass with `rows()`, a list of rows made of `self.a.x`, `self.a.d`, `self.b.x`, `self.b.d` (point, m, and
-    direction of a side, no unit) by `pi.cross`, `pi.dot`, `+`, `-`, numbers, `.turned(profile)`, and profiles that shift a row in time,
-    as in `pi.dot(self.a.d, self.b.x - self.a.x) - self.stroke`. A product has at most two factors; a vector stands for its two components.
-    Further fields (numbers, profiles, attachments) make the class a frozen dataclass; files store them. Rows that do not depend on time
-    must vanish in the reference configuration, to 1e-6 of the scene's size.
+    A user's joint is a subclass with `rows()` or `velocity_rows()` or both. `rows()` is a list of rows made of `self.a.x`, `self.a.d`,
+    `self.b.x`, `self.b.d` (point, m, and direction of a side, no unit) by `pi.cross`, `pi.dot`, `+`, `-`, numbers, `.turned(profile)`, and
+    profiles that shift a row in time, as in `pi.dot(self.a.d, self.b.x - self.a.x) - self.stroke`. A product has at most two factors; a
+    vector stands for its two components. `velocity_rows()` is a list of rows `W(t, q) v + w(t)` that restrict velocities alone
+    (nonholonomic constraints): each of their products has one factor with `.rate`, as in `pi.cross(self.b.d, self.b.x.rate)` of a skate.
+    Further fields (numbers, profiles, attachments) make the class a frozen dataclass; files store them. Rows of phi that do not depend on
+    time must vanish in the reference configuration, to 1e-6 of the scene's size.
 
     Parameters
     ----------
@@ -60,8 +62,12 @@ class Joint:
             self.require_directions(*(getattr(self, side) for side in self.directed))
 
     def rows(self) -> list[Row | Vector]:
-        """Return the rows of phi."""
-        raise NotImplementedError(f"{type(self).__name__} gives no rows()")
+        """Return the rows of phi, none by default."""
+        return []
+
+    def velocity_rows(self) -> list[Row | Vector]:
+        """Return the velocity rows, none by default."""
+        return []
 
     @property
     def components(self) -> tuple[tuple[str, str], ...] | None:
@@ -98,9 +104,10 @@ class Reaction:
     """
 
     def __init__(self, joint: Joint, whole: bool = False):
-        self.joint, self.rows = joint, list(rows_of(joint.rows()))
-        summands = [s for row in self.rows for product in row.products for s in (product.rotated, product.unrotated)]
-        on_b = [(side, part) for s in summands for side, part, _ in self._of_b(s)]
+        self.joint, self.rows = joint, all_rows(joint)
+        products = [product for row in self.rows for product in row.products]
+        summands = [s for product in products for s in (product.rotated, product.unrotated)]
+        on_b = [(side, part) for product in products for s in _loaded(product) for side, part, _ in self._of_b(s)]
         self._has_moment = any(part == "direction" or not _same(side, joint.b) for side, part in on_b)
         has_force = any(part == "point" for _, part in on_b) or not on_b
         self._points = len({id(side) for side, _ in on_b}) if joint.by_points and not whole else 0
@@ -132,7 +139,8 @@ class Reaction:
             for product in row.products:
                 turn = turns.get(id(product.rotated.profile), 1.0)
                 e, f = turn * product.rotated.at(place), product.unrotated.at(place)
-                for summand, other, w in ((product.rotated, f, turn), (product.unrotated, e, 1.0)):
+                for summand in _loaded(product):
+                    other, w = (f, turn) if summand is product.rotated else (e, 1.0)
                     for side, part, weight in self._of_b(summand):
                         key = (id(side), part)
                         forces[key] = side, part, forces.get(key, (None, None, 0.0))[2] - lam[:, k] * np.conj(w * weight) * other
@@ -154,6 +162,11 @@ class Reaction:
         """The terms of a summand that belong to side b."""
         body = self.joint.b.body
         return summand.of_ground if body is None else [term for term in summand.terms if term[0].body is body]
+
+
+def _loaded(product):
+    """The summands of a product on whose places its multiplier acts."""
+    return (product.unrotated,) if product.unrotated.rate else (product.rotated, product.unrotated)
 
 
 def _same(side, other):

@@ -11,7 +11,7 @@ from polyida.joint.attachment import Attachment, Ground, ground, labelled, requi
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint
 from polyida.profile import Profile, as_profile
-from polyida.validation import is_number, named_keywords, positive, settle
+from polyida.validation import is_number, named_keywords, number, positive, settle
 
 
 def across(a, b):
@@ -25,6 +25,16 @@ def fixed_angle(a, b, angle=0.0, offset=None):
     return cross(reference.turned(angle), b.d).one_way().named("angle", "N m")
 
 
+def require_friction(joint):
+    """Raise InputError unless the joint's `friction` is a number of at least 0."""
+    number(labelled(type(joint).__name__, joint.name), "friction", joint.friction, "no unit", 0.0)
+
+
+def sliding(a, b):
+    """`d_A . (x_B - x_A)`: the way of b along the line through a."""
+    return dot(a.d, b.x - a.x).named("friction", "N")
+
+
 def welded(a, b):
     """Rows that make point and direction of b equal to those of a."""
     return [a.x - b.x, fixed_angle(a, b) if a.turns_only or b.turns_only else a.d - b.d.onto(a.d)]
@@ -35,25 +45,42 @@ def welded(a, b):
 class Revolute(Joint):
     """Keep two points together: `phi = x_A - x_B` (2 rows, m), phi_q constant.
 
-    Reaction on b, (2,): force, N.
+    Reaction on b, (2,): force, N; with friction (3,): also the moment, N m.
 
     Parameters
     ----------
     a, b : Attachment or Ground
         `ground` alone stands for the reference place of the other side.
+    friction : float
+        Coefficient mu of dry friction in the pin: the moment is at most `mu pin_radius |force|`. Both sides then need a direction.
+    pin_radius : float, m, optional
+        Needed with friction.
     name : str, optional
 
     Raises
     ------
     InputError
-        As for Joint.
+        For a negative coefficient, friction without a radius or a direction, and as for Joint.
     """
 
+    friction: float = 0.0
+    pin_radius: float | None = None
     kind = "revolute"
 
+    def __post_init__(self):
+        super().__post_init__()
+        require_friction(self)
+        if self.friction or self.pin_radius is not None:
+            positive(labelled("Revolute", self.name), "pin_radius", self.pin_radius, "metres")
+            self.require_directions(*(side for side in (self.a, self.b) if not isinstance(side, Ground)))
+
     def rows(self) -> list[Row | Vector]:
-        """`x_A - x_B`."""
-        return [self.a.x - self.b.x]
+        """`x_A - x_B`, and with friction the relative angular velocity."""
+        apart, radius = self.a.x - self.b.x, self.pin_radius
+        if not self.friction or radius is None:
+            return [apart]
+        spin = cross(self.b.d, self.b.d.rate) - cross(self.a.d, self.a.d.rate)
+        return [apart, spin.named("friction", "N m").rubs(self.friction * radius, on=[apart])]
 
 
 @named_keywords
@@ -61,7 +88,7 @@ class Revolute(Joint):
 class Slot(Joint):
     """Keep the point of b on the line through a in its direction: `phi = d_A x (x_B - x_A)` (1 row, m). b may turn.
 
-    Reaction on b, (2,): force, N, across the line.
+    Reaction on b, (2,): force, N, across the line, and along it with friction.
 
     Parameters
     ----------
@@ -69,21 +96,29 @@ class Slot(Joint):
         With a direction; `ground.at(point, direction)` for a slot in the ground.
     b : Attachment or Ground
         Anywhere on the line at rest.
+    friction : float
+        Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it.
     name : str, optional
 
     Raises
     ------
     InputError
-        If a has no direction, and as for Joint.
+        If a has no direction, for a negative coefficient, and as for Joint.
     """
 
+    friction: float = 0.0
     components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
     directed = ("a",)
 
+    def __post_init__(self):
+        super().__post_init__()
+        require_friction(self)
+
     def rows(self) -> list[Row | Vector]:
-        """`d_A x (x_B - x_A)`."""
-        return [across(self.a, self.b)]
+        """`d_A x (x_B - x_A)`, and with friction the way along the line."""
+        normal = across(self.a, self.b)
+        return [normal, sliding(self.a, self.b).rubs(self.friction, on=[normal])] if self.friction else [normal]
 
 
 @named_keywords
@@ -93,26 +128,35 @@ class Prismatic(Joint):
 
     `phi = (d_A x (x_B - x_A), Q d_A x d_B)` (2 rows, m and no unit) with the constant rotation Q that makes the second row vanish at rest.
     The second row also vanishes after half a turn: a step that ends there is rejected.
-    Reaction on b, (3,): force, N, across the line, and moment about the point of b, N m, counter-clockwise.
+    Reaction on b, (3,): force, N, across the line, and along it with friction, and moment about the point of b, N m, counter-clockwise.
 
     Parameters
     ----------
     a, b : Attachment or Ground
         With directions; `ground.at(point, direction)` is a guide. b is anywhere on the line at rest.
+    friction : float
+        Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it. The moment adds none.
     name : str, optional
 
     Raises
     ------
     InputError
-        If a side has no direction, and as for Joint.
+        If a side has no direction, for a negative coefficient, and as for Joint.
     """
 
+    friction: float = 0.0
     placing = "place the bodies so that b is on the line through a along its direction"
     directed = ("a", "b")
 
+    def __post_init__(self):
+        super().__post_init__()
+        require_friction(self)
+
     def rows(self) -> list[Row | Vector]:
-        """`d_A x (x_B - x_A)` and `Q d_A x d_B`."""
-        return [across(self.a, self.b), fixed_angle(self.a, self.b)]
+        """`d_A x (x_B - x_A)` and `Q d_A x d_B`, and with friction the way along the line."""
+        normal, angle = across(self.a, self.b), fixed_angle(self.a, self.b)
+        slip = [sliding(self.a, self.b).rubs(self.friction, on=[normal])] if self.friction else []
+        return [normal, angle, *slip]
 
 
 @named_keywords
@@ -323,6 +367,126 @@ class PrescribedPosition(Joint):
     def components(self) -> tuple[tuple[str, str], ...]:
         """Forces in the prescribed directions."""
         return tuple((axis, "N") for axis, profile in (("x", self.x), ("y", self.y)) if profile is not None)
+
+    def facing(self) -> Self:
+        """Return itself: a is already a place of the ground."""
+        return self
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class RollingDisc(Joint):
+    """Let a disc roll without slip on a line, or on a circle: one row of phi, its distance, m, and one velocity row, the slip, m/s.
+
+    On the line through a along d_A, with the angular velocity w_B of b and s = 1 if the disc is on the left of the line, else -1:
+
+        `phi = d_A x (x_B - x_A) - s r`,   `psi = d_A . (x_B' - x_A') + s r w_B`
+
+    On a circle of radius R about a, with r negative if the disc rolls inside it:
+
+        `phi = (w . w - (R + r)^2) / (2 (R + r))`,   `psi = (w x w') / (R + r) - r w_B - R w_A`,   `w = x_B - x_A`
+
+    The line or circle moves with its body. The disc neither lifts off nor slips, whatever the force. Reaction on b, (2,): force at the contact,
+    N; its moment about the centre is not listed.
+
+    Parameters
+    ----------
+    a : Attachment or Ground
+        A point on the line with its direction, or the centre of the circle.
+    b : Attachment
+        The centre of the disc.
+    radius : float, m
+        r > 0 of the disc.
+    circle : float, m, optional
+        R > 0. Default: a line.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a radius that is not positive, a side without a direction, and as for Joint.
+
+    Notes
+    -----
+    Bloch, Nonholonomic Mechanics and Control (2015), section 1.4.
+    """
+
+    radius: float
+    circle: float | None = None
+    components = FORCE
+    placing = "place the disc so that it touches the line or the circle"
+    directed = ("a", "b")
+
+    def __post_init__(self):
+        super().__post_init__()
+        label = labelled("RollingDisc", self.name)
+        require_places(label, self.a, self.b)
+        settle(self, radius=positive(label, "radius", self.radius, "metres"))
+        if self.circle is not None:
+            settle(self, circle=positive(label, "circle", self.circle, "metres"))
+
+    def rows(self) -> list[Row | Vector]:
+        """The distance of the centre from the line or the circle."""
+        if self.circle is None:
+            return [(cross(self.a.d, self.b.x - self.a.x) - self._signed).named("normal", "N")]
+        w, distance = self.b.x - self.a.x, self.circle + self._signed
+        return [((dot(w, w) - distance**2) / (2.0 * distance)).named("normal", "N")]
+
+    def velocity_rows(self) -> list[Row | Vector]:
+        """The velocity of the disc at the contact against the line or the circle."""
+        r, w, spin = self._signed, self.b.x - self.a.x, cross(self.b.d, self.b.d.rate)
+        if self.circle is None:
+            return [(dot(self.a.d, w.rate) + r * spin).named("friction", "N")]
+        slip = cross(w, w.rate) / (self.circle + r) - r * spin - self.circle * cross(self.a.d, self.a.d.rate)
+        return [slip.named("friction", "N")]
+
+    @property
+    def _signed(self):
+        """s r of the line; r, negative inside the circle."""
+        w = self.b.x.rest - self.a.x.rest
+        on_line = self.circle is None
+        left = (self.a.d.rest.conjugate() * w).imag >= 0.0 if on_line else max(self.radius, abs(w)) >= self.circle
+        return self.radius if left else -self.radius
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Skate(Joint):
+    """Let a point move along its direction only, like a skate or a wheel: `psi = Q d x x'` (1 velocity row, m/s), Q a rotation by an angle.
+
+    Reaction, (2,): force, N, across the direction.
+
+    Parameters
+    ----------
+    at : Attachment
+        With a direction.
+    angle : Profile, function of time or float, rad
+        From the direction of the attachment to that of the skate, as of a steered wheel; 0 by default.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an angle that is no profile, an attachment without a direction, and if `at` is not an attachment of a body.
+    """
+
+    a: Any = field(default=ground, init=False)
+    b: Any = field(default=None, init=False)
+    at: Attachment
+    angle: "Profile | Callable[[float], float] | float" = 0.0
+    components = FORCE
+    directed = ("b",)
+
+    def __post_init__(self):
+        label = labelled("Skate", self.name)
+        require_attachment(label, self.at)
+        angle = float(self.angle) if is_number(self.angle) else as_profile(self.angle, label)
+        settle(self, a=ground.at(self.at.point), b=self.at, angle=angle)
+        self.require_directions(self.b)
+
+    def velocity_rows(self) -> list[Row | Vector]:
+        """`Q d x x'`."""
+        return [cross(self.b.d.turned(self.angle), self.b.x.rate).named("across", "N")]
 
     def facing(self) -> Self:
         """Return itself: a is already a place of the ground."""

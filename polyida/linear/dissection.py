@@ -38,7 +38,7 @@ class Symbolic(NamedTuple):
 
 def symbolic_of(model):
     """The Symbolic of a scene's plates, the same for every factor of the model."""
-    return symbolic(*model.pattern, model.reference)
+    return symbolic(*model.pattern, model.reference[: len(model.pattern[0]) - 1])
 
 
 def symbolic(indptr, indices, points):
@@ -47,8 +47,8 @@ def symbolic(indptr, indices, points):
     count = len(indptr) - 1
     nodes, fronts = np.arange(count, dtype=np.int32), np.empty((2 * count + 1, 3), np.int64)
     scratch = np.zeros(count, np.int8), np.empty(count), *np.empty((3, count), np.int32), *np.empty((2, count + 2), np.int64)
-    found = dissect(indptr, indices, np.array(points, float).reshape(-1, 2), nodes, fronts, *scratch)
-    fronts = fronts[:found][::-1]
+    n_fronts = dissect(indptr, indices, np.array(points, float).reshape(-1, 2), nodes, fronts, *scratch)
+    fronts = fronts[:n_fronts][::-1]
     place = np.empty(count, np.int32)
     place[nodes] = np.arange(count, dtype=np.int32)
     order = np.stack([2 * place, 2 * place + 1], axis=1).ravel()
@@ -67,8 +67,8 @@ def _reached(indptr, indices, nodes, place, first, children):
     count, begin = np.diff(indptr), np.append(0, np.cumsum(np.diff(indptr)[nodes]))
     joined = place[indices[np.argsort(np.repeat(place, count), kind="stable")]]  # neighbours of the node at each place
     reach, waiting, depth, deepest = [], [], 0, 0
-    for low, high, held in zip(first[:-1], first[1:], children):
-        taken, waiting = waiting[len(waiting) - held :], waiting[: len(waiting) - held]
+    for low, high, n_children in zip(first[:-1], first[1:], children):
+        taken, waiting = waiting[len(waiting) - n_children :], waiting[: len(waiting) - n_children]
         rows = np.unique(np.concatenate([joined[begin[low] : begin[high]], *taken]))
         rows = rows[np.searchsorted(rows, high) :]
         depth += _update_entries(rows) - sum(map(_update_entries, taken))
@@ -85,38 +85,38 @@ def _update_entries(rows):
 
 
 @entry
-def dissect(indptr, indices, points, nodes, fronts, side, room, mate, came, queue, low_of, high_of):
+def dissect(indptr, indices, points, nodes, fronts, side, distance, mate, came, queue, low_of, high_of):
     """Sort nodes (0, 1, 2 ...) in the order of elimination; fill fronts (:, 3) = first place, end, children; parents before children.
 
     The other arrays are scratch; side is 0. Returns the number of fronts.
     """
     count = nodes.shape[0]
-    low_of[0], high_of[0], top, found = 0, count, min(count, 1), 0
+    low_of[0], high_of[0], top, n_fronts = 0, count, min(count, 1), 0
     while top:
         top -= 1
         low, high = low_of[top], high_of[top]
         a = b = 0
         if high - low > LEAF:
             members = nodes[low:high]
-            halve(indptr, indices, points, members, side, mate, queue, room)
+            halve(indptr, indices, points, members, side, mate, queue, distance)
             cover_cut(indptr, indices, members, side, mate, came, queue)
             a, b = group(members, side, queue)
-        fronts[found, 0], fronts[found, 1], fronts[found, 2] = low + a + b, high, (a > 0) + (b > 0)
-        found += 1
+        fronts[n_fronts, 0], fronts[n_fronts, 1], fronts[n_fronts, 2] = low + a + b, high, (a > 0) + (b > 0)
+        n_fronts += 1
         if a:
             low_of[top], high_of[top] = low, low + a
             top += 1
         if b:
             low_of[top], high_of[top] = low + a, low + a + b
             top += 1
-    return found
+    return n_fronts
 
 
 @part
-def halve(indptr, indices, points, members, side, distance, queue, room):
+def halve(indptr, indices, points, members, side, distance, queue, values):
     """Set side to 1 and 2 on the halves of members, or on one connected component and the rest."""
     n = members.shape[0]
-    c = room[:n]
+    c = values[:n]
     for i in members:
         side[i], distance[i] = 1, -1
     if hops(indptr, indices, members[0], side, distance, queue) < n:
@@ -239,16 +239,16 @@ def augment(indptr, indices, root, side, mate, came, queue):
 
 
 @part
-def group(members, side, room):
+def group(members, side, copy):
     """Sort members by sides 1, 2, 3 and clear side. Returns the numbers on 1 and on 2."""
     n, at, a, ab = members.shape[0], 0, 0, 0
     for k in range(n):
-        room[k] = members[k]
-    for wanted in range(1, 4):
+        copy[k] = members[k]
+    for number in range(1, 4):
         a, ab = ab, at
         for k in range(n):
-            if side[room[k]] == wanted:
-                members[at] = room[k]
+            if side[copy[k]] == number:
+                members[at] = copy[k]
                 at += 1
     for i in members:
         side[i] = 0

@@ -43,14 +43,14 @@ def elimination(count, groups):
     size = size + pivots
     start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * size, size))
     unknowns = np.array([u for front in fronts for part in front for u in part], np.int64)
-    made = Elimination(pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), np.zeros(count, np.int64))
-    front, place = _own(made)
-    made.diagonal[:] = start[front] + place * (size[front] + 1)
+    result = Elimination(pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), np.zeros(count, np.int64))
+    front, place = _own(result)
+    result.diagonal[:] = start[front] + place * (size[front] + 1)
     for f, (_, border) in enumerate(fronts):
         if border:
-            made.parent[f] = front[border].min()
-            made.into[first[f] + pivots[f] : first[f + 1]] = _places(made, np.full(len(border), made.parent[f]), np.array(border))
-    return made
+            result.parent[f] = front[border].min()
+            result.into[first[f] + pivots[f] : first[f + 1]] = _places(result, np.full(len(border), result.parent[f]), np.array(border))
+    return result
 
 
 def positions(e, rows, columns):
@@ -66,10 +66,10 @@ def _supervariables(count, groups):
     for number, group in enumerate(groups):
         for unknown in group:
             of[unknown].append(number)
-    found = {}
+    same_groups = {}
     for unknown, numbers in enumerate(of):
-        found.setdefault(tuple(numbers) or ("alone", unknown), []).append(unknown)
-    return [(unknowns, set(numbers)) for numbers, unknowns in found.items()]
+        same_groups.setdefault(tuple(numbers) or ("alone", unknown), []).append(unknown)
+    return [(unknowns, set(numbers)) for numbers, unknowns in same_groups.items()]
 
 
 def _fronts(supervariables):

@@ -5,7 +5,7 @@ import numpy as np
 LEAST = 4 * np.finfo(float).eps  # a pivot below n times this times the largest entry may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 # constants of compiled code, some of them
-KEPT = 6  # factors in a FactorCache
+FACTORS = 6  # factors in a FactorCache
 
 
 class SingularSystem(Exception):
@@ -86,18 +86,18 @@ class FactorCache:
     def __init__(self):
         self.factors = {}
 
-    def take(self, h):
+    def get(self, h):
         """The factor of a step h, or None."""
-        found = self.factors.pop(h, None)
-        if found is not None:
-            self.factors[h] = found
-        return found
+        factor = self.factors.pop(h, None)
+        if factor is not None:
+            self.factors[h] = factor
+        return factor
 
     def keep(self, h, factor):
         """Store a factor and drop that of the h that has not been used for the longest time."""
         self.factors.pop(h, None)
         self.factors[h] = factor
-        while len(self.factors) > KEPT:
+        while len(self.factors) > FACTORS:
             self.factors.pop(next(iter(self.factors)))
 
 

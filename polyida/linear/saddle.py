@@ -234,9 +234,9 @@ class StepMatrix:
     def factor(self, t, q, v, a, lam, c_m, c_v):
         """Factor S at a state; the rest is made at the first solve."""
         self.made_at = np.concatenate([[t], q, v, a, lam])
-        self._take(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
+        self._set_matrix(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
 
-    def _take(self, S, c_m):
+    def _set_matrix(self, S, c_m):
         self.S, self.c_m, self.lu, self.border, self.whole = S, c_m, None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
@@ -249,7 +249,7 @@ class StepMatrix:
         """The step matrix with other c_m and c_v, S + change, from M and C of the same state: nothing is evaluated again."""
         other = type(self)(self.model)
         other.made_at = self.made_at
-        other._take(self.S + change, c_m)
+        other._set_matrix(self.S + change, c_m)
         return other
 
     def solve(self, q, b, transposed=False):
@@ -322,14 +322,14 @@ class ExactSaddle:
         S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
         if not self.system.near_any_state:
             return self._direct(right, below, transposed)
-        found = self._refine(S, right, below) if len(self.system.made_at) else None
-        if found is None:
+        x = self._refine(S, right, below) if len(self.system.made_at) else None
+        if x is None:
             self.system = self.model.step_matrix()
             self.system.factor(*self.here, self.c_m, self.c_v)
             self.counts.factorizations += 1
             self.counts.solves += self.system.solves
-            found = self._refine(S, right, below)
-        return self._direct(right, below, transposed) if found is None else found
+            x = self._refine(S, right, below)
+        return self._direct(right, below, transposed) if x is None else x
 
     def _direct(self, right, below, transposed):
         if self.direct is None:

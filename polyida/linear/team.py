@@ -5,7 +5,7 @@ Thread k has the fronts cuts[k]:cuts[k + 1] without those on the path from a cut
 for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait actively: a solve takes some thousandths of a second.
 """
 
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import partial
 from threading import Thread
 from typing import NamedTuple
@@ -49,9 +49,9 @@ def team(s, count, dtype):
 def _cuts(s, count):
     """(cuts, fronts on the paths from them to the root): nearly equal parts of the panels, with few fronts above."""
     parent, waiting, work = np.full(len(s.children), -1), [], np.diff(s.panel).astype(float)
-    for f, held in enumerate(s.children):
-        parent[waiting[len(waiting) - held :]] = f
-        waiting[len(waiting) - held :] = [f]
+    for f, n_children in enumerate(s.children):
+        parent[waiting[len(waiting) - n_children :]] = f
+        waiting[len(waiting) - n_children :] = [f]
     way = np.zeros(len(parent))
     for f in range(len(parent) - 1, -1, -1):
         way[f] = way[parent[f]] + work[parent[f]] if parent[f] >= 0 else 0.0
@@ -187,7 +187,5 @@ class Helpers:
 
     def at_work(self, factor, workspace):
         """Context in which threads share solves with the factor; gives the workspace of the solves."""
-        if self.count == 1:
-            return nullcontext(workspace)
         self.team = self.team or team(factor.fronts, self.count, factor.panels.dtype)
         return at_work(self.team, factor, workspace.x, workspace._replace(team=self.team))

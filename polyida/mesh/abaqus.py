@@ -26,10 +26,10 @@ def read(path):
         raise InputError(f"it cannot be read: {error.strerror or error}") from None
     part = _Part()
     for line, keyword, options, rows in _blocks(text):
-        take = getattr(part, "take_" + keyword.lower(), None)
+        method = getattr(part, "take_" + keyword.lower(), None)
         try:
-            if take is not None:
-                take(options, rows)
+            if method is not None:
+                method(options, rows)
         except InputError as error:
             raise InputError(f"*{keyword} in line {line}: {error}") from None
         except (ValueError, IndexError, OverflowError) as error:
@@ -48,9 +48,9 @@ def write(mesh, path):
     for name, nodes in mesh.sections.items():
         lines.append(f"*NSET, NSET={_label(name)}")
         lines += [", ".join(map(str, nodes[i : i + 16] + 1)) for i in range(0, len(nodes), 16)]
-    held = [f"{node + 1}, {axis}, {axis}" for node, fixed in mesh.supports.items() for axis, yes in enumerate(fixed, 1) if yes]
+    boundary = [f"{node + 1}, {axis}, {axis}" for node, fixed in mesh.supports.items() for axis, yes in enumerate(fixed, 1) if yes]
     loads = [f"{node + 1}, {axis}, {size!r}" for node, force in mesh.loads.items() for axis, size in enumerate(force, 1)]
-    lines += ["*BOUNDARY", *held] if held else []
+    lines += ["*BOUNDARY", *boundary] if boundary else []
     lines += ["*STEP", "*STATIC", "*CLOAD", *loads, "*END STEP"] if loads else []
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 

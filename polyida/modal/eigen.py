@@ -23,9 +23,12 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, negative_directions, require_independent, symmetric
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
+from polyida.model.row_laws import require_no_laws
 
+MOST = 2000  # coordinates of dense matrices
 SMALL = 400  # coordinates up to which matrices are made dense
 ROUND = 1e-14  # of |x|^T |K| |x|: round-off of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
+INDEPENDENT = 1e-12  # of the largest: smaller strains of places are round-off
 NOTHING = 1e-28  # of K's largest entry: round-off of a rigid motion that is one coordinate
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
 SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the modes of a fine mesh, above the round-off of K
@@ -55,12 +58,29 @@ class LinearSystem:
     @property
     def n(self):
         """Coordinates."""
-        return self.model.n
+        return self.M.shape[0]
 
     @property
     def freedoms(self):
         """Independent ones, n - m."""
-        return self.model.n - self.model.m
+        return self.n - self.B.shape[0]
+
+    @cached_property
+    def places(self):
+        """Numbers of the coordinates that are no integrals of first-order states."""
+        return np.setdiff1d(np.arange(self.model.n), self.model.hidden)
+
+    def with_states_held(self):
+        """The system of these coordinates: first-order states do not change."""
+        at = self.places
+        parts = [None if matrix is None else matrix[:, at] for matrix in (self.M, self.C, self.K, self.B)]
+        return LinearSystem(self.model, self.state, *[None if part is None else part[at] for part in parts[:3]], parts[3])
+
+    def whole(self, X):
+        """Columns X of `places` as columns of all coordinates."""
+        result = np.zeros((self.model.n, X.shape[1]), X.dtype)
+        result[self.places] = X
+        return result
 
     @cached_property
     def conservative(self):
@@ -113,10 +133,13 @@ def linear_system(part, model, state=None):
     the constraints, and redundant constraints.
     """
     model = guard(model, part)
-    rest = np.zeros(model.n)
-    state = State(0.0, rest, rest, rest, np.zeros(model.m)) if state is None else require_state(part, model, state)
-    if state.v.any():
-        fastest = np.abs(state.v).max()
+    require_no_laws(part, model, "modes need a linear system: put joints in their place, such as polyida.Slot for a closed contact")
+    zero = np.zeros(model.n)
+    state = State(0.0, zero, zero, zero, np.zeros(model.m)) if state is None else require_state(part, model, state)
+    moving = model.without_states(state.v)
+    rest = state.v - moving
+    if moving.any():
+        fastest = np.abs(moving).max()
         warnings.warn(f"{part}: the state moves, |v| up to {fastest:.3g}; it is taken as if it stood still there", stacklevel=4)
     t, q = state.t, state.q
     require_functions(model, t, q, rest)
@@ -127,7 +150,7 @@ def linear_system(part, model, state=None):
         require_near(model, f"{part}: the state", "phi", model.phi(t, q), max(1.0, np.abs(q).max()), remedy)
     C = model.force_v(t, q, rest) if model.needs.velocity_forces else None
     M = model.mass(q)
-    K = model.tangent(t, q, rest, rest, state.lam, 0.0, 0.0, 1.0)
+    K = model.tangent(t, q, rest, zero, state.lam, 0.0, 0.0, 1.0)
     matrices = [matrix for matrix in (M, C, K, B) if matrix is not None]
     sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in matrices)
     return LinearSystem(model, state, *[None if matrix is None else matrix.tocsc() if sparse else dense(matrix) for matrix in (M, C, K, B)])
@@ -143,8 +166,10 @@ def undamped(system, count):
 
 def damped(system, count):
     """(roots s, complex, and shapes (n, .), complex, `|x^H M x| = 1`), by |s|: one of each complex pair, and each real root; `count` of
-    them, or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once.
+    them, or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once. With first-order states: dense.
     """
+    if system.model.k:
+        return _with_states(system, count)
     slow, N = _rigid(system, count)
     remaining = count - N.shape[1]
     roots, X = np.zeros(N.shape[1], complex), N.astype(complex)
@@ -157,6 +182,61 @@ def damped(system, count):
         stays = (system.stiffness_of(Y) == 0.0) & (np.abs(s) <= np.abs(s + drag / mass))
         roots, X = np.concatenate([roots, np.where(stays, 0.0, s)]), np.concatenate([X, Y], axis=1)
     return roots, X
+
+
+def state_basis(system, T):
+    """(S (n, .), units (.,), names) of first-order states: velocities `S y`, `S^T M S = 1`, of the states `units y`, for places T z.
+
+    Relaxed strains that belong to places are `B T y` with one y for each z and time tau, B = dE/dq. S has an orthonormal basis of them.
+    """
+    model, masses, strains = system.model, system.M.diagonal(), system.model.strains.values()
+    count = model.k - sum(len(placed.columns) for placed in strains)
+    S = np.zeros((system.n, count))
+    S[model.state_columns[:count], np.arange(count)] = 1.0
+    parts, units = [S], [model.state_units[:count]]
+    names = [f"{name} {one}" for name, placed in model.states.items() for one in placed.names]
+    for time in times_of(model):
+        own = (placed.columns.reshape(len(placed.terms), -1)[[tau == time for _, tau in placed.terms]] for placed in strains)
+        rows = np.concatenate([each.ravel() for each in own])
+        U, sizes, _ = np.linalg.svd(dense(system.K[rows] @ T), full_matrices=False)
+        S = np.zeros((system.n, int((sizes > INDEPENDENT * sizes.max(initial=0.0)).sum())))
+        S[rows] = U[:, : S.shape[1]]
+        parts.append(S)
+        units.append(np.full(S.shape[1], model.state_units[-1]))
+        names += [f"strain {k} of tau = {time:g} s" for k in range(S.shape[1])]
+    S = np.hstack(parts)
+    sizes = np.sqrt(np.einsum("ik,i,ik->k", S, masses, S))
+    return S / sizes, np.concatenate(units) / sizes, names
+
+
+def times_of(model):
+    """The different relaxation times of a model's viscoelastic plates, s."""
+    return sorted({time for placed in model.strains.values() for _, time in placed.terms})
+
+
+def first_order(system):
+    """(A, T, S): `(z', z'', y')= A (z, z', y)` of places T z, T (n, d), and of first-order states with velocities S y."""
+    T = system.whole(system.with_states_held().basis)
+    S, _, _ = state_basis(system, T)
+    d, both = T.shape[1], np.hstack([T, S])
+    A = np.zeros((2 * d + S.shape[1],) * 2)
+    A[:d, d : 2 * d] = np.eye(d)
+    A[d:] = -both.T @ np.hstack([system.K @ T, system.C @ T, system.C @ S])
+    return A, T, S
+
+
+def _with_states(system, count):
+    """`damped` of a model with first-order states; a shape is that of the places, and for the states x/s."""
+    d, most = system.with_states_held().freedoms, 2 * MOST // (2 + len(times_of(system.model)))
+    if d > most:
+        raise InputError(f"modes: with first-order states the {d} coordinates are at most {most}")
+    A, T, S = first_order(system)
+    s, Y = np.linalg.eig(A)
+    still = STILL * np.abs(A).max()
+    s = np.where(np.abs(s) <= still, 0.0, s)
+    order = [k for k in np.lexsort((-s.imag, np.abs(s))) if s[k].imag >= 0.0][:count]
+    X = T @ Y[: T.shape[1], order] + S @ (Y[2 * T.shape[1] :, order] / np.where(s[order] == 0.0, 1.0, s[order]))
+    return s[order], X.astype(complex)
 
 
 def _large(system, count):
@@ -173,7 +253,7 @@ def _lanczos(system, count):
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     shift = _below_all(system)
-    factor, none = system.factor(-shift, 0.0), np.zeros(system.model.m)
+    factor, none = system.factor(-shift, 0.0), np.zeros(system.B.shape[0])
     inverse = LinearOperator((system.n,) * 2, lambda b: factor.solve(-b, none)[0], dtype=float)
     start = inverse @ np.random.default_rng(0).standard_normal(system.n)
     X = eigsh(system.K, count, system.M, sigma=shift, OPinv=inverse, v0=start)[1]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
+from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.integrate.static import Equilibrium
 from polyida.modal import eigen
 from polyida.modal.eigen import linear_system
 from polyida.model import Model
+from polyida.model.guarded import guard
 from polyida.reprs import brief
 from polyida.validation import is_flag, is_number, is_whole, named_keywords
 
@@ -128,14 +130,14 @@ class Modes:
         """
         from polyida.show.mode_plots import draw, shapes
 
-        wanted = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
-        if not wanted or not all(is_whole(k, 0, len(self.roots) - 1) for k in wanted):
+        numbers = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
+        if not numbers or not all(is_whole(k, 0, len(self.roots) - 1) for k in numbers):
             raise InputError(f"modes.plot: number = {number!r} must be the index of one of {len(self.roots)} modes, or a list of these")
         if not (is_number(scale) and scale > 0):
             raise InputError(f"modes.plot: scale = {scale!r} must be positive")
         if axes is None:
-            return shapes(self.model, self.state.q, [(self.title(k), self.shapes[k]) for k in wanted], scale)
-        draw(axes, self.model, self.state.q, self.shapes[wanted[0]], self.title(wanted[0]), scale)
+            return shapes(self.model, self.state.q, [(self.title(k), self.shapes[k]) for k in numbers], scale)
+        draw(axes, self.model, self.state.q, self.shapes[numbers[0]], self.title(numbers[0]), scale)
         return axes.figure
 
     def title(self, number: int) -> str:
@@ -153,7 +155,8 @@ class Modes:
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
     """Compute linear modes about a state: `s^2 M x + K x + B^T mu = 0`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
-    With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv. Rigid motions have s = 0 twice, x and x t, and are returned once, as 0 Hz.
+    With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, and `s x = f_q q + f_v v + f_x x` of first-order states, which modes without
+    damping hold. Rigid motions have s = 0 twice, x and x t, and are returned once, as 0 Hz.
     Growing modes are returned with a warning. Large models are solved by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
 
     Parameters
@@ -180,10 +183,25 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     StepFailure
         If Arnoldi's method does not converge.
 
+    Notes
+    -----
+    Viscoelastic plates have the modulus of a sudden strain, and with damping that of s: `(s^2 M + kappa(s) K) x = 0` about the state at rest,
+    kappa(s) = 1 - sum g / (1 + s tau). Their relaxation adds a real root for each tau and elastic mode. Shapes and the result's model are
+    without the relaxed strains.
+
     Examples
     --------
     >>> pi.modes(model, state=pi.static(model), count=3).frequencies  # doctest: +SKIP
     """
+    if guard(model, "modes").strains:
+        scene: Any = model
+        relaxing = linear_system("modes", scene, state) if damped is True else None
+        model = scene.elastic(relaxed=False)
+        if state is not None:
+            q = require_state("modes", scene, state).q[: model.n]
+            state = replace(state, q=q, v=np.zeros(model.n), a=np.zeros(model.n), memory={})
+    else:
+        relaxing = None
     system = linear_system("modes", model, state)
     if not is_whole(count):
         raise InputError(f"modes: count = {count!r} must be a whole number of at least 1")
@@ -191,19 +209,22 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         raise InputError(f"modes: the model cannot move: it has as many constraints as coordinates, {model.n}")
     if not is_flag(damped):
         raise InputError(f"modes: damped = {damped!r} must be True or False")
-    if not (damped or system.conservative):
+    held = system if damped or not system.model.k else system.with_states_held()
+    if not (damped or held.conservative):
         raise InputError("modes: K is not symmetric, a force has no potential; use damped=True, which takes any K")
     if damped:
-        roots, X = eigen.damped(system, int(count))
+        roots, X = eigen.damped(relaxing or system, int(count))
+        X = X[: system.n]
     else:
-        values, X = eigen.undamped(system, min(int(count), system.freedoms))
+        values, X = eigen.undamped(held, min(int(count), held.freedoms))
+        X = X if held is system else system.whole(X)
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
     about = state if isinstance(state, Equilibrium) else system.state
-    found = Modes(model, about, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
-    if found.unstable.any():
-        warnings.warn(f"modes: UNSTABLE, {found.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
-    return found
+    result = Modes(model, about, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
+    if result.unstable.any():
+        warnings.warn(f"modes: UNSTABLE, {result.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
+    return result
 
 
 def normalised(M: Any, X: NDArray) -> NDArray:

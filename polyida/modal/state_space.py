@@ -21,15 +21,14 @@ from polyida.joint.attachment import Attachment
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.modal import eigen
-from polyida.modal.eigen import NO_MASS, linear_system
+from polyida.modal.eigen import MOST, NO_MASS, linear_system
 from polyida.modal.modes import Modes, normalised
 from polyida.model import Model, differences
 from polyida.reprs import brief
 from polyida.results.motion import reaction_of
 from polyida.validation import floats, is_one_of, is_whole, named_keywords
 
-OFF = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to another state
-MOST = 2000  # coordinates without `modes`
+MAX_VIOLATION = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to another state
 
 
 def inputs_of(part, model, state, inputs):
@@ -39,8 +38,8 @@ def inputs_of(part, model, state, inputs):
     if not isinstance(inputs, (list, dict)):
         inputs = [inputs]
     named = inputs.items() if isinstance(inputs, dict) else ((None, one) for one in inputs)
-    found = [(label, input_direction(part, model, state, one)) for label, one in named]
-    return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(found)]
+    directions = [(label, input_direction(part, model, state, one)) for label, one in named]
+    return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(directions)]
 
 
 class Coordinates:
@@ -52,7 +51,7 @@ class Coordinates:
             self.mass = KKT(system.M, system.B, 1.0)
         except SingularSystem:
             raise InputError(NO_MASS) from None
-        self.T = _basis(part, system, modes)
+        self.T, self.units, self.states = _basis(part, system, modes)
         self.forces = np.array([one.force for one in inputs]).reshape(len(inputs), n).T
         self.rows = np.array([one.row for one in inputs]).reshape(len(inputs), m).T
         self.G = self.mass.solve(np.zeros_like(self.forces), self.rows)[0]
@@ -73,6 +72,17 @@ class Coordinates:
 
 
 def _basis(part, system, modes):
+    """(T, units and names of first-order states); with these the velocities of states are the last columns of T."""
+    if not system.model.k:
+        return _basis_of_places(part, system, modes), np.zeros(0), []
+    if isinstance(modes, Modes):
+        modes = replace(modes, shapes=modes.shapes[:, system.places])
+    T = system.whole(_basis_of_places(part, system.with_states_held(), modes))
+    S, units, names = eigen.state_basis(system, T)
+    return np.hstack([T, S]), units, names
+
+
+def _basis_of_places(part, system, modes):
     if modes is None:
         if system.freedoms > MOST:
             raise InputError(f"{part}: modes = None takes all {system.freedoms} coordinates, {MOST} at most; give a number of modes")
@@ -83,7 +93,7 @@ def _basis(part, system, modes):
             raise InputError(f"{part}: the modes are of another model, with {len(X)} coordinates; this one has {system.n}")
         if np.iscomplexobj(X):
             raise InputError(f"{part}: modes with damping are complex; give those without, pi.modes(model, state)")
-        if np.abs(system.B @ X).max(initial=0.0) > OFF * abs(system.B).max(initial=0.0) * np.abs(X).max():
+        if np.abs(system.B @ X).max(initial=0.0) > MAX_VIOLATION * abs(system.B).max(initial=0.0) * np.abs(X).max():
             raise InputError(f"{part}: the modes are about another state, they leave the constraints of this one")
         return X
     if not is_whole(modes, 1, system.freedoms):
@@ -126,7 +136,7 @@ def labels_of(outputs):
 def along(outputs, moved, mu):
     """Changes of all components, (components, k), real or complex."""
     if any(map(np.iscomplexobj, (*moved, mu))):
-        real, imaginary = (along(outputs, tuple(map(take, moved)), take(mu)) for take in (np.real, np.imag))
+        real, imaginary = (along(outputs, tuple(map(part, moved)), part(mu)) for part in (np.real, np.imag))
         return real + 1j * imaginary
     return np.concatenate([np.zeros((0, mu.shape[1])), *(output.along(moved, mu) for output in outputs)])
 
@@ -137,8 +147,8 @@ def _output(part, model, state, output, label):
         return Output((label or "output",), lambda moved, mu: vector[None] @ moved[0])
     what, kind = output if isinstance(output, tuple) and len(output) == 2 else (output, "position")
     if not is_one_of(kind, KINDS) or not isinstance(what, (str, Attachment)):
-        wanted = f"a name, (name, one of {', '.join(KINDS)}), or {model.n} finite numbers"
-        raise InputError(f"{part}: output {str(output)[:80]} must be {wanted}")
+        forms = f"a name, (name, one of {', '.join(KINDS)}), or {model.n} finite numbers"
+        raise InputError(f"{part}: output {str(output)[:80]} must be {forms}")
     return _reaction(part, model, state, what, label) if kind == "reaction" else _place(model, state, what, kind, label)
 
 
@@ -177,7 +187,7 @@ def _slope(function, X):
 class StateSpace:
     """State space `x' = A x + B u`, `y = C x + D u` of changes from a state; the result of `pi.linearise`.
 
-    x = (z, z', value and rate of each motor), with d independent coordinates z of unit mass.
+    x = (z, z', first-order states, value and rate of each motor), with d independent coordinates z of unit mass.
 
     Parameters
     ----------
@@ -188,6 +198,9 @@ class StateSpace:
         The inputs that are motors; their u is the second derivative of the profile's value (rad/s^2 of an angle).
     shapes : (d + motors, n) float
         Changes of q with z and with the motors' values.
+    states : tuple of str
+        Names of the first-order states, "element state", and "strain 0 of tau = 0.1 s" of viscoelastic plates: these are combinations of their
+        relaxed strains, at most d for each tau, without unit.
     """
 
     A: NDArray
@@ -198,6 +211,7 @@ class StateSpace:
     outputs: tuple[str, ...]
     motors: tuple[str, ...]
     shapes: NDArray
+    states: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -214,8 +228,8 @@ class StateSpace:
 
     def displacements(self, x: ArrayLike) -> NDArray:
         """Return changes of q (..., n) for states x (..., states)."""
-        x, d = np.asarray(x), (len(self.A) - 2 * len(self.motors)) // 2
-        return np.concatenate([x[..., :d], x[..., 2 * d : 2 * d + len(self.motors)]], axis=-1) @ self.shapes
+        x, d, k = np.asarray(x), len(self.shapes) - len(self.motors), len(self.states)
+        return np.concatenate([x[..., :d], x[..., 2 * d + k : 2 * d + k + len(self.motors)]], axis=-1) @ self.shapes
 
 
 @named_keywords
@@ -261,9 +275,22 @@ def linearise(
     coordinates = Coordinates("linearise", system, directions, modes)
     motors = [k for k, one in enumerate(directions) if one.row.any()]
     A, B, C, D = _matrices(coordinates, motors, looked_at)
-    shapes = np.concatenate([coordinates.T, coordinates.G[:, motors]], axis=1).T
+    T, model = coordinates.T, system.model
+    if model.k:
+        A, B, C = _without_integrals(A, B, C, T.shape[1], coordinates.units)
+        T = T[:, : T.shape[1] - len(coordinates.units)]
+    shapes = np.concatenate([T, coordinates.G[:, motors]], axis=1).T
     names = tuple(one.label for one in directions)
-    return StateSpace(A, B, C, D, names, labels_of(looked_at), tuple(names[k] for k in motors), shapes)
+    return StateSpace(A, B, C, D, names, labels_of(looked_at), tuple(names[k] for k in motors), shapes, tuple(coordinates.states))
+
+
+def _without_integrals(A, B, C, d, of_states):
+    """A, B and C without those of d coordinates whose velocities are first-order states, the last ones, and with these in their own units."""
+    k = len(of_states)
+    used, units = np.delete(np.arange(len(A)), np.arange(d - k, d)), np.ones(len(A))
+    units[2 * d - k : 2 * d] = of_states
+    units = units[used]
+    return A[np.ix_(used, used)] * units[:, None] / units, B[used] * units[:, None], C[:, used] / units
 
 
 def _matrices(of, motors, outputs):

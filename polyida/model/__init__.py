@@ -36,9 +36,9 @@ class Needs:
     velocity_forces : bool
         g depends on v.
     driven : bool
-        phi depends on t.
+        phi depends on t, or psi is not zero at v = 0.
     phi_q_varies : bool
-        phi is not linear in q.
+        phi is not linear in q. Models with velocity rows are taken as True.
     """
 
     mass_varies: bool = True
@@ -50,7 +50,7 @@ class Needs:
 class Model:
     """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
 
-    A user's model sets `n` and `m` and writes `mass` and `force`, and with constraints `phi` and `phi_q`. All other functions have
+    A user's model sets `n` and `m` and writes `mass` and `force`, and with constraints `phi` and `phi_q`, or `psi` with `p` velocity rows. All other functions have
     defaults: derivatives are fourth-order differences. Override them if the exact form is known, and check them with `check_derivatives`.
     Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers have the sign of r.
 
@@ -64,9 +64,21 @@ class Model:
     ----------
     n, m : int
         Numbers of coordinates and constraints.
+    p : int
+        Number of velocity rows, 0 by default. In runs lam has m + p entries, those of psi last.
+    k : int
+        Number of states x, first-order unknowns with `x' = rates(t, q, v, x)`. With states `force`, and if they are written `residual` and
+        `powers`, get x (k,) as their last argument, and derivatives of forces are differences. In a run q and v have n + k columns: behind v
+        the states over their sizes, behind q the integrals of these. An unknown z without a derivative, with `0 = f(t, q, z)`, is a
+        coordinate without mass, and f a row of phi.
+    x0, sizes_x : (k,) float
+        Start values of the states, zero by default, and their typical sizes, 1 by default: an error of one size counts like an error of 1
+        in v.
     needs : Needs
     parameters : tuple of str
         Names of attributes, numbers or arrays, for gradients of runs.
+    row_laws : tuple of RowLaw
+        Laws of rows of phi and psi in place of their equations: contact and friction.
     uniform_units : bool
         True if all coordinates are in m: Newton's |dq| is then their root mean square; otherwise it is weighted by mass.
     has_constraint_increments : bool
@@ -83,9 +95,14 @@ class Model:
 
     n: int
     m: int
+    k = 0
+    x0: Any = None
+    sizes_x: Any = None
     needs: Needs = Needs()
+    p = 0
     by_numba = False  # True if numba compiles the functions (jit/user_functions.py)
     is_scene = False  # True for the model of a scene
+    checked = False  # True for a model that calls a checked one
     parameters: tuple[str, ...] = ()
     uniform_units = has_constraint_increments = False
     compiled = False  # True for a scene without Python functions: integrators have compiled loops over its `arrays`
@@ -97,15 +114,25 @@ class Model:
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
     bodies = drawn = ()  # its full plates; all bodies with a mesh: full plates, then reduced and rigid ones
     few = ()  # its bodies of few coordinates
+    strains = NONE  # by name: relaxed strains of viscoelastic plates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: names, and units of the multipliers
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
     motor_profiles = ()  # indices of profiles that turn rows of phi, rad
     path_profiles = ()  # indices of profiles that are added to rows of phi, m
+    states = NONE  # {name: PlacedStates} of force elements with states
+    velocity_rows = np.zeros(0, np.int64)  # rows of phi that are velocity rows: phi = 0, phi_q = W, phi_rate = psi
+    state_columns = np.zeros(0, np.int64)  # coordinates whose velocities are states: x = state_units v[state_columns]
+    state_units = np.zeros(0)
+    state_start = np.zeros(0)  # of a user's model: velocities of the states at the start of a run
+    state_speed = 1.0  # the velocity that stands for a state of typical size
     looks_apart = 1  # states between checks of the independence of phi_q's rows
     dissipating = ()
+    row_laws: Any = ()  # a RowLaw of each row of contact or friction; the other rows are equations
     treats_redundant = "refuse"  # the argument `redundant` of Scene.build
     redundant: Any = None  # rows of phi that are left out, as assembly/independence.py has them
+    absent: Any = frozenset()  # names of parts that do not act, of a scene that events change
+    columns: Any = slice(None)  # numbers of the rows of phi among the columns of a run's lam
     not_finite = ""  # names of the functions that last returned numbers that are not finite
 
     def __repr__(self):
@@ -115,9 +142,9 @@ class Model:
         """Its numbers, and a table of the parts, for notebooks."""
         sizes = {body.name: f"{2 * (body.pairs.stop - body.pairs.start)} coordinates" for body in (*self.bodies, *self.few)}
         counts = {name: rows.stop - rows.start for name, rows in self.rows.items()}
-        held = {name: f"{count} row{'s' * (count != 1)} of phi" for name, count in counts.items()}
+        of_rows = {name: f"{count} row{'s' * (count != 1)} of phi" for name, count in counts.items()}
         rows = [
-            (name, type(part).__name__, ", ".join(found[name] for found in (sizes, held) if name in found))
+            (name, type(part).__name__, ", ".join(descriptions[name] for descriptions in (sizes, of_rows) if name in descriptions))
             for name, part in self.parts.items()
         ]
         return table(repr(self)[1:-1], ("name", "kind", "in the model") if rows else (), rows)
@@ -130,6 +157,10 @@ class Model:
         """Return the force g = g_gyr + g_int - g_ext, (n,), of r = M a + g + phi_q^T lam."""
         raise NotImplementedError
 
+    def rates(self, t: float, q: NDArray, v: NDArray, x: NDArray) -> NDArray:
+        """Return the derivatives of the states x in time, (k,)."""
+        raise NotImplementedError
+
     def phi(self, t: float, q: NDArray) -> NDArray:
         """Return the holonomic constraints, (m,)."""
         return np.zeros(0)
@@ -137,6 +168,14 @@ class Model:
     def phi_q(self, t: float, q: NDArray) -> Matrix:
         """Return the constraint Jacobian, (m, n)."""
         return np.zeros((0, self.n))
+
+    def psi(self, t: float, q: NDArray, v: NDArray) -> NDArray:
+        """Return the velocity rows `psi = W(t, q) v + w(t, q)`, (p,): nonholonomic constraints, such as rolling. Their force is `-W^T nu`."""
+        return np.zeros(0)
+
+    def psi_v(self, t: float, q: NDArray) -> Matrix:
+        """Return W, (p, n); by default from values of psi."""
+        raise NotImplementedError
 
     def force_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
         """Return dg/dq, (n, n)."""
@@ -192,6 +231,34 @@ class Model:
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 
+    def with_rows(self, rows: Any) -> Model:
+        """Return the model in which only these rows of phi are there, as equations, (k,) int."""
+        from polyida.model.row_laws import WithRows
+
+        return WithRows(self, rows)
+
+    def spread(self, lam: NDArray, width: int) -> NDArray:
+        """Return multipliers of this model, (m,), as those of all `width` rows of a run whose model changes."""
+        result = np.zeros(width)
+        result[self.columns] = lam
+        return result
+
+    @property
+    def hidden(self) -> NDArray:
+        """Coordinates that are integrals of states, or unused beside them."""
+        return self.state_columns
+
+    def states_of(self, v: NDArray) -> NDArray:
+        """Return the states x, (..., k), from velocities v (..., n)."""
+        return v[..., self.state_columns] * self.state_units
+
+    def without_states(self, v: NDArray) -> NDArray:
+        """Return q, v or a with zeros in the columns of the states."""
+        if self.k:
+            v = v.copy()
+            v[self.state_columns] = 0.0
+        return v
+
     def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
         """Return (px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None if unknown."""
         return None
@@ -231,6 +298,14 @@ class Model:
     def kinks(self, t0: float, t1: float) -> tuple[float, ...]:
         """Return the sorted times in (t0, t1) at which a load or motor profile is not smooth; steps end there."""
         return ()
+
+    def samples(self, t0: float, t1: float) -> tuple[float, ...]:
+        """Return the sorted times in (t0, t1) at which controllers sample; steps end there."""
+        return ()
+
+    def sampled(self, t: float, q: NDArray, v: NDArray) -> NDArray:
+        """Return v with the outputs of the controllers that sample at t; v itself if there are none."""
+        return v
 
     @property
     def switching(self) -> bool:
@@ -334,12 +409,3 @@ class Model:
             return KKT(self.mass(q), self.phi_q(t, q), 1.0)
         except SingularSystem:
             raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
-
-
-def require_model(part, model):
-    """Raise InputError unless it is a Model."""
-    if not isinstance(model, Model):
-        hint = "; of a Scene, call its build()"
-        if model is None:
-            hint = "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before loading"
-        raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")

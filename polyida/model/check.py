@@ -22,7 +22,7 @@ DOUBT = 10.0  # times the disagreement of differences
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
 RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at random places
 MOMENTS = 8  # times at which phi is evaluated
-VELOCITY_ROWS = '; a velocity constraint that has no phi needs IDA(form="index2", nonholonomic=True), or "index1"'
+VELOCITY_ROWS = "; a velocity constraint that has no phi is written as psi(t, q, v), with the number p of its rows"
 
 
 def energies(model, t, q):
@@ -36,11 +36,11 @@ def energies(model, t, q):
             if writes(model.user, "powers") or model.potential(q) is None:
                 return None
             here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))
-            return -here if np.array_equal(here, later) else None
+            return -model.without_states(here) if np.array_equal(here, later) else None
 
         yield model, model.potential, conservative, q, _size(q)
         return
-    for own in model.own_forces.each:
+    for own in model.own_forces:
         yield own, own.energy, partial(own.conservative, t), own.places(q), own.sizes
 
 
@@ -79,12 +79,12 @@ def _wrong_slope(energy, forces, x, sizes, random):
     return ""
 
 
-def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
+def require_declared(model, t, q, v, t_end=None):
     """Raise InputError for a wrong or not finite value at (t, q, v), for wrong `needs`, and for a wrong derivative of phi that is written.
 
     Needs and derivatives are compared at two random states near q and v (n,), at times between t and t_end. Values that are not finite
-    there, exceptions, and derivatives whose differences with different steps disagree, as beside a kink, are ignored. nonholonomic: phi_rate
-    is a constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
+    there, exceptions, and derivatives whose differences with different steps disagree, as beside a kink, are ignored. Of velocity rows
+    psi = phi_rate it compares the slope in v with phi_q = W, and phi_bias.
     """
     require_functions(model, t, q, v)
     if model.is_scene:
@@ -96,7 +96,7 @@ def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
             state = _near(model, t, t if t_end is None else t_end, q, v, random, REACHES[first:])
             if state is not None:
                 _require_needs(model, *state, random)
-                _require_derivatives(model, *state, random, nonholonomic)
+                _require_derivatives(model, *state, random)
 
 
 def _near(model, t, t_end, q, v, random, reaches):
@@ -107,9 +107,9 @@ def _near(model, t, t_end, q, v, random, reaches):
         with suppress(*RAISED):
             sizes = _size(q), _size(v, _size(q))
             at, speed = (x + reach * size * d for x, size, d in zip((q, v), sizes, drawn))
-            found = [model.mass(at).sum(), model.force(times[0], at, speed)]
-            found += [model.phi(times[0], at), model.phi_q(times[0], at).sum()] if model.m else []
-            if all(np.isfinite(x).all() for x in found):
+            values = [model.mass(at).sum(), model.force(times[0], at, speed)]
+            values += [model.phi(times[0], at), model.phi_q(times[0], at).sum()] if model.m else []
+            if all(np.isfinite(x).all() for x in values):
                 return times, at, speed
     return None
 
@@ -131,6 +131,9 @@ def _require_needs(model, times, q, v, random):
             ("driven", "phi", "changes with t", [lambda at=at: model.phi(at, q) for at in times]),
             ("phi_q_varies", "phi_q", "changes with q", [lambda: model.phi_q(t, q), lambda: model.phi_q(t, q + d)]),
         ]
+    if model.velocity_rows.size:
+        still = [lambda: np.zeros(model.velocity_rows.size), lambda: model.phi_t(t, q)[model.velocity_rows]]
+        promises.append(("driven", "psi", "is not zero at v = 0", still))
     for name, function, how, calls in promises:
         if not getattr(needs, name) and (change := _change(calls)) is not None:
             raise InputError(
@@ -155,7 +158,7 @@ def _largest(array):
     return abs(array).max() if np.prod(array.shape) else 0.0
 
 
-def _require_derivatives(model, times, q, v, random, nonholonomic):
+def _require_derivatives(model, times, q, v, random):
     """Raise InputError for a wrong derivative of phi that is written."""
     if not model.m:
         return
@@ -174,45 +177,49 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
         "phi_q": lambda: model.phi_q(t, q) @ d,
         "phi_t": lambda: model.phi_t(t, q),
     }
-    if nonholonomic:
-        compared = {
-            "phi_q": ("the slope of phi_rate in v", lambda s: model.phi_rate(t, q, v + s * d), 1.0, everywhere, 1),
-            "phi_bias": ("d/dt of phi_rate at constant v", lambda s: model.phi_rate(t + s, q + s * v, v), pace, bounds, 1),
-        }
-    else:
-        moving = lambda s: model.phi(t + s, q + s * v)  # noqa: E731
-        compared = {
-            "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, bounds, 1),
-            "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, bounds, 2),
-            "phi_q": ("the derivative of phi in q", lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
-            "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, bounds, 1),
-        }
-    for name, (meaning, *differenced) in compared.items():
-        if writes(model.user, name) and (wrong := _wrong(written[name], *differenced, size)):
-            advice = VELOCITY_ROWS if name in ("phi_rate", "phi_bias") and not nonholonomic else ""
-            raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
+    moving, velocity_rows = (lambda s: model.phi(t + s, q + s * v)), model.velocity_rows
+    of_phi = {
+        "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, bounds, 1),
+        "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, bounds, 2),
+        "phi_q": ("the derivative of phi in q", lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
+        "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, bounds, 1),
+    }
+    of_psi = {"phi_q": ("the slope of psi in v", lambda s: model.phi_rate(t, q, v + s * d), 1.0, everywhere, 1)}
+    holonomic = np.setdiff1d(np.arange(model.m), velocity_rows)
+    for rows, compared in ((holonomic, of_phi), (velocity_rows, of_psi)):
+        for name, (meaning, function, *differenced) in compared.items() if rows.size else ():
+            if not writes(model.user, name):
+                continue
+            pick = lambda call, rows=rows: lambda *at: call(*at)[rows]  # noqa: E731
+            if wrong := _wrong(pick(written[name]), pick(function), *differenced, pick(size)):
+                if rows is velocity_rows:
+                    raise InputError(
+                        f"{model.name}.psi must be linear in v, with psi_v, if it is written, as its slope: {wrong}, at t = {t:.6g} s"
+                    )
+                advice = VELOCITY_ROWS if name in ("phi_rate", "phi_bias") else ""
+                raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
 
 
 def _wrong(call, function, scale, bounds, order, size):
     """A derivative that is written and differences of the function, in words; empty if they agree, or if the differences are unknown."""
     with suppress(*RAISED):
-        written, (found, doubt) = np.asarray(call()), _known(function, scale, bounds, order, size)
-        off = np.abs(written - found) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(found))
+        written, (differences_at, doubt) = np.asarray(call()), _known(function, scale, bounds, order, size)
+        off = np.abs(written - differences_at) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(differences_at))
         worst = int(np.argmax(off))
         if np.isfinite(off).all() and off[worst] > 0.0:
-            return f"row {worst} is {written[worst]:.6g} and by differences {found[worst]:.6g}"
+            return f"row {worst} is {written[worst]:.6g} and by differences {differences_at[worst]:.6g}"
     return ""
 
 
 def _known(function, scale, bounds, order, size):
     """(derivative, uncertainty), (m,) each, by the longest differences of SCALES from which shorter ones differ by round-off alone, or least."""
     steps = [differences.FIRST_ORDER_STEP * scale * part for part in SCALES]
-    found = [differences.within(function, bounds, step, order) for step in steps]
+    differences_at = [differences.within(function, bounds, step, order) for step in steps]
     noise = [ROUND * (np.abs(np.asarray(function(0.0))) + size()) / step**order for step in steps]
-    apart = [np.maximum(np.abs(one - other) - blur, 0.0) for one, other, blur in zip(found, found[1:], noise[1:])]
+    apart = [np.maximum(np.abs(one - other) - blur, 0.0) for one, other, blur in zip(differences_at, differences_at[1:], noise[1:])]
     doubts = [np.max(apart[k:], axis=0) + noise[k] for k in range(len(apart))]
     best = int(np.argmin([doubt.sum() if np.isfinite(doubt).all() else np.inf for doubt in doubts]))
-    return found[best], doubts[best]
+    return differences_at[best], doubts[best]
 
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of its function
@@ -256,7 +263,15 @@ def check_derivatives(
         raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
     require_constraints(model)
     random = np.random.default_rng(seed)
-    q, v, a = _drawn(model, t, random, [None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))])
+    q, v, a = _drawn(
+        model,
+        t,
+        random,
+        [
+            None if x is None else _vector(name, x, model.n - len(model.state_start), len(model.state_start))
+            for name, x in (("q", q), ("v", v), ("a", a))
+        ],
+    )
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     n, m = model.n, model.m
     force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
@@ -275,10 +290,17 @@ def check_derivatives(
         ),
     }
     if m:
+        rows_q, changes = (
+            differences.jacobian(lambda x: model.phi(t, x), q, m),
+            differences.along(lambda s: model.phi(t + s, q), bounds=model._smooth(t)),
+        )
+        for row in model.velocity_rows:
+            rows_q[row] = differences.jacobian(lambda x: model.phi_rate(t, q, x), v, m)[row]
+            changes[row] = model.phi_rate(t, q, np.zeros(n))[row]
         pairs |= {
-            "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
+            "phi_q": (model.phi_q(t, q), rows_q),
             "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), bounds=model._smooth(t))),
+            "phi_t": (model.phi_t(t, q), changes),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
     for name in model.parameters:
@@ -317,17 +339,17 @@ def _slope(function, size):
     return one, DOUBT * np.abs(one - finer).max()
 
 
-def _drawn(model, t, random, given):
+def _drawn(model, t, random, state):
     """q, v and a, random if None, with finite forces."""
     for _ in range(TRIES):
-        q, v, a = (random.standard_normal(model.n) if x is None else x for x in given)
+        q, v, a = (random.standard_normal(model.n) if x is None else x for x in state)
         if np.isfinite(model.force(t, q, v)).all():
             break
     return q, v, a
 
 
-def _vector(name, value, size):
+def _vector(name, value, size, behind=0):
     array = floats(value)
-    if array is None or array.shape != (size,):
+    if array is None or array.shape not in ((size,), (size + behind,)):
         raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
-    return array
+    return np.append(array, np.zeros(size + behind - len(array)))

@@ -1,16 +1,20 @@
 """Guarded: a user's model with read-only arguments and checked, copied results. The model of a scene is called directly."""
 
 from collections import defaultdict
-from inspect import signature
+from dataclasses import replace
 from itertools import product
 from traceback import extract_tb
 
 import numpy as np
 
 from polyida.errors import DONE, REASONS, InputError, StepFailure
-from polyida.jit.user_functions import CALLBACK, OwnData
-from polyida.model import Model, Needs, require_model
+from polyida.jit.owner_data import OwnData
+from polyida.jit.user_functions import CALLBACK
+from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
+from polyida.model.own_states import OwnStates, arguments_of
+from polyida.model.row_laws import require_laws
+from polyida.model.velocity_rows import with_velocity_rows
 from polyida.validation import floats, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)
@@ -19,7 +23,8 @@ REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, range of a second derivative i
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
 MOST = 50  # coordinates and constraints of a model with compiled steps
-SHAPES = {  # of the returned arrays, in n and m
+SHAPES = {  # of the returned arrays, in n, m and k
+    "rates": "k",
     "mass": "nn",
     "force": "n",
     "phi": "m",
@@ -40,20 +45,27 @@ SHAPES = {  # of the returned arrays, in n and m
 OF_STEPS = tuple(name for name in SHAPES if name not in ("potential", "tangent", "phi_rate", "phi_rate_q", "phi_bias_q"))  # for tables
 CHECKED = tuple(name for name in SHAPES if name != "potential")
 ANSWERS = {  # {function: (check of its value, description)}
-    "potential": (lambda found: found is None or is_number(found), "a finite number or None"),
-    "momenta": (lambda found: found is None or np.shape(floats(found)) == (3,), "three finite numbers px, py, L, or None"),
+    "potential": (lambda result: result is None or is_number(result), "a finite number or None"),
+    "momenta": (lambda result: result is None or np.shape(floats(result)) == (3,), "three finite numbers px, py, L, or None"),
     "powers": (
-        lambda found: isinstance(found, dict) and all(isinstance(name, str) and is_number(value) for name, value in found.items()),
+        lambda result: isinstance(result, dict) and all(isinstance(name, str) and is_number(value) for name, value in result.items()),
         "{name: finite number}",
     ),
 }
+OF_PLACES = ("position", "initial_velocity", "potentials")  # get the user's part of q
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default they call checked functions
 
 
 def guard(model, part="solve"):
     """The model of a scene, or a user's model as a Guarded. Raises InputError, in the name of `part`, if it is no model or has no sizes."""
-    require_model(part, model)
-    return model if isinstance(model, Guarded) or model.is_scene else Guarded(model)
+    if not isinstance(model, Model):
+        hint = "; of a Scene, call its build()"
+        if model is None:
+            hint = "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before loading"
+        raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
+    if isinstance(model, Guarded) or model.is_scene or model.checked:
+        return model
+    return Guarded(with_velocity_rows(model) if model.p else model)
 
 
 def unguarded(model):
@@ -98,16 +110,16 @@ def blame(model, t, state):
 
 
 def shape_of(name, model):
-    """The shape of the array that a function returns."""
-    return tuple({"n": model.n, "m": model.m}[letter] for letter in SHAPES[name])
+    """The shape of the array that a function of a guarded model's user returns."""
+    return tuple({"n": model.n - model.k, "m": model.m, "k": model.k}[letter] for letter in SHAPES[name])
 
 
-def _view(given):
+def _view(argument):
     """A read-only view of an array; anything else as it is."""
-    if isinstance(given, np.ndarray):
-        given = given.view()
-        given.setflags(False)
-    return given
+    if isinstance(argument, np.ndarray):
+        argument = argument.view()
+        argument.setflags(False)
+    return argument
 
 
 class Guarded(Model):
@@ -125,29 +137,42 @@ class Guarded(Model):
         if not isinstance(model.needs, Needs):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
+        self.k, written = 0, [name for name in (*CHECKED, *ANSWERS, *OWN, "residual_p") if writes(model, name)]
+        self.own_states = own = OwnStates(self.name, model, self.n, written) if "rates" in written else None
         self.flexible, self.uniform_units, self.has_constraint_increments = (
             model.flexible,
             model.uniform_units,
             model.has_constraint_increments,
         )
-        self.dissipating, self.parameters = model.dissipating, model.parameters
+        self.dissipating, self.parameters, self.velocity_rows = model.dissipating, model.parameters, model.velocity_rows
+        self.row_laws = require_laws(self.name, model.row_laws, self.m, self.velocity_rows)
+        if own:
+            self.k, self.state_columns, self.state_units = own.k, np.arange(self.n, self.n + own.k), own.sizes
+            self.n, self.needs, self.uniform_units = self.n + own.k, replace(model.needs, velocity_forces=True), False
+        self.state_start = own.start / own.sizes if own else np.zeros(0)
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
-        compiled = Compiled(self).calls() if model.by_numba and self.n + self.m > MOST else {}  # smaller ones get a table of C functions
+        large = model.by_numba and self.n + self.m > MOST
+        compiled = Compiled(self, whole=False).calls() if large else {}  # smaller ones get a table of C functions
         for name in CHECKED:
-            if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, compiled.get(name) or getattr(self.user, name), shape_of(name, self)))
+            if name in written and (self.m or name not in OF_CONSTRAINTS):
+                function = self._checked(name, compiled.get(name) or getattr(self.user, name), shape_of(name, self))
+                setattr(self, name, own.whole(name, SHAPES[name], function, self.rates) if own and name != "rates" else function)
         if "mass" in vars(self):
             self.written_mass, self.mass = self.mass, self._mass
         if writes(model, "kinks"):
             self.kinks = self._kinks
         if writes(model, "rejection_reason"):
-            self.rejection_reason = lambda t, q: model.rejection_reason(t, read_only(q))
-        for name, (right, wanted) in ANSWERS.items():
-            if writes(model, name):
-                setattr(self, name, self._answer(name, right, wanted))
+            self.rejection_reason = lambda t, q: model.rejection_reason(t, read_only(q[: self.n - self.k]))
+        for name, (right, expected) in ANSWERS.items():
+            if name in written:
+                setattr(self, name, self._answer(name, right, expected))
         self.gaps = self._gaps
-        for name in PASSED + tuple(name for name in OWN if writes(model, name)):
-            setattr(self, name, getattr(self.user, name))
+        for name in (*PASSED, *(name for name in OWN if name in written)):
+            function = getattr(self.user, name)
+            setattr(self, name, own.cut(name, function) if own and name in OF_PLACES else function)
+        if own:
+            initial = self.initial_velocity
+            self.initial_velocity = lambda t, q: np.append(initial(t, q), self.state_start)
 
     def __getattr__(self, name):
         """Other attributes of the user's model, for a user's own integrator."""
@@ -159,32 +184,32 @@ class Guarded(Model):
         """The function with read-only arguments and a copied result: it may return one array again and again."""
         last = self._last[name]
 
-        def call(*seen):
-            last[0] = seen
+        def call(*arguments):
+            last[0] = arguments
             try:
-                found = function(*seen)
+                result = function(*arguments)
             except ValueError as error:
                 if "read-only" not in str(error):
                     raise
                 wrong = "writes into its arguments, which belong to the integrator: take a copy first"
                 raise InputError(f"{self.name}.{name} {wrong}") from error
-            if not (type(found) is np.ndarray and found.dtype is FLOAT and found.shape == shape):
-                self._require(name, found, shape)
-                sparse = getattr(found, "format", "csr") not in ("csr", "csc")  # other formats lack operations
-                found = (found.tocsr() if sparse else found).astype(float)
-            last[1] = found
-            return found
+            if not (type(result) is np.ndarray and result.dtype is FLOAT and result.shape == shape):
+                self._require(name, result, shape)
+                sparse = getattr(result, "format", "csr") not in ("csr", "csc")  # other formats lack operations
+                result = (result.tocsr() if sparse else result).astype(float)
+            last[1] = result
+            return result
 
-        checked = lambda *given: call(*map(_view, given)).copy()  # noqa: E731
-        checked.given = call  # for callers with read-only arrays that copy the result
+        checked = lambda *values: call(*map(_view, values)).copy()  # noqa: E731
+        checked.direct = call  # for callers with read-only arrays that copy the result
         return checked
 
-    def _require(self, name, found, shape):
+    def _require(self, name, result, shape):
         part = f"{self.name}.{name} must return an array of shape {shape}"
-        if getattr(found, "shape", None) != shape:
-            raise InputError(f"{part}, not {getattr(found, 'shape', None) or f'another type, {type(found).__name__}'}")
-        if getattr(found.dtype, "kind", "O") not in "fiu":
-            raise InputError(f"{part} of real numbers, not of {found.dtype}")
+        if getattr(result, "shape", None) != shape:
+            raise InputError(f"{part}, not {getattr(result, 'shape', None) or f'another type, {type(result).__name__}'}")
+        if getattr(result.dtype, "kind", "O") not in "fiu":
+            raise InputError(f"{part} of real numbers, not of {result.dtype}")
 
     def _mass(self, q):
         """M, checked at the 1st, 2nd, 4th, 8th ... call; a constant M is evaluated only then."""
@@ -205,10 +230,10 @@ class Guarded(Model):
 
     def _kinks(self, t0, t1):
         """The model's kinks, sorted."""
-        given = self.user.kinks(t0, t1)
-        if type(given) in (tuple, list) and not given:
+        kinks = self.user.kinks(t0, t1)
+        if type(kinks) in (tuple, list) and not kinks:
             return ()
-        times = floats(given)
+        times = floats(kinks)
         if times is None or times.ndim != 1:
             raise InputError(f"{self.name}.kinks must return finite times in s")
         return tuple(np.unique(times).tolist())
@@ -218,10 +243,10 @@ class Guarded(Model):
         return self.user.switching
 
     def _gaps(self, t, q):
-        found = floats(self.user.gaps(t, read_only(q)))
-        if found is None or found.ndim != 1:
+        gaps = floats(self.user.gaps(t, read_only(q[: self.n - self.k])))
+        if gaps is None or gaps.ndim != 1:
             raise InputError(f"{self.name}.gaps must return an array (k,) of finite numbers at t = {t:.9g} s")
-        return found
+        return gaps
 
     def call_all(self, t, q, v):
         """Each of the four functions once."""
@@ -241,21 +266,26 @@ class Guarded(Model):
     def _slope(self, function, size, name, t, *state):
         if not writes(self.user, function):
             return getattr(super(), function)(name, t, *state)
-        found, shape = getattr(self.user, function)(name, t, *map(read_only, state)), (size, *np.shape(getattr(self.user, name)))
-        given = floats(found)
-        if given is None or given.shape != shape:
-            what = getattr(found, "shape", None) or type(found).__name__
+        result, shape = (
+            getattr(self.user, function)(name, t, *(read_only(x[: self.n - self.k]) for x in state)),
+            (size, *np.shape(getattr(self.user, name))),
+        )
+        values = floats(result)
+        if values is None or values.shape != shape:
+            what = getattr(result, "shape", None) or type(result).__name__
             raise InputError(f"{self.name}.{function}({name!r}) must return finite numbers of shape {shape}, not {what}")
-        return given
+        return values
 
-    def _answer(self, name, right, wanted):
+    def _answer(self, name, right, expected):
         """The function with read-only arguments; it raises InputError for a wrong result."""
+        function = getattr(self.user, name)
+        function = self.own_states.cut(name, function) if self.k else function
 
-        def call(*given):
-            found = getattr(self.user, name)(*map(_view, given))
-            if not right(found):
-                raise InputError(f"{self.name}.{name} must return {wanted}, not {found!r:.100}")
-            return found
+        def call(*arguments):
+            result = function(*map(_view, arguments))
+            if not right(result):
+                raise InputError(f"{self.name}.{name} must return {expected}, not {result!r:.100}")
+            return result
 
         return call
 
@@ -264,14 +294,14 @@ class Guarded(Model):
         """The functions that last returned what is not finite for finite arguments, in words; or ""."""
         bad = [
             f"{self.name}.{name}"
-            for name, (given, found) in self._last.items()
-            if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)
+            for name, (arguments, matrix) in self._last.items()
+            if not np.isfinite(_entries(matrix)).all() and all(np.isfinite(x).all() for x in arguments)
         ]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
 
 
-def _entries(found):
-    return found if isinstance(found, np.ndarray) else found.tocsr().data
+def _entries(matrix):
+    return matrix if isinstance(matrix, np.ndarray) else matrix.tocsr().data
 
 
 def writes(model, name):
@@ -280,15 +310,26 @@ def writes(model, name):
 
 
 class Compiled:
-    """C functions of a model, {name: address}, and `data`, the address of the values that they read from self. Raises InputError."""
+    """C functions of a model, {name: address}, and `data`, the address of the values that they read from self. Raises InputError.
 
-    def __init__(self, guarded, wanted=OF_STEPS):
-        model, n, m = guarded.user, guarded.n, guarded.m
-        written = [name for name in wanted if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
+    whole: True if they have the arguments and results of the whole model, with the coordinates of states; otherwise x follows v in the memory.
+    """
+
+    def __init__(self, guarded, names=OF_STEPS, whole=True):
+        model, own, m = guarded.user, guarded.own_states, guarded.m
+        n = guarded.n - guarded.k
+        written = [name for name in names if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
         self.functions = functions = {name: getattr(type(model), name) for name in written}
         self.own, self.guarded = OwnData(model, functions.values()), guarded
-        given = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
-        self.addresses = {name: self.own.c_function(function, given, shape_of(name, guarded)) for name, function in functions.items()}
+        kinds = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
+        if own:
+            kinds["x"] = f"carray(pointer(c + {8 * n}), ({own.k},)) * {self.own.view(own.sizes if whole else np.ones(own.k))}"
+        self.addresses = {}
+        for name, function in functions.items():
+            extra = own.stored(name, SHAPES[name], m, self.own, functions.get("rates")) if own and whole else {}
+            self.addresses[name] = self.own.c_function(function, kinds, shape_of(name, guarded), **extra)
+        if whole:
+            self.addresses.pop("rates", None)  # compiled alone for messages in its name, and within the other functions
         self.data = self.own.words.ctypes.data
 
     def calls(self):
@@ -296,19 +337,17 @@ class Compiled:
         return {name: self._call(name, self.functions[name].__qualname__, CALLBACK(address)) for name, address in self.addresses.items()}
 
     def _call(self, name, label, function):
-        arguments, shape, places = (
-            list(signature(getattr(Model, name)).parameters)[1:],
-            shape_of(name, self.guarded),
-            ("t", "q", "v", "a", "lam"),
-        )
+        arguments, shape, places = (arguments_of(name), shape_of(name, self.guarded), ("t", "q", "v", "a", "lam"))
 
-        def call(*given):
-            values = {argument: np.ascontiguousarray(value, float) for argument, value in zip(arguments, given)}
-            found = np.empty(shape)
+        def call(*vectors):
+            values = {argument: np.ascontiguousarray(value, float) for argument, value in zip(arguments, vectors)}
+            if len(vectors) > len(arguments) or name == "rates":  # x is read behind v
+                values["v"] = np.concatenate((values["v"], vectors[-1]))
+            result = np.empty(shape)
             at = (values[place].ctypes.data if place in values else 0 for place in places)
-            if (ended := function(self.data, 0, *at, found.ctypes.data)) != DONE:
+            if (ended := function(self.data, 0, *at, result.ctypes.data)) != DONE:
                 status, reason = REASONS[ended]
                 raise StepFailure(status, f"{label}: {reason}", float(values.get("t", [np.nan])[0]))
-            return found
+            return result
 
         return call

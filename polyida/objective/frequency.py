@@ -60,24 +60,24 @@ class Frequency(Objective):
                 f"Frequency: mode {self.number} shares its {modes.frequencies[self.number]:.6g} Hz with another one: it has no slopes"
             )
         mode = _Mode(modes, self.number, square)
-        found = Slopes(work=mode.work())
+        result = Slopes(work=mode.work())
         if getattr(run, "modes", None) is not None:
             q, lam = mode.by_state()
-            found = replace(found, q=q[None], lam=lam[None])
-        return lambda part: found if part.indices(len(run.t))[1] == len(run.t) else Slopes()
+            result = replace(result, q=q[None], lam=lam[None])
+        return lambda part: result if part.indices(len(run.t))[1] == len(run.t) else Slopes()
 
     def _modes(self, run, count):
         """At least `count` modes, or all; those of the run if it has them. Raises InputError if the model has fewer than `number` needs."""
         from polyida.modal.modes import modes
 
-        found = getattr(run, "modes", None)
-        if found is not None and np.iscomplexobj(found.shapes):
+        modes_of_run = getattr(run, "modes", None)
+        if modes_of_run is not None and np.iscomplexobj(modes_of_run.shapes):
             raise InputError("Frequency: these modes are damped; take pi.modes(model, state) without damped=True")
-        if found is None or len(found.roots) < min(count, run.model.n - run.model.m):
-            found = modes(run.model, found and found.state, count=count)
-        if self.number >= len(found.roots):
-            raise InputError(f"Frequency: number = {self.number} is too large, the model has {len(found.roots)} modes")
-        return found
+        if modes_of_run is None or len(modes_of_run.roots) < min(count, run.model.n - run.model.m):
+            modes_of_run = modes(run.model, modes_of_run and modes_of_run.state, count=count)
+        if self.number >= len(modes_of_run.roots):
+            raise InputError(f"Frequency: number = {self.number} is too large, the model has {len(modes_of_run.roots)} modes")
+        return modes_of_run
 
 
 class _Mode:

@@ -53,18 +53,18 @@ class Slopes:
 
     def times(self, factor: float) -> Slopes:
         """Return the slopes of J times a number."""
-        found: dict[str, Any] = {name: _times(factor, getattr(self, name)) for name in FRAMES}
+        frames: dict[str, Any] = {name: _times(factor, getattr(self, name)) for name in FRAMES}
         direct = {name: factor * value for name, value in self.direct.items()}
         work = None if self.work is None else (*self.work[:5], *(factor * x for x in self.work[5:]))
-        return Slopes(**found, direct=direct, work=work, of_model=_times(factor, self.of_model))
+        return Slopes(**frames, direct=direct, work=work, of_model=_times(factor, self.of_model))
 
     def plus(self, other: Slopes) -> Slopes:
         """Return the slopes of the sum of two objectives, of the same slice."""
-        found: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
+        frames: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
         direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
         works = [work for work in (self.work, other.work) if work is not None]
         work = tuple(map(np.concatenate, zip(*works))) if works else None
-        return Slopes(**found, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model))
+        return Slopes(**frames, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model))
 
 
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
@@ -73,7 +73,7 @@ FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 def _times(factor, x):
     """factor x of an array or a function; None of None."""
     if callable(x):
-        return lambda *given: factor * x(*given)
+        return lambda *arguments: factor * x(*arguments)
     return None if x is None else factor * x
 
 
@@ -82,11 +82,11 @@ def _sum(a, b):
         return b if a is None else a
     if not (callable(a) or callable(b)):
         return a + b
-    return lambda *given: _value(a, given) + _value(b, given)
+    return lambda *arguments: _value(a, arguments) + _value(b, arguments)
 
 
-def _value(x, given):
-    return x(*given) if callable(x) else x
+def _value(x, arguments):
+    return x(*arguments) if callable(x) else x
 
 
 def reach(model, q, way):
@@ -183,31 +183,31 @@ class Sum(Objective):
         return of
 
 
-def call_user(label: str, function: Callable, *given: Any, advice: str = "") -> Any:
+def call_user(label: str, function: Callable, *arguments: Any, advice: str = "") -> Any:
     """The value of a user's function; its exceptions become an InputError that begins with `label`."""
     try:
-        return function(*given)
+        return function(*arguments)
     except InputError:
         raise
     except Exception as error:
         raise InputError(f"{label} raised {type(error).__name__}: {error}{advice}") from error
 
 
-def require_objective(part: str, given: Any) -> Objective:
+def require_objective(part: str, objective: Any) -> Objective:
     """The objective; InputError, in the name of `part`, for anything else."""
-    if not isinstance(given, Objective):
+    if not isinstance(objective, Objective):
         raise InputError(
-            f"{part}: objective = {given!r:.100} must be one of pi.objective, such as pi.objective.UserObjective(value, slopes)"
+            f"{part}: objective = {objective!r:.100} must be one of pi.objective, such as pi.objective.UserObjective(value, slopes)"
         )
-    return given
+    return objective
 
 
-def _objective(given):
-    return require_objective("a sum of objectives", given)
+def _objective(objective):
+    return require_objective("a sum of objectives", objective)
 
 
-def _terms(given):
-    return given.terms if isinstance(given, Sum) else ((1.0, _objective(given)),)
+def _terms(objective):
+    return objective.terms if isinstance(objective, Sum) else ((1.0, _objective(objective)),)
 
 
 class OneFrame(NamedTuple):
@@ -263,25 +263,25 @@ class UserObjective(Objective):
     """
 
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
-        for name, given in (("value", value), ("slopes", slopes)):
-            if not callable(given):
-                raise InputError(f"UserObjective: {name} = {given!r:.100} must be a function of a run")
+        for name, function in (("value", value), ("slopes", slopes)):
+            if not callable(function):
+                raise InputError(f"UserObjective: {name} = {function!r:.100} must be a function of a run")
         self._value, self._slopes = value, slopes
 
     def __call__(self, run: Any) -> float:
-        found = _call("value", self._value, run_of("UserObjective", run))
-        if not is_number(found):
-            raise InputError(f"UserObjective: value(run) must return a finite number, not {found!r:.100}")
-        return float(found)
+        result = _call("value", self._value, run_of("UserObjective", run))
+        if not is_number(result):
+            raise InputError(f"UserObjective: value(run) must return a finite number, not {result!r:.100}")
+        return float(result)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the user's slopes, checked."""
         run = run_of("UserObjective", run)
-        given = _call("slopes", self._slopes, run)
-        if not isinstance(given, Mapping):
-            raise InputError(f"UserObjective: slopes(run) must return a dictionary, not {given!r:.100}")
-        frames = {name: _checked(name, value, np.shape(getattr(run, name))) for name, value in given.items() if name in FRAMES}
-        direct = {name: _checked(name, value) for name, value in given.items() if name not in FRAMES}
+        result = _call("slopes", self._slopes, run)
+        if not isinstance(result, Mapping):
+            raise InputError(f"UserObjective: slopes(run) must return a dictionary, not {result!r:.100}")
+        frames = {name: _checked(name, value, np.shape(getattr(run, name))) for name, value in result.items() if name in FRAMES}
+        direct = {name: _checked(name, value) for name, value in result.items() if name not in FRAMES}
 
         def of(part):
             whole = part.indices(len(run.t))[1] == len(run.t)
@@ -309,8 +309,8 @@ def _checked(name, value, shape=None):
         raise InputError(
             f"UserObjective: slopes(run) has {name!r:.100}; known: {', '.join(map(repr, FRAMES))}, and parameters, as 'arm.mass'"
         )
-    found = floats(value)
-    if found is None or (shape is not None and found.shape != shape):
-        wanted = "finite numbers" if shape is None else f"finite numbers of shape {shape}"
-        raise InputError(f"UserObjective: slopes(run)[{name!r}], {value!r:.100}, must be {wanted}")
-    return found
+    array = floats(value)
+    if array is None or (shape is not None and array.shape != shape):
+        expected = "finite numbers" if shape is None else f"finite numbers of shape {shape}"
+        raise InputError(f"UserObjective: slopes(run)[{name!r}], {value!r:.100}, must be {expected}")
+    return array

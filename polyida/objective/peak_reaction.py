@@ -58,15 +58,15 @@ class PeakReaction(TimeMean):
         columns = model.rows[name]
 
         def evaluate(frames):
-            found = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
-            size = np.linalg.norm(found.reaction, axis=1)
+            reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
+            size = np.linalg.norm(reaction.reaction, axis=1)
 
             def to_slopes(factor):
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    toward = np.where(size[:, None] > 0, (factor / size)[:, None] * found.reaction, 0.0)
+                    toward = np.where(size[:, None] > 0, (factor / size)[:, None] * reaction.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
-                lam[:, columns] = found.by_multipliers(toward)
-                return Slopes(q=found.by_coordinates(toward), lam=lam, t=lambda: found.by_time(toward))
+                lam[:, columns] = reaction.by_multipliers(toward)
+                return Slopes(q=reaction.by_coordinates(toward), lam=lam, t=lambda: reaction.by_time(toward))
 
             return lambda: size, to_slopes
 
@@ -103,11 +103,11 @@ class Reaction:
 
     def by_coordinates(self, toward):
         """`dR/dq^T toward`, (frames, n)."""
-        found = np.zeros((len(toward), self.model.n))
+        slope = np.zeros((len(toward), self.model.n))
         for place, at in self.places:
             moved = lambda way, place=place: self._at(moved=(place, complex_of_pairs(way)))  # noqa: E731
-            found += self.model.pulled(place, complex_of_pairs(_against(moved, pairs_of(at), toward)))
-        return found
+            slope += self.model.pulled(place, complex_of_pairs(_against(moved, pairs_of(at), toward)))
+        return slope
 
     def by_time(self, toward):
         """`dR/dt^T toward` at fixed coordinates and multipliers, (frames,)."""

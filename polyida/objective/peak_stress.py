@@ -81,10 +81,10 @@ class PeakStress(TimeMean):
         return evaluate
 
 
-def _pull(bodies, u, stresses, wanted):
+def _pull(bodies, u, stresses, bar):
     """Forces on the nodes (nodes, 2)."""
     forces = np.zeros_like(u)
-    for body, stress, one in zip(bodies, stresses, wanted):
+    for body, stress, one in zip(bodies, stresses, bar):
         body.pull(u, stress, one, forces)
     return forces
 
@@ -106,13 +106,13 @@ class CellStress:
         element.stress(*operator.force_arrays, operator.lane_cells, operator.areas, self.body.nodes.start, *self.moduli, u, out)
         return out
 
-    def pull(self, u, stress, wanted, forces):
-        """forces (nodes, 2) += the slope in u of `wanted (cells,) . von Mises stress`; no slope where that is zero."""
+    def pull(self, u, stress, bar, forces):
+        """forces (nodes, 2) += the slope in u of `bar (cells,) . von Mises stress`; no slope where that is zero."""
         xx, yy, xy = stress.T
         zz, size = self.across * (xx + yy), self.von_mises(stress)
         out = self.across * (2.0 * zz - xx - yy)
         squares = np.stack([2.0 * xx - yy - zz + out, 2.0 * yy - xx - zz + out, 6.0 * xy])
-        toward = squares * np.divide(wanted, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
+        toward = squares * np.divide(bar, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
         by_lanes = np.moveaxis(toward[:, self.operator.lane_cells].reshape(3, -1, LANES), 0, 1)
         arrays = *self.operator.force_arrays, np.ascontiguousarray(by_lanes), *self.moduli
         add_stress_forces(*arrays, np.ascontiguousarray(u[self.body.nodes]), forces[self.body.nodes])
@@ -166,7 +166,7 @@ class Elastic:
     def __init__(self, model, bodies):
         self.model, names = model, {body.name for body in bodies}
         self.plates = [body for body in model.bodies if body.name in names]
-        self.own = [own for own in model.own_forces.each if own.strain and own.name in names]
+        self.own = [own for own in model.own_forces if own.strain and own.name in names]
         s, numbers = model.arrays.plates, [k for k, body in enumerate(model.bodies) if body.name in names]
         of_bodies = {name: getattr(s, name)[numbers] for name in s._fields if name.startswith("body_")}
         self.arrays = model.arrays._replace(
@@ -178,31 +178,31 @@ class Elastic:
 
     def energies(self, q):
         """Of frames q (count, n), (count,), J."""
-        found = np.empty(len(q))
-        fill_energies(self.arrays, _pairs(q, self.model), found)
-        return found + sum(np.array([own.energy(own.places(each)) for each in q]) for own in self.own)
+        values = np.empty(len(q))
+        fill_energies(self.arrays, _pairs(q, self.model), values)
+        return values + sum(np.array([own.energy(own.places(each)) for each in q]) for own in self.own)
 
     def forces(self, q, factor):
         """factor (count,) times their slopes in q, (count, n)."""
-        model, found = self.model, np.empty((len(q), *self.still.shape))
-        room = np.empty(model.m), np.empty((2, model.n_points, 2))
-        fill_forces(self.arrays, self.drives, _pairs(q, model), self.still, self.none, np.asarray(factor, float), *room, found)
-        found = found.reshape(len(q), -1)
+        model, result = self.model, np.empty((len(q), *self.still.shape))
+        scratch_rows = np.empty(model.m), np.empty((2, model.n_points, 2))
+        fill_forces(self.arrays, self.drives, _pairs(q, model), self.still, self.none, np.asarray(factor, float), *scratch_rows, result)
+        result = result.reshape(len(q), -1)
         for own in self.own:
-            for each, f, r in zip(q, factor, found):
+            for each, f, r in zip(q, factor, result):
                 x = own.places(each)
                 r -= f * (own.A.T @ own.forces(0.0, x, np.zeros_like(x)).ravel())
-        return found
+        return result
 
     def by_parameters(self, q, factor):
         """{parameter: slope of the sum of factor times energy} over frames q (count, n)."""
-        found = {}
+        slopes = {}
         for body in self.plates:
             cells = _cell_energies(self.model, body, q, factor)
-            found[f"{body.name}.stiffness"] = cells
+            slopes[f"{body.name}.stiffness"] = cells
             whole = float(body.factors[0] @ cells)
-            found |= {f"{body.name}.E": whole / body.plate.material.E, f"{body.name}.thickness": whole / body.plate.thickness}
-        return found
+            slopes |= {f"{body.name}.E": whole / body.plate.material.E, f"{body.name}.thickness": whole / body.plate.thickness}
+        return slopes
 
 
 def _pairs(q, model):
@@ -220,12 +220,12 @@ def _cell_energies(model, body, q, factor):
     """Sum over frames q (count, n) of factor times the energy of every cell of a plate at a factor of 1, (cells,), J."""
     s, number = model.arrays.plates, model.bodies.index(body)
     u, operator = q.reshape(len(q), -1, 2)[:, body.nodes], body.operator
-    found = np.zeros(operator.n_cells)
+    slopes = np.zeros(operator.n_cells)
     for one, f in zip(u, factor):
         add_cell_energies(
-            *operator.force_arrays, operator.lane_cells, s.body_c1[number], s.body_nu[number], np.ascontiguousarray(one), f, found
+            *operator.force_arrays, operator.lane_cells, s.body_c1[number], s.body_nu[number], np.ascontiguousarray(one), f, slopes
         )
-    return found / body.factors[0] + _stabilised(model, number, u, factor)
+    return slopes / body.factors[0] + _stabilised(model, number, u, factor)
 
 
 def _stabilised(model, number, u, factor):
@@ -266,13 +266,13 @@ def fill_forces(scene, drives, q, zero_a, zero_lam, factor, phi, points, out):
 @entry
 def add_cell_energies(layout, corners, gradients, weights, lane_cells, c1, nu, u, factor, out):
     """out (cells,) += factor times the strain energy of every cell, J."""
-    room = _workspace(layout, 2, 0)
+    workspace = _workspace(layout, 2, 0)
     for b in range(layout.shape[0]):
         m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], 0, m, room)
+        _differences(u, corners, layout[b, 2], 0, m, workspace)
         state = zeros2()
         for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, workspace, m)
             state = add_energy(state, h, load(weights, layout[b, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu))
         for k in range(LANES):
             out[lane_cells[b * LANES + k]] += factor * lane(state[0], k)
@@ -290,10 +290,10 @@ def _stress_slope(h, g, w, spherical, deviatoric):
     n = g[0] * f11 + shear * f21, g[0] * f12 + shear * f22, shear * f11 + g[1] * f21, shear * f12 + g[1] * f22
     a = f11 * n[0] + f21 * n[2], f11 * n[1] + f21 * n[3], f12 * n[1] + f22 * n[3]
     moved = carried(h, second_piola(a, spherical, deviatoric))
-    held = (s[0] * a[0] + 2.0 * (s[1] * a[1]) + s[2] * a[2]) / det
+    ratio = (s[0] * a[0] + 2.0 * (s[1] * a[1]) + s[2] * a[2]) / det
     stretched = n[0] * s[0] + n[1] * s[1], n[0] * s[1] + n[1] * s[2], n[2] * s[0] + n[3] * s[1], n[2] * s[1] + n[3] * s[2]
     turned = f22, 0.0 - f21, 0.0 - f12, f11
-    return tuple(w / det * (2.0 * x + y - held * z) for x, y, z in zip(stretched, moved, turned))
+    return tuple(w / det * (2.0 * x + y - ratio * z) for x, y, z in zip(stretched, moved, turned))
 
 
 @entry
@@ -302,18 +302,20 @@ def add_stress_forces(layout, corners, gradients, weights, toward, c, nu, u, f):
 
     toward (blocks, 3, LANES): numbers of each cell, 1/m^2 times what the sum is in.
     """
-    room = _workspace(layout, 4, 0)
+    workspace = _workspace(layout, 4, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
-        force, size = room[2 * m * LANES :], 2 * m * LANES
-        _differences(u, corners, first, 0, m, room)
+        force, size = workspace[2 * m * LANES :], 2 * m * LANES
+        _differences(u, corners, first, 0, m, workspace)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         at = 3 * b * LANES
-        wanted = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
+        bar = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
         for p in range(layout[b, 1]):
             g = layout[b, 3] + p * size
-            pull = _stress_slope(_gradient(gradients, g, room, m), wanted, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
+            pull = _stress_slope(
+                _gradient(gradients, g, workspace, m), bar, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu)
+            )
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), pull, load2(gradients, g + k)))
         balance = zeros2()

@@ -22,7 +22,7 @@ from polyida.errors import InputError
 from polyida.integrate.discontinuities import inner_side
 from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
-from polyida.model.differences import along, around
+from polyida.model.differences import along, around, beside
 from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, Slopes, call_user, run_of
 from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, named_keywords
@@ -31,22 +31,22 @@ NOTHING = 1e-30  # of the largest slope of J in a value: less is set to zero, it
 FRAMES_WIDE = 10.0  # typical time of variation over the time between frames: rates are differences over a hundredth of it
 
 
-def chosen(part, model, given, known):
+def chosen(part, model, place, known):
     """The chosen bodies of `known`, {name: placed body}: by name or part, or all for None. Raises InputError in the name of `part`."""
     if not model.is_scene:
         raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.UserObjective")
-    if given is None and known:
+    if place is None and known:
         return list(known.values())
-    name = named(model, given)
+    name = named(model, place)
     if not is_one_of(name, known):
-        called = f"called {given!r:.100}" if given is not None else "there"
+        called = f"called {place!r:.100}" if place is not None else "there"
         raise InputError(f"{part}: no body that deforms is {called}; known: {', '.join(map(repr, known)) or 'none'}")
     return [known[name]]
 
 
-def named(model, given):
+def named(model, place):
     """The name of a part of the model; anything else as it is."""
-    return next((name for name, part in model.parts.items() if part is given), given)
+    return next((name for name, part in model.parts.items() if part is place), place)
 
 
 def deforming(model):
@@ -101,9 +101,9 @@ class TimeMean(Objective):
         mean = _Mean(run.t, self._sizes(run, evaluate), self.p)
 
         def of(part):
-            found = evaluate(Frames(run, part))[1](mean.shares[part])
+            result = evaluate(Frames(run, part))[1](mean.shares[part])
             of_model = (lambda model: float(mean.shares[part] @ elsewhere(model, part))) if self._of_material else None
-            return found.plus(Slopes(t=mean.by_times[part], of_model=of_model))
+            return result.plus(Slopes(t=mean.by_times[part], of_model=of_model))
 
         def elsewhere(model, part):
             """The values of the frames with another model."""
@@ -125,10 +125,18 @@ def _span(run):
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
-    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_evaluator`."""
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_evaluator`.
+
+    At a kink it is the mean of the derivatives on both sides.
+    """
     wide = FRAMES_WIDE * (span or 1.0)
-    rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
-    return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])
+
+    def rate(at):
+        kinks = model.kinks(at - wide, at + wide)
+        sides = (beside(at, -1), beside(at, 1)) if at in kinks else (at,)
+        return np.mean([along(lambda s, side=side: function(float(side + s)), wide, around(kinks, side)) for side in sides], axis=0)
+
+    return np.array([rate(at) for at in t.tolist()])
 
 
 class _Mean:
@@ -217,7 +225,7 @@ class Deviation(TimeMean):
     point : str, part or attachment
         As for `run.position`.
     path : function f(t) -> (2,) float, m, or (2,) float, m
-        The desired place.
+        The desired place. If the path bends at a kink of the model, J has two slopes in the time of that kink; gradients have their mean.
 
     Raises
     ------
@@ -257,11 +265,11 @@ class Deviation(TimeMean):
         advice = "; it must be a function of time"
         return self._place(call_user(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
 
-    def _place(self, given):
-        pair = floats(given)
+    def _place(self, place):
+        pair = floats(place)
         if pair is None or pair.shape != (2,):
             raise InputError(
-                f"Deviation: path = {given!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
+                f"Deviation: path = {place!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
             )
         return pair
 
@@ -288,5 +296,5 @@ def _slopes(model, point, q):
     """d position/dq of a user's model, (frames, 2, n), by differences."""
     sizes = np.maximum(1.0, np.abs(q).max(axis=0, initial=0.0))
     ways = sizes[:, None] * np.eye(model.n)
-    found = [along(lambda s, way=way: model.position(point, q + s * way)) / size for size, way in zip(sizes, ways)]
-    return np.stack(found, axis=2)
+    slopes = [along(lambda s, way=way: model.position(point, q + s * way)) / size for size, way in zip(sizes, ways)]
+    return np.stack(slopes, axis=2)

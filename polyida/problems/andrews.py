@@ -267,8 +267,8 @@ def rates(run):
 
 def at_end(run):
     """The angles at the end of a run, whose frames may be few: whole turns are those of the reference."""
-    found, known = angles(run)[-1], DIGITS["q"]
-    return found + 2 * np.pi * np.round((known - found) / (2 * np.pi))
+    angle, known = angles(run)[-1], DIGITS["q"]
+    return angle + 2 * np.pi * np.round((known - angle) / (2 * np.pi))
 
 
 def parts_problem():

@@ -25,8 +25,19 @@ GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
 SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
 
-def works(motion):
-    """{name: work since the first frame, (frames,), J} of all that the motion's model names in `powers` at the first frame."""
+def works(motions):
+    """{name: work since the first frame, (frames,), J} over consecutive Motions."""
+    each_one, ends = [_works_of(motion) for motion in motions], np.cumsum([0, *(len(motion.t) for motion in motions)])
+    gained = {name: np.zeros(ends[-1]) for one in each_one for name in one}
+    for one, first, end in zip(each_one, ends, ends[1:]):
+        for name, work in one.items():
+            gained[name][first:end] += work
+            gained[name][end:] += work[-1]
+    return gained
+
+
+def _works_of(motion):
+    """The same of one Motion: of all that its model names in `powers` at the first frame."""
     t = np.asarray(motion.t, float)
     powers = _Powers(motion) if len(t) else None
     if not (powers and powers.names):
@@ -60,8 +71,8 @@ class _Powers:
         self.names = list(self.model.powers(float(motion.t[0]), *(np.asarray(x[0], float) for x in (motion.q, motion.v, motion.lam))))
 
     def __call__(self, t, q, v, lam):
-        found = self.model.powers(t, q, v, lam)
-        return np.array([found.get(name, 0.0) for name in self.names])
+        powers = self.model.powers(t, q, v, lam)
+        return np.array([powers.get(name, 0.0) for name in self.names])
 
 
 class _Kinks:
@@ -99,6 +110,7 @@ def _behind(motion, powers, k):
 
 
 GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more growth is reported; number of frames checked
+AT_REST = 1e-12  # of the size of the scene: way that is round-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +126,8 @@ class Energy:
     kinetic: NDArray
     potential: NDArray
     strain: NDArray
-    _motion: Any = field(repr=False)  # the run's model, t, q, v, lam
+    _motions: Any = field(repr=False)  # the run's Motions between events
+    _events: Any = field(default=(), repr=False)  # Events
 
     __repr__ = brief
 
@@ -126,17 +139,22 @@ class Energy:
     @cached_property
     def gravity(self) -> NDArray:
         """Potential of gravity, J, zero in the reference configuration; nan for a model that is not a scene's."""
-        model = self._motion.model
-        if not model.is_scene:
+        if not self._motions[0].model.is_scene:
             return np.full(len(self.kinetic), np.nan)
-        return np.array([model.gravity_potential(q) for q in each(self._motion.q)]).reshape(-1)
+        return np.array([one.model.gravity_potential(q) for one in self._motions for q in each(one.q)]).reshape(-1)
 
     @cached_property
     def elements(self) -> dict[str, NDArray]:
         """{name: potential energy of a force element that has one}, J; with `gravity` they add up to `potential`."""
-        forces, q = self._motion.model.own_forces, self._motion.q
-        found = [own for own in (forces.each if forces else ()) if not own.strain and writes(own.element, ForceElement, "energy")]
-        return {own.name: np.array([own.energy(own.places(frame)) for frame in each(q)]) for own in found}
+        result: dict[str, NDArray] = {}
+        first = 0
+        for one in self._motions:
+            for own in one.model.own_forces:
+                if not own.strain and writes(own.element, ForceElement, "energy"):
+                    values = [own.energy(own.places(q), own.velocities(v)) for q, v in zip(each(one.q), each(one.v))]
+                    result.setdefault(own.name, np.zeros(len(self.kinetic)))[first : first + len(one.t)] = values
+            first += len(one.t)
+        return result
 
     @property
     def work(self) -> dict[str, NDArray]:
@@ -147,16 +165,23 @@ class Energy:
         order in the time between frames. Multipliers are interpolated with slopes from their neighbours. Vibrations between two frames are
         missed. The impulse of a motor whose speed jumps is included if a frame is at that kink. A user's model needs `powers`.
         """
-        return {name: work for name, work in self._works.items() if name not in self._motion.model.dissipating}
+        return {name: work for name, work in self._works.items() if name not in self._dissipating}
 
     @property
     def dissipated(self) -> dict[str, NDArray]:
-        """{name: energy dissipated since the first frame, J}, by force elements that declare `dissipates`, and by damped plates."""
-        return {name: -work for name, work in self._works.items() if name in self._motion.model.dissipating}
+        """{name: energy dissipated since the first frame, J}, by force elements that declare `dissipates`, damped plates, and events."""
+        lost = {name: -work for name, work in self._works.items() if name in self._dissipating}
+        for one in self._events:
+            lost[one.name] = lost.get(one.name, np.zeros(len(self.kinetic))) + one.energy_lost * (np.arange(len(self.kinetic)) >= one.frame)
+        return lost
+
+    @property
+    def _dissipating(self):
+        return {name for one in self._motions for name in one.model.dissipating}
 
     @cached_property
     def _works(self):
-        return works(self._motion)
+        return works(self._motions)
 
 
 def grown(motion):
@@ -165,7 +190,10 @@ def grown(motion):
     if count < 2 or not _passive(model):
         return ""
     looks = np.unique(np.linspace(0, count - 1, LOOKS).astype(int))
-    energy = energy_of(Motion(model, motion.t[looks], *(np.array([x[k] for k in looks], float) for x in motion[2:])))
+    seen = Motion(model, motion.t[looks], *(np.array([x[k] for k in looks], float) for x in motion[2:]))
+    if np.abs(seen.v).max() * np.ptp(seen.t) <= AT_REST * model.extent:
+        return ""
+    energy = energy_of([seen])
     gains = energy.total - np.minimum.accumulate(energy.total)
     at, most = int(gains.argmax()), float(energy.kinetic.max())
     if not gains[at] > GROWN * most > 0.0:
@@ -180,11 +208,15 @@ def _passive(model):
     """True for a scene without load, profile and force element without an energy; False for other models."""
     if not model.is_scene or any(name for name, _ in model.named_profiles) or dead_loads(model.parts, model.gravity, model.places):
         return False
-    return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces.each)
+    return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces)
 
 
-def energy_of(motion):
-    """The Energy of a motion: model, t, q, v, lam."""
-    model, frames = motion.model, zip(each(motion.q), each(motion.v))
-    found = [(0.5 * v @ (model.mass(q) @ v), *model.potentials(q)) for q, v in frames]
-    return Energy(*np.array(found, float).reshape(-1, 3).T, motion)
+def energy_of(motions, events=()):
+    """The Energy of consecutive Motions, and of the Events between them."""
+    terms = []
+    for model, q, v in ((one.model, q, v) for one in motions for q, v in zip(each(one.q), each(one.v))):
+        moving = model.without_states(v)
+        terms.append(
+            (0.5 * moving @ (model.mass(q) @ moving), *(model.potentials(q, v) if model.k and model.is_scene else model.potentials(q)))
+        )
+    return Energy(*np.array(terms, float).reshape(-1, 3).T, motions, events)

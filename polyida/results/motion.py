@@ -40,6 +40,8 @@ def reaction_of(model, name, t, q, lam, whole=False):
 
     whole: (fx, fy, m) of a scene's joint. Of redundant constraints it is that with the least sum of squares of all multipliers.
     """
+    if name in model.absent:
+        return np.zeros((len(t), len(model.reaction_of(name, whole).components)))
     if model.redundant:
         lam = model.redundant.multipliers(t, q, lam)
     rows = (model.redundant or model).rows[name]
@@ -48,10 +50,10 @@ def reaction_of(model, name, t, q, lam, whole=False):
 
 def momenta_of(motion):
     """(frames, 3): momentum along x and y, N s, and angular momentum about the origin, N m s. Raises InputError if the model has none."""
-    found = [motion.model.momenta(q, v) for q, v in zip(each(motion.q), each(motion.v))]
-    if any(values is None for values in found):
+    entries = [motion.model.momenta(q, v) for q, v in zip(each(motion.q), each(motion.v))]
+    if any(values is None for values in entries):
         raise InputError(f"momentum: {motion.model.name} does not say it; let its class write momenta(q, v), giving (px, py, L)")
-    return np.array(found, float).reshape(-1, 3)
+    return np.array(entries, float).reshape(-1, 3)
 
 
 def strains(model, q):
@@ -81,12 +83,12 @@ def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
     (...) float
         In the unit of the stress.
     """
-    given, out = floats(stress), floats(zz)
-    if given is None or not given.ndim or given.shape[-1] != 3:
+    stresses, out = floats(stress), floats(zz)
+    if stresses is None or not stresses.ndim or stresses.shape[-1] != 3:
         raise InputError(f"von_mises: stress = {stress!r} must be finite numbers (..., 3): xx, yy, xy")
-    if out is None or out.shape not in ((), given.shape[:-1]):
-        raise InputError(f"von_mises: zz = {zz!r} must be a finite number, or one for each of the stresses {given.shape[:-1]}")
-    xx, yy, xy = np.moveaxis(given, -1, 0)
+    if out is None or out.shape not in ((), stresses.shape[:-1]):
+        raise InputError(f"von_mises: zz = {zz!r} must be a finite number, or one for each of the stresses {stresses.shape[:-1]}")
+    xx, yy, xy = np.moveaxis(stresses, -1, 0)
     return np.sqrt(((xx - yy) ** 2 + (yy - out) ** 2 + (out - xx) ** 2) / 2 + 3 * xy * xy)
 
 
@@ -123,9 +125,11 @@ def _columns(run):
     """{name: (frames,)}."""
     if run.model is None or not run.model.is_scene:
         return {f"{part}[{k}]": values for part in ("q", "v", "lam") for k, values in enumerate(np.asarray(getattr(run, part)).T)}
+    elements = [own for own in run.model.own_forces if own.names]
+    states = {f"{own.name}.{one}": values for own in elements for one, values in zip(own.names, run.states(own.name).T)}
     places = {f"{name}.{axis}": values for name in run.model.named for axis, values in zip("xy", run.position(name).T)}
     energies = {f"energy.{part}": getattr(run.energy, part) for part in ENERGIES}
-    return places | reactions(run) | energies | {"drift": run.drift}
+    return places | states | reactions(run) | energies | {"drift": run.drift}
 
 
 def reactions(run):
@@ -139,9 +143,9 @@ def reactions(run):
 
 def quantity(model, name, k):
     """("force x", "N") of component k of a reaction; if a joint has several of a name, as a clamp at each node, "force x 1" is the first."""
-    said = components(model, name)
-    of_name = [i for i, one in enumerate(said) if one == said[k]]
-    return (f"{said[k][0]} {of_name.index(k) + 1}", said[k][1]) if len(of_name) > 1 else said[k]
+    labels = components(model, name)
+    of_name = [i for i, one in enumerate(labels) if one == labels[k]]
+    return (f"{labels[k][0]} {of_name.index(k) + 1}", labels[k][1]) if len(of_name) > 1 else labels[k]
 
 
 def components(model, name):
@@ -167,33 +171,35 @@ def dataset(run):
     except ImportError:
         raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
     scene = run.model is not None and run.model.is_scene
-    found = {part: (("t", "coordinate"), np.asarray(getattr(run, part)), {"units": UNITS[part]} if scene else {}) for part in UNITS}
-    found["lam"] = (("t", "constraint"), np.asarray(run.lam))
+    entries = {part: (("t", "coordinate"), np.asarray(getattr(run, part)), {"units": UNITS[part]} if scene else {}) for part in UNITS}
+    entries["lam"] = (("t", "constraint"), np.asarray(run.lam))
     marks = {"t": ("t", run.t, {"units": "s"})}
     if run.model is not None and len(run.model.labels) == run.lam.shape[1]:
         marks["constraint"] = list(run.model.labels)
     if scene:
-        found |= _of_scene(run)
+        entries |= _of_scene(run)
         units = [quantity(run.model, name, k)[1] for name in run.model.joints for k in range(run.reaction(name).shape[1])]
         marks |= {"point": list(run.model.named), "axis": ["x", "y"], "component": list(reactions(run)), "unit": ("component", units)}
     plain = {name: value for name, value in run.counts.as_dict().items() if isinstance(value, (int, str))}
     about = {"status": run.status, "message": run.message, "integrator": repr(run.integrator), "cpu_seconds": run.cpu_seconds}
-    return Dataset(found | _sensed(run), marks, about | plain)
+    return Dataset(entries | _sensed(run), marks, about | plain)
 
 
 def _of_scene(run):
     """Places of named points, reactions, energies, drift."""
     names, pushed = list(run.model.named), list(reactions(run).values())
     places = np.stack([run.position(name) for name in names], axis=1) if names else np.zeros((len(run), 0, 2))
-    found = {"position": (("t", "point", "axis"), places, {"units": "m"})}
-    found["reaction"] = (("t", "component"), np.stack(pushed, axis=1) if pushed else np.zeros((len(run), 0)))
-    found |= {part: ("t", getattr(run.energy, part), {"units": "J"}) for part in ENERGIES}
-    return found | {"drift": ("t", run.drift)}
+    entries = {"position": (("t", "point", "axis"), places, {"units": "m"})}
+    entries["reaction"] = (("t", "component"), np.stack(pushed, axis=1) if pushed else np.zeros((len(run), 0)))
+    entries |= {part: ("t", getattr(run.energy, part), {"units": "J"}) for part in ENERGIES}
+    return entries | {"drift": ("t", run.drift)}
 
 
 def _sensed(run):
     """Values of sensors, over the time of every step."""
     if not run.sensors:
         return {}
-    found = {f"sensor.{name}": (("step", *(f"{name}_{k}" for k in range(values.ndim - 1))), values) for name, values in run.sensors.items()}
-    return found | {"t_step": ("step", run.sensors.t, {"units": "s"})}
+    entries = {
+        f"sensor.{name}": (("step", *(f"{name}_{k}" for k in range(values.ndim - 1))), values) for name, values in run.sensors.items()
+    }
+    return entries | {"t_step": ("step", run.sensors.t, {"units": "s"})}

@@ -106,8 +106,8 @@ def section_forces(motion, plate, at, normal, frame=None):
     return _section_forces(np.array([cut(*state) for state in states]).reshape(-1, 7))
 
 
-def _section_forces(found):
-    return SectionForces(found[..., 0], found[..., 1], found[..., 2], found[..., 3:5], found[..., 5:])
+def _section_forces(values):
+    return SectionForces(values[..., 0], values[..., 1], values[..., 2], values[..., 3:5], values[..., 5:])
 
 
 class Cut:
@@ -126,6 +126,8 @@ class Cut:
         turn = np.exp(1j * body.plate.angle)
         place, way = turn * complex(*at) + complex(*body.plate.origin), turn * complex(*way) / np.hypot(*way)
         ahead = _ahead(mesh, (mesh.points + body.plate.origin - pairs_of(place)) @ pairs_of(way))
+        if body.plate.material.prony:
+            raise InputError(f"{label}: it takes no viscoelastic plate yet")
         self.nodes, part = _part(body.plate.mesh, ahead)
         self.cut = np.flatnonzero(np.isin(self.nodes, mesh.nodes[np.repeat(~ahead, np.diff(mesh.offsets))]))
         if not self.cut.size:

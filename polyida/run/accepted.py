@@ -1,4 +1,8 @@
-"""Checks of the states that an integrator yields, so that all frames of a run are valid states on the way to its end."""
+"""The accepted states of a run: checks of what an integrator yields, and what is recorded of it.
+
+All frames of a run are valid states on the way to its end. Frames are taken at accepted steps or given times, sensors at every step, and the
+zero of `until` between two steps.
+"""
 
 import math
 from copy import deepcopy
@@ -7,15 +11,18 @@ from functools import partial
 
 import numpy as np
 
-from polyida.errors import StepFailure
-from polyida.integrate.state import Counts, State, States, Stretch, parted
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.state import Counts, State, States, Stretch, between, parted
 from polyida.integrate.switches import Switches
+from polyida.jit.user_functions import over
 from polyida.model.guarded import blame
-from polyida.validation import is_number, is_whole
+from polyida.sensor import Sensor
+from polyida.validation import is_number, is_whole, read_only, reals, takes
 
 SLACK = 1e-9  # of a run's length: a state that is nearer to the end is at the end
 STANDSTILL = 20  # a run ends after so many states in a row that hardly advance t
 FIELDS = ("q", "v", "a", "lam")
+FEW = 64  # rows of sensors at first
 END = object()
 
 
@@ -48,7 +55,7 @@ class AcceptedStates:
         self.name, self.trusted, self.t_end, self.standing = integrator.class_name(), integrator.trusted, t_end, 0
         self.slack, self.parts = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end)), iter(())  # parts: of a stretch that is not finite
         if not self.trusted:
-            state = State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart)
+            state = State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart).of(model)
         places = {"rows": rows} if rows and self.trusted and integrator.writes_rows else {}
         states = integrator.steps(model, state, t_end, counts, **places)
         if not hasattr(states, "__iter__"):
@@ -127,26 +134,26 @@ class AcceptedStates:
 
     def _wrong_count(self):
         """What is wrong with the counts, or None. Wrong counts get their last valid values; whole numbers of numpy become int."""
-        found, names = vars(self.counts), [field.name for field in fields(Counts)]
-        wrong = next((name for name in found if name not in names), None)
-        good = {name: isinstance(found.get(name), str) if name == "backend" else is_whole(found.get(name), 0) for name in names}
+        counts, names = vars(self.counts), [field.name for field in fields(Counts)]
+        wrong = next((name for name in counts if name not in names), None)
+        good = {name: isinstance(counts.get(name), str) if name == "backend" else is_whole(counts.get(name), 0) for name in names}
         wrong = wrong or next((name for name in names if not good[name]), None)
         if wrong is None:
             self.known = {name: value if name == "backend" else int(value) for name, value in self.counts.as_dict().items()}
-            found.update(self.known)
+            counts.update(self.known)
             return None
-        value = found.get(wrong)
-        found.clear()
-        found.update(self.known)
-        wanted = "must be a text" if wrong == "backend" else "must be a whole number"
-        return f"counts.{wrong} = {value!r:.80} {wanted if wrong in names else 'is none of ' + ', '.join(names)}"
+        value = counts.get(wrong)
+        counts.clear()
+        counts.update(self.known)
+        expected = "must be a text" if wrong == "backend" else "must be a whole number"
+        return f"counts.{wrong} = {value!r:.80} {expected if wrong in names else 'is none of ' + ', '.join(names)}"
 
     def _floats(self, name, value, shape, t):
         """A copy of an array as floats."""
         kind = getattr(getattr(value, "dtype", None), "kind", "O")
         if kind not in "fiu" or value.shape != shape:
-            found = f"{value.shape} of {value.dtype}" if hasattr(value, "dtype") else type(value).__name__
-            self.stop(f"{name} at t = {t:.9g} s must be real numbers of shape {shape}, not {found}")
+            shown = f"{value.shape} of {value.dtype}" if hasattr(value, "dtype") else type(value).__name__
+            self.stop(f"{name} at t = {t:.9g} s must be real numbers of shape {shape}, not {shown}")
         return np.array(value, float)
 
     def _require_finite(self, state):
@@ -165,3 +172,182 @@ def _naming_function(failure, model, state):
     if known and t == failure.t:
         return failure
     return StepFailure(failure.status, failure.reason if known else f"{bad}; {failure.reason}", t, **failure.seen)
+
+
+class Sampler:
+    """Stores every `every`-th accepted state, the first and the last; or the times `output`.
+
+    rows: `FrameStore.rows` if each state becomes a frame, or None.
+    """
+
+    def __init__(self, store, counts, every=1, output=None, done=0):
+        self.store, self.counts, self.every = store, counts, every
+        self.output, self.next, self.last_frame = output, done, None
+        self.rows = store.rows if every == 1 and output is None else None
+
+    def start(self, state):
+        """Store the first state."""
+        if self.output is None:
+            self.keep(state)
+        elif self.next < len(self.output) and self.output[self.next] == state.t:
+            self.next += 1
+            self.keep(state)
+
+    def step(self, before, stretch):
+        """Store frames of the steps from an accepted state to those of a stretch, the last of which is number `counts.steps`."""
+        if self.output is None:
+            self._keep_every(stretch, self.counts.steps - len(stretch))
+            return
+        while self.next < len(self.output) and self.output[self.next] <= stretch.t[-1]:
+            t = self.output[self.next]
+            k = int(np.searchsorted(stretch.t, t))
+            self.keep(between(stretch.state(k - 1) if k else before, stretch.state(k), t))
+            self.next += 1
+
+    def _keep_every(self, stretch, done):
+        first = -(done + 1) % self.every
+        if first < len(stretch):
+            self.store.extend(stretch.part(first, len(stretch), self.every))
+            self.last_frame = None if (done + len(stretch)) % self.every else stretch.last
+
+    def keep(self, state):
+        """Store a state as the next frame, unless it is the last one already."""
+        if state is not self.last_frame:
+            self.store.extend(Stretch.of(state))
+            self.last_frame = state
+
+
+def leading(good):
+    """Number of True entries before the first False."""
+    return int(np.append(good, False).argmin())
+
+
+def seen_by(function, model, states):
+    """t, q and v of a State or Stretch as arguments of a user's function, and the model's first-order states if three are too few for it."""
+    seen = states.t, states.q, states.v
+    return (*seen, model.states_of(states.v)) if model.k and not takes(function, 3) else seen
+
+
+class Until:
+    """Detects a change of sign of f(t, q, v) from step to step. Raises InputError if f returns no finite number."""
+
+    def __init__(self, model, function, state):
+        self.model, self.function = model, function
+        self.sign = np.sign(self._value(state))
+        self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
+
+    def quiet(self, stretch):
+        """Number of states at the start of a stretch without a change of sign, of a compiled function; 0 for one in Python."""
+        values = over("until:", self.function, *seen_by(self.function, self.model, stretch))
+        return 0 if values is None or not self.sign else leading(np.sign(values[:, 0]) == self.sign)
+
+    def crossing(self, before, after):
+        """The state between two accepted ones at which f is zero, or None. A zero at the start is ignored."""
+        value = self._value(after)
+        if self.sign == 0 or (value != 0 and np.sign(value) == self.sign):
+            self.sign = self.sign or np.sign(value)
+            return None
+        if value == 0:
+            return after
+        from scipy.optimize import brentq
+
+        at = brentq(lambda t: self._value(between(before, after, t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps)
+        return between(before, after, at)
+
+    def _value(self, state):
+        t, *vectors = seen_by(self.function, self.model, state)
+        value = self.function(t, *map(read_only, vectors))
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        if is_number(value):
+            return float(value)
+        shown = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
+        expected = "a finite number that changes sign where the run is to stop, like t - 0.02"
+        raise InputError(f"until: the function gave {shown} at t = {state.t:.9g} s; it must give {expected}")
+
+
+def require_sensors(part, sensors):
+    """Raise InputError, in the name of `part`, unless it is {name: function} or None."""
+    if sensors is None:
+        return
+    if not isinstance(sensors, dict):
+        raise InputError(f"{part}: sensors = {sensors!r:.100} must be a dictionary, name -> function of t, q and v")
+    for name, function in sensors.items():
+        if not (isinstance(name, str) and name):
+            raise InputError(f"{part}: sensors: the name {name!r:.100} must be a text")
+        if not (callable(function) or isinstance(function, Sensor)):
+            raise InputError(f"{part}: sensors: {name!r} is {function!r:.100}, it must be a function of t, q and v, or of polyida.sensor")
+
+
+class Recorder:
+    """Calls sensors of a model, {name: f(t, q, v) or a Sensor}, and records their values.
+
+    shapes: {name: shape of a value}, known after the first step; rows (steps, 1 + numbers): time and values. before: Sensors of the run so
+    far, for `resume`.
+    """
+
+    def __init__(self, model, functions, before=None):
+        self.model, self.functions, self.count = model, functions, 0
+        self.shapes, self._rows = {}, np.empty((0, 1))
+        if before:
+            self.shapes, self._rows, self.count = dict(before.shapes), before.rows, len(before.rows)
+
+    def step(self, state):
+        """Record an accepted state. Raises InputError if a sensor does not return finite numbers of its first shape."""
+        if not self.functions:
+            return
+        values = {name: self._value(name, state) for name in self.functions}
+        self.shapes = self.shapes or {name: value.shape for name, value in values.items()}
+        if not self.count:
+            self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
+        self._add(np.concatenate([[state.t], *(value.ravel() for value in values.values())])[None])
+
+    def quiet(self, stretch):
+        """Number of states at the start of a stretch with finite values of compiled sensors, for `record`; 0 if a sensor is Python."""
+        if not self.functions:
+            return len(stretch)
+        columns = []
+        for name, shape in self.shapes.items():
+            sensor = self.functions[name]
+            if isinstance(sensor, Sensor):
+                return 0
+            if (values := over(f"sensors: {name!r}:", sensor, *seen_by(sensor, self.model, stretch), shape=shape)) is None:
+                return 0
+            columns.append(values)
+        self.ahead = np.column_stack([stretch.t, *columns])
+        return leading(np.isfinite(self.ahead).all(axis=1))
+
+    def record(self, first, end):
+        """Record the states `first` to `end` of the last stretch of `quiet`."""
+        if self.functions:
+            self._add(self.ahead[first:end])
+
+    def _add(self, rows):
+        count = self.count + len(rows)
+        if count > len(self._rows):
+            more = np.empty((max(FEW, count), rows.shape[1]))
+            self._rows = np.concatenate([self._rows[: self.count], more]) if self.count else more
+        self._rows[self.count : count] = rows
+        self.count = count
+
+    def _value(self, name, state):
+        sensor = self.functions[name]
+        if isinstance(sensor, Sensor):
+            value = reals(sensor.read(self.model, state))
+        else:
+            t, *vectors = seen_by(sensor, self.model, state)
+            value = reals(sensor(t, *map(read_only, vectors)))
+        if value is None:
+            wrong = "no real numbers"
+        elif value.shape != self.shapes.get(name, value.shape):
+            wrong = f"an array of shape {value.shape}"
+        elif not np.isfinite(value).all():
+            wrong = "numbers that are not finite"
+        else:
+            return value
+        expected = "a finite number or an array of them, of the same shape each time"
+        raise InputError(f"sensors: {name!r} gave {wrong} at t = {state.t:.9g} s; it must give {expected}")
+
+    @property
+    def rows(self):
+        """The recorded rows."""
+        return self._rows[: self.count]

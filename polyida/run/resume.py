@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
-from polyida.integrate.state import Counts
-from polyida.io.layout import FRAMES, MEMORY_LIMIT, require_bytes
+from polyida.event import Event, Events
+from polyida.integrate.state import Counts, declared
+from polyida.io.layout import FRAMES, MEMORY_LIMIT
 from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
 from polyida.io.save import behind_blocks, commit, create, free
@@ -21,11 +22,13 @@ from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress
+from polyida.run.accepted import Recorder, require_sensors
+from polyida.run.events import Happenings, prepared
+from polyida.run.modes import Modes
 from polyida.run.run import Run
-from polyida.run.sampling import Recorder, require_sensors
 from polyida.run.solve import require_run
 from polyida.sensor import Sensor, Sensors
-from polyida.validation import is_number, named_keywords
+from polyida.validation import is_number, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -38,9 +41,10 @@ def resume(
     *,
     model: Model | None = None,
     integrator: object = None,
-    until: Callable[[float, NDArray, NDArray], float] | bool | None = None,
+    events: Sequence[Event] | Event | bool | None = None,
+    until: Callable[..., float] | bool | None = None,
     progress: Callable[[float], object] | bool | None = None,
-    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | bool | None = None,
+    sensors: dict[str, Callable[..., ArrayLike] | Sensor] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
 ) -> Trajectory:
     """Continue the run in a file of `solve(..., out=path)` or `save`.
@@ -59,6 +63,9 @@ def resume(
         Needed for a user's own model, and if a motor or load has a user's own function; by default the scene in the file.
     integrator : Integrator, optional
         By default that of the run.
+    events : list of Event, or False, optional
+        As in `solve`; needed if the run had events, in the same order. False: continue without more of them. Give model= too if they have
+        parts, which refer to its bodies.
     until : function f(t, q, v) -> float, or False, optional
         As in `solve`; needed if the run had one. False: continue without it.
     progress : function f(t), or True, optional
@@ -78,12 +85,12 @@ def resume(
     InputError
         If the file cannot be read or is being written, has no state to continue from, or has reached t_end; and for wrong arguments.
     """
-    for name, value, good, wanted in (
+    for name, value, good, expected in (
         ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
         ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
     ):
         if not good:
-            raise InputError(f"resume: {name} = {value!r} must be {wanted}")
+            raise InputError(f"resume: {name} = {value!r} must be {expected}")
     require_progress("resume", progress)
     require_bytes("resume", memory_limit)
     if sensors is not False:
@@ -96,30 +103,31 @@ def resume(
             with naming(path):
                 if damage := stored.check():
                     raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
-                model, integrator = _model_and_integrator(stored, model, integrator)
                 plan, restart = _plan(stored, t_end, until), stored.restart
-            require_run(model, plan["t_end"], restart.state.t, integrator).require_reach(guard(model), restart.state, plan["t_end"])
-            recorder = _recorder(stored, model, sensors)
+                model, integrator, happenings, past = _model_and_integrator(stored, model, integrator, events)
+            mode = happenings.mode if happenings else guard(model)
+            require_run(mode, plan["t_end"], restart.state.t, integrator).require_reach(mode, restart.state, plan["t_end"])
+            recorder = _recorder(stored, mode, sensors)
             machine = dict(stored.about["machine"])
             file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
             with file.publishing(True):
                 store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
                 store.copy([stored.columns[name] for name in FRAMES], restart.frames)
                 rows = behind_blocks(file, recorder.rows)
-                commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows)
+                commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows, events=past)
         finally:
             stored.file.close()
     cpu, wall = stored.seconds
     clocks = time.perf_counter() - wall, time.process_time() - cpu
-    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress)
+    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress, happenings, past)
     run.restart = run.flushed = restart
     run.recorded = recorder.count
     with one_blas_thread():
         return run.go(restart.state)
 
 
-def _model_and_integrator(stored, model, integrator):
-    """(model, integrator), from the file if they are None."""
+def _model_and_integrator(stored, model, integrator, events):
+    """(model, integrator, Happenings or None, Events so far), from the file if they are None."""
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
         own = ", ".join(map(repr, about["drives"].values())) or about["model"]
@@ -128,10 +136,22 @@ def _model_and_integrator(stored, model, integrator):
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:
         raise InputError(f"the file's scene cannot be built: {unknown}") from None
-    known = guard(model, "resume")
-    if (known.n, known.m) != (stored.n, stored.m):
+    integrator, happened = integrator_of(stored) if integrator is None else integrator, stored.record.get("events")
+    past = Events.from_data(happened or [])
+    past.happened = [one for one in past if one.t <= stored.restart.state.t]
+    by_laws = bool(guard(model, "resume").row_laws)
+    if past.given and events is None and not by_laws:
+        raise InputError("the run had events, whose functions no file holds; give events=, or events=False to go on without more of them")
+    known, happenings = guard(model, "resume"), None
+    if by_laws and not declared(integrator).takes_laws:
+        happenings = Modes(model, declared(integrator), past)
+    elif events or past.given:
+        (model, events), past.given = prepared("resume", model, events or ()), True
+        happenings = Happenings(model, events, declared(integrator), past)
+        known = happenings.whole
+    if (known.n, happenings.width if happenings else known.m) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
-    return model, integrator_of(stored) if integrator is None else integrator
+    return model, integrator, happenings, past
 
 
 def _plan(stored, t_end, until):
@@ -158,5 +178,5 @@ def _recorder(stored, model, sensors):
         raise InputError(
             f"the run had {f'the sensors {names}' if names else 'no sensors'}; it cannot go on with {', '.join(map(repr, functions))}"
         )
-    found = sensors_of(stored)
-    return Recorder(guard(model), functions, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
+    recorded = sensors_of(stored)
+    return Recorder(guard(model), functions, Sensors(recorded.shapes, recorded.rows[recorded.t <= stored.restart.state.t]))

@@ -4,12 +4,14 @@ import signal
 import threading
 import time
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
 from polyida.environment import machine_info
 from polyida.errors import StepFailure
+from polyida.event import Events, Happened
 from polyida.integrate.discontinuities import unseen
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, States, Stretch, declared, parted
@@ -18,8 +20,8 @@ from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
 from polyida.model.guarded import guard
 from polyida.progress import over_time
-from polyida.run.accepted import accepted
-from polyida.run.sampling import Sampler, Until
+from polyida.run.accepted import Sampler, Until, accepted
+from polyida.run.events import Change
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 
@@ -31,14 +33,16 @@ class Run:
     """A run in progress.
 
     plan: the arguments of `solve` as plain data. store: a FrameStore, whose file, if it has one, is flushed as the plan says. recorder: of
-    sensors. clocks: wall and CPU time at the start. until, progress: the user's functions or None. restart: the last state from which the
+    sensors. clocks: wall and CPU time at the start. until, progress: the user's functions or None. happenings: of events, or None. events: those so far of a run
+    without happenings: impacts. restart: the last state from which the
     run can be continued; flushed: that in the file.
     """
 
-    def __init__(self, model, integrator, plan, store, recorder, counts, clocks, until=None, progress=None):
+    def __init__(self, model, integrator, plan, store, recorder, counts, clocks, until=None, progress=None, happenings=None, events=None):
         self.model, self.known, self.integrator, self.method = model, guard(model), integrator, declared(integrator)
         self.plan, self.store, self.counts, self.recorder, self.clocks = plan, store, counts, recorder, clocks
-        self.until, self.progress, self.streams = until, progress, store.file is not None
+        self.until, self.progress, self.streams, self.happenings = until, progress, store.file is not None, happenings
+        self.events = happenings.happened if happenings else Events() if events is None else events
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count)
         self.last = self.restart = self.flushed = self.watch = self.recorded = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
@@ -73,7 +77,8 @@ class Run:
             with bar as self.progress:
                 status, message = self._steps(state, presses)
         except StepFailure as failure:
-            suspicion = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)
+            looks = self.watch and not isinstance(failure, SingularPosition)
+            suspicion = self.watch.suspicion(failure.t) if looks else ""
             status, message = failure.status, f"{failure}{suspicion}"
         except KeyboardInterrupt:
             presses.heeded = True
@@ -84,16 +89,29 @@ class Run:
             with suppress(Exception):
                 self._attach(error, self._end("error", f"{type(error).__name__}: {error}"))
             raise
-        return self._end(status, "; ".join(filter(None, (message, unresolved(self.known, self.method, self.restart.state)))))
+        notes = unresolved(self.known, self.method, self.restart.state) if self.known.switching else ""
+        return self._end(status, "; ".join(filter(None, (message, notes))))
 
     def _steps(self, state, presses):
         """Take all steps; returns (status, message). A stretch is processed in parts that end where a flush may be due.
 
         States of a part are looked at one by one only if `until` or a sensor must be.
         """
-        until, self.watch = Until(self.until, state) if self.until else None, Watch(self.known, state)
-        for stretch in accepted(self.method, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows):
-            sound, failure = self.watch.look(stretch)
+        until = Until(self.known, self.until, state) if self.until else None
+        needs = self.known.needs
+        if self.happenings:
+            stretches = self.happenings.stretches(state, self.plan["t_end"], self.counts)
+        else:
+            stretches = accepted(self.method, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows)
+            if self.known.m and not self.known.row_laws and (needs.phi_q_varies or needs.driven):
+                self.watch = Watch(self.known, state)
+        for stretch in stretches:
+            if isinstance(stretch, Change):
+                state = self._change(stretch)
+                if stretch.stops:
+                    return "stopped", stretch.stops
+                continue
+            sound, failure = self.watch.look(stretch) if self.watch else (len(stretch), None)
             self.counts.steps -= len(stretch) - sound
             whole, done, quiet = stretch.part(0, sound), 0, 0  # quiet: states in front that need not be looked at one by one
             if self.progress is None:
@@ -109,7 +127,7 @@ class Run:
                 done += len(part)
                 at_zero = until.crossing(state, after) if until and done > quiet else None
                 if done <= quiet:
-                    self.recorder.take(begin, done)
+                    self.recorder.record(begin, done)
                 else:
                     self.recorder.step(after if at_zero is None else at_zero)
                 if at_zero is not None:
@@ -118,6 +136,8 @@ class Run:
                     self.sampler.keep(at_zero)
                     return "stopped", f"until changed its sign at t = {at_zero.t:.9g} s"
                 self.sampler.step(state, part)
+                if "impacts" in after.memory:
+                    self._record_impacts(after)
                 self.last = state = after
                 if state.restart:
                     self.restart = Restart(state, self.store.count, vars(self.counts).copy())
@@ -132,6 +152,21 @@ class Run:
                 raise failure
         return "done", unseen(self.known, self.method.fixed_step())
 
+    def _change(self, change):
+        """Store both sides of events. Returns the state behind them."""
+        table, times = self.happenings.happened.happened, self.plan["output"]
+        if times is None and change.before:
+            self.sampler.keep(change.before)
+        table[-len(change.happened) :] = [replace(one, frame=self.store.count) for one in change.happened]
+        if times is None:
+            self.sampler.keep(change.after)
+        self.recorder.model, self.last = self.happenings.mode, change.after
+        self.recorder.step(change.after)
+        self.restart = Restart(change.after, self.store.count, vars(self.counts).copy())
+        if self.store.file and self._due():
+            self._flush()
+        return change.after
+
     def _due(self):
         """True if a flush is due: as the plan says, or up to half as many steps later if a block of frames is complete by then."""
         steps, wait = self.counts.steps - self.flushed_steps, self.store.file.rows * self.plan["every"]
@@ -144,8 +179,19 @@ class Run:
 
     def _commit(self, status, message, restart, last=False):
         rows = behind_blocks(self.store.file, self.recorder.rows)
-        commit(self.store, status, message, self.counts, self._seconds(), restart, rows, last)
+        commit(self.store, status, message, self.counts, self._seconds(), restart, rows, last, self.events)
         self.flushed, self.recorded = restart, self.recorder.count
+
+    def _record_impacts(self, state):
+        """Add the impacts of a step of time stepping to the events; several of one part are one."""
+        past = self.events.happened
+        base = past[-1] if past else Happened(state.t, "", 0.0, 0.0, 0, absent=tuple(self.events.first))
+        of_parts = {}
+        for number, impulse, lost in state.memory["impacts"]:
+            of_parts.setdefault(self.known.row_laws[int(number)].name, []).append((impulse, lost))
+        for name, values in of_parts.items():
+            impulse, lost = float(max(value[0] for value in values)), float(sum(value[1] for value in values))
+            past.append(replace(base, t=state.t, name=name, impulse=impulse, energy_lost=lost, frame=self.store.count - 1, impulses={}))
 
     def _seconds(self):
         """(CPU, wall) seconds since the start."""
@@ -161,7 +207,7 @@ class Run:
     def _end(self, status, message):
         """The Trajectory, and the file closed."""
         try:
-            if status != "stopped":
+            if status != "stopped" and not self.happenings:
                 self._settle()
             if self.plan["output"] is None:
                 self.sampler.keep(self.last)
@@ -181,11 +227,11 @@ class Run:
         with suppress(Exception, KeyboardInterrupt):
             state = State(s.t, s.q, s.v, s.a, s.lam, s.memory | {"pause": end})
             steps = States(accepted(self.method, self.known, state, self.plan["t_end"], counts), counts)
-            found = next(islice(steps, end - counts.steps - 1, None))
+            repeated = next(islice(steps, end - counts.steps - 1, None))
             # the same up to the round-off of steps that begin at another place of the grid
-            same = abs(found.t - last.t) <= 1e-9 * (last.t - s.t) and np.abs(found.q - last.q).max() <= 1e-6 * np.abs(last.q).max()
-            if found.restart and same:
-                state = State(last.t, last.q, last.v, last.a, last.lam, found.memory)
+            same = abs(repeated.t - last.t) <= 1e-9 * (last.t - s.t) and np.abs(repeated.q - last.q).max() <= 1e-6 * np.abs(last.q).max()
+            if repeated.restart and same:
+                state = State(last.t, last.q, last.v, last.a, last.lam, repeated.memory)
                 self.restart = Restart(state, self.store.count, vars(counts).copy())
 
     def _cut_off(self, error, detail):
@@ -220,6 +266,7 @@ class Run:
             restart=restart,
             plan=self.plan,
             sensors=Sensors(self.recorder.shapes, self.recorder.rows[: self.recorded].copy()),
+            events=self.events,
         )
 
 

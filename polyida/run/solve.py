@@ -5,30 +5,34 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from polyida.assembly.motion import hint_of_left_out
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
-from polyida.integrate.start import consistent_state, require_state, restarted, vector_of
+from polyida.event import Event
+from polyida.integrate.start import consistent_state, require_state, restarted, vector_of, velocities_of
 from polyida.integrate.state import Counts, HasSteps, State, declared
-from polyida.io.layout import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import Compiled, guard, unguarded
+from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
+from polyida.run.accepted import Recorder, require_sensors
+from polyida.run.events import Happenings, prepared
+from polyida.run.modes import Modes
 from polyida.run.run import Run
-from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
 from polyida.system.python import small_own
-from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -47,13 +51,15 @@ def solve(
     *,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
+    x0: ArrayLike | None = None,
     t0: float = 0.0,
     state: State | None = None,
     every: int = 1,
     output: ArrayLike | None = None,
-    until: Callable[[float, NDArray, NDArray], float] | None = None,
+    until: Callable[..., float] | None = None,
+    events: Sequence[Event] | Event = (),
     progress: Callable[[float], object] | bool | None = None,
-    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | None = None,
+    sensors: dict[str, Callable[..., ArrayLike] | Sensor] | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
     flush_every: int = 100,
@@ -74,20 +80,27 @@ def solve(
     q0, v0 : (n,) float, optional
         Initial coordinates and velocities. By default q0 is zero and v0 that of the bodies' velocity and spin. They are projected onto the
         constraints; see `consistent_state`.
+    x0 : (k,) float, optional
+        First-order states at the start. By default those of the force elements or of the model.
     t0 : float, s
         The start of the run.
     state : State, optional
-        Start from this state, for example `run.state`, instead of q0, v0 and t0.
+        Start from this state, for example `run.state`, instead of q0, v0, x0 and t0.
     every : int
         Every how many accepted steps a frame is stored; the first and the last state always are.
     output : (k,) float, s, optional
         Increasing times. The frames are then exactly those, interpolated within the accepted steps: q cubic from q and v, v its derivative,
         a and lam linear.
-    until : function f(t, q, v) -> float, optional
-        The run stops, with status "stopped", where f changes sign. That time is located on the same interpolation and is the last frame.
+    until : function f(t, q, v) or f(t, q, v, x) -> float, optional
+        The run stops, with status "stopped", where f changes sign; x (k,) are the first-order states. That time is located on the same
+        interpolation and is the last frame.
+    events : list of Event, optional
+        They change the model or the velocities where a function of the state changes its sign; `run.events` has those that happened. Both
+        sides of an event are frames of the same time, unless `output` is given. lam has a column for each row of phi that ever acts, 0
+        where it does not; `run.mode` is the model at the end.
     progress : function f(t), or True, optional
         Called at every accepted step; True shows a bar of tqdm (extra `notebook`).
-    sensors : dict, {name: f(t, q, v) or one of `pi.sensor`}, optional
+    sensors : dict, {name: f(t, q, v), f(t, q, v, x) or one of `pi.sensor`}, optional
         Each returns a number or an array of one shape. They are called at the start and at every accepted step; `run.sensors[name]` has the
         values at the times `run.sensors.t`. They are in files too.
     out : path, optional
@@ -120,18 +133,29 @@ def solve(
     Exception
         What a user's function raises; its attribute `trajectory` is the run so far.
     """
-    known = guard(model)
+    happenings = None
+    laws = isinstance(model, Model) and guard(model).row_laws
+    if events:
+        model, events = prepared("solve", model, events)
+        if not declared(integrator).takes_laws:
+            require_no_laws(
+                "solve", guard(model), "events= beside contact or friction need polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
+            )
+        happenings = Happenings(model, events, declared(integrator))
+    elif laws and not declared(integrator).takes_laws:
+        happenings = Modes(model, declared(integrator))
+    known = happenings.mode if happenings else guard(model)
     if state is None and not is_number(t0):
         raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
     if state is not None:
-        if q0 is not None or v0 is not None:
-            raise InputError("solve: give either a state or q0 and v0; the state holds both")
+        if any(value is not None for value in (q0, v0, x0)):
+            raise InputError("solve: give either a state or q0, v0 and x0; the state holds all of them")
         state = require_state("solve", known, state)
     if progress is not None:
         require_progress("solve", progress)
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
-    method = require_run(model, t_end, begin, integrator)
+    method = require_run(known, t_end, begin, integrator)
     for name, value in (("every", every), ("flush_every", flush_every)):
         if not is_whole(value):
             raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
@@ -164,27 +188,29 @@ def solve(
     frames = len(times) if times is not None else int((t_end - begin) / (h * every)) + 1 if h else 0  # 0 if unknown
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        q, v = (vector_of("q0", q0, known), vector_of("v0", v0, known)) if state is None else (state.q, state.v)
-        if small_own(known) and unguarded(known).by_numba:
+        q, v = (vector_of("q0", q0, known), velocities_of(v0, x0, known)) if state is None else (state.q, state.v)
+        if not known.is_scene and small_own(known) and unguarded(known).by_numba:
             Compiled(known)  # raises InputError for a function that numba cannot compile
-        if known.own_forces or not known.compiled:  # a scene of polyida's own parts needs no check
-            require_declared(known, float(begin), q, v, float(t_end), method.nonholonomic)
+        if not known.compiled or known.own_forces:  # a scene of polyida's own parts needs no check
+            require_declared(known, float(begin), q, v, float(t_end))
         if state is None:
-            state = consistent_state(known, t0, q0, v0)
+            state = consistent_state(known, t0, q0, v0, x0)
         elif not state.restart:
             state = restarted(known, state)
         method.require_reach(known, state, t_end)
-        recorder, file = Recorder(known, sensors or {}), None
+        recorder, file, m = Recorder(known, sensors or {}), None, known.m
+        if happenings:
+            state, m = happenings.start(state), happenings.width
         recorder.step(state)
         if path is not None:
-            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), single, recorder.shapes)
-        store = FrameStore(model.n, model.m, memory_limit, file, single, frames)
-        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
+            file = create(path, model, integrator, known.n, m, plan, machine_info(), single, recorder.shapes)
+        store = FrameStore(known.n, m, memory_limit, file, single, frames)
+        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress, happenings)
         run.begin(state, overwrite)
-        found = run.go(state)
-    if model.few and (hint := hint_of_left_out(model, found.t, found.q, found.a)):
+        result = run.go(state)
+    if model.few and (hint := hint_of_left_out(model, result.t, result.q, result.a)):
         warnings.warn(f"solve: {hint}", ReductionWarning, stacklevel=3)
-    return found
+    return result
 
 
 def require_run(model, t_end, begin, integrator):
@@ -194,6 +220,14 @@ def require_run(model, t_end, begin, integrator):
     """
     method = declared(integrator)
     method.require(model)
+    if guard(model).row_laws and not (method.takes_laws or method.trusted):
+        names = ", ".join(dict.fromkeys(law.name for law in guard(model).row_laws))
+        raise InputError(
+            f"solve: {method.class_name()} knows no laws of contact and friction, those of {names}; use polyida.NonsmoothAlpha(h=...), or "
+            "an integrator of polyida"
+        )
+    if guard(model).velocity_rows.size and not (method.trusted or method.velocity_rows):
+        raise InputError(f"solve: {method.class_name()} knows no velocity rows; one that does has the attribute velocity_rows = True")
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
     h, apart = method.fixed_step(), math.ulp(max(abs(begin), abs(t_end)))

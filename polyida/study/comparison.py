@@ -42,6 +42,8 @@ class Comparison(Result):
         "error_max": ("error, largest", "{:.2e}"),
         "error_end": ("error, at the end", "{:.2e}"),
         "published_error": ("from published", "{:.2e}"),
+        "states_max": ("error of states, largest", "{:.2e}"),
+        "states_end": ("error of states, at the end", "{:.2e}"),
         "cpu_s": ("CPU s", "{:.2f}"),
         "steps": ("steps", "{}"),
         "newton_iterations": ("iterations", "{}"),
@@ -184,8 +186,8 @@ def prepare(ivp, integrators, progress=lambda label, fraction: None):
         raise InputError(f"compare: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
     for label in integrators:
         if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label == REFERENCE or len(label) > MAX_LABEL:
-            wanted = f"must be the name of a file, no longer than {MAX_LABEL} characters, and not {REFERENCE!r}"
-            raise InputError(f"compare: label {label!r} {wanted}")
+            expected = f"must be the name of a file, no longer than {MAX_LABEL} characters, and not {REFERENCE!r}"
+            raise InputError(f"compare: label {label!r} {expected}")
     for integrator in integrators.values():
         require_run(ivp.model, ivp.t_end, 0.0, integrator)
     progress("preparing kernels", None)
@@ -208,12 +210,16 @@ def measure(ivp, runs, progress=lambda label, fraction: None):
     rtol = min(filter(is_number, (getattr(run.integrator, "rtol", None) for run in runs.values())), default=None)
     reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
     distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
+    model = guard(ivp.model)
     rows, published = [], ivp.published.get("q") if ivp.point is None else None
     for label, run in runs.items():
         distance = distances[label][1]
         row = {"run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
         row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
         row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
+        if model.k:
+            off = reference.distance_of_states(run)
+            row |= {"states_max": float(np.nanmax(off, initial=0.0)) if np.isfinite(off).any() else math.nan, "states_end": float(off[-1])}
         row |= run.counts.as_dict()
         row |= {"drift_max": float(np.max(run.drift, initial=0.0)), "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0))}
         row |= {"energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1])}
@@ -230,9 +236,10 @@ def measure(ivp, runs, progress=lambda label, fraction: None):
 
 
 def watched_quantity(ivp):
-    """Function q (n,) -> what is compared: the position (2,), m, of the problem's point, or q itself."""
+    """Function q (n,) -> what is compared: the position (2,), m, of the problem's point, or q with zeros for states."""
     if ivp.point is None:
-        return np.array
+        model = guard(ivp.model)
+        return lambda q: np.array(model.without_states(q))
     rest = ivp.model.attachment(ivp.point).point
     return lambda q: rest + ivp.model.displacement(ivp.point, q)
 
@@ -247,11 +254,12 @@ def _size(difference):
 
 @dataclass
 class ReferenceRun:
-    """The reference run: only the compared quantity at the requested times. message: of a failure, or empty."""
+    """The reference run: only the compared quantity, and the states x, at the requested times. message: of a failure, or empty."""
 
     integrator: object
     t: np.ndarray
     watched: np.ndarray
+    x: np.ndarray
     function: object
     counts: Counts
     cpu_seconds: float
@@ -259,9 +267,15 @@ class ReferenceRun:
 
     def distance(self, run):
         """Distance of a run from this one at the run's times; NaN after the end of this one."""
+        return self._compared(run, lambda known: np.array([self.function(q) for q in run.q[known]]), self.watched, _size)
+
+    def distance_of_states(self, run):
+        """Largest distance of the states x in the same way."""
+        return self._compared(run, lambda known: run.x[known], self.x, lambda x: np.abs(x).max(axis=-1))
+
+    def _compared(self, run, values, own, size):
         distance, known = np.full(len(run.t), np.nan), run.t <= self.t[-1]
-        values = np.array([self.function(q) for q in run.q[known]])
-        distance[known] = _size(values - self.watched[np.searchsorted(self.t, run.t[known])])
+        distance[known] = size(values(known) - own[np.searchsorted(self.t, run.t[known])])
         return distance
 
 
@@ -272,17 +286,27 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
 
     integrator = RadauIIA(rtol=MAX_RTOL if rtol is None else max(MIN_RTOL, min(MAX_RTOL, rtol / RTOL_RATIO)))
     counts, function, begin, message = Counts(), watched_quantity(ivp), time.process_time(), ""
+    model = guard(ivp.model)
+    if model.row_laws:  # by events
+        with ivp.user_errors():
+            run = ivp.run(integrator, output=times)
+        watched, message = np.array([function(q) for q in run.q]), "" if run.success else run.message
+        return ReferenceRun(integrator, run.t, watched, run.x, function, run.counts, run.cpu_seconds, message)
     with ivp.user_errors(), one_blas_thread():
-        before = consistent_state(ivp.model, 0.0, ivp.q0, ivp.v0)
-        watched = [function(before.q)]
+        before = consistent_state(model, 0.0, ivp.q0, ivp.v0)
+        watched, x = [function(before.q)], [before.x]
         try:
-            for state in States(accepted(integrator, guard(ivp.model), before, ivp.t_end, counts), counts):
+            for state in States(accepted(integrator, model, before, ivp.t_end, counts), counts):
                 while len(watched) < len(times) and times[len(watched)] <= state.t:
-                    watched.append(function(between(before, state, times[len(watched)]).q))
+                    seen = between(before, state, times[len(watched)])
+                    watched.append(function(seen.q))
+                    x.append(model.states_of(seen.v))
                 before = state
                 progress(REFERENCE, state.t / ivp.t_end)
         except StepFailure as failure:
             message = str(failure)
         except (Exception, SystemExit) as error:  # noqa: BLE001 of a user's function
             message = f"{type(error).__name__}: {error}"
-    return ReferenceRun(integrator, times[: len(watched)], np.array(watched), function, counts, time.process_time() - begin, message)
+    return ReferenceRun(
+        integrator, times[: len(watched)], np.array(watched), np.array(x), function, counts, time.process_time() - begin, message
+    )

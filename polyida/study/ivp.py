@@ -12,14 +12,22 @@ from polyida.errors import InputError
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import declared
 from polyida.model import Model
+from polyida.model.guarded import guard
 from polyida.run.solve import require_run, solve
 from polyida.study.user_files import load_object, user_errors
 from polyida.validation import floats, is_number
 
-PARTS = ("q", "v", "lam")
+PARTS = ("q", "v", "lam")  # of models without first-order states
 WARM_UP = 2e-4  # of t_end: duration of the warm-up run of an integrator that chooses its steps
 MAX_LENGTH = 60  # characters of the text of an integrator's settings
 FILE_OPTIONS = {"time": "t_end", "step": "step", "q0": "q0", "v0": "v0", "point": "point"}  # that a function of a scene file may return
+
+
+def values_of(model, q, v, lam):
+    """{part: value} of a guarded model at one time: q, v and lam; and if it has states x, these, with zeros for them in q and v."""
+    if not model.k:
+        return {"q": q, "v": v, "lam": lam}
+    return {"q": model.without_states(q), "v": model.without_states(v), "lam": lam, "x": model.states_of(v)}
 
 
 @dataclass(frozen=True)
@@ -44,6 +52,11 @@ class InitialValueProblem:
     def user_errors(self) -> AbstractContextManager:
         """Context that names the line of the user's file from which an exception comes."""
         return user_errors(self.file)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts of a motion whose errors studies measure."""
+        return (*PARTS, "x") if self.model.k and guard(self.model).k else PARTS
 
     def run(self, integrator, t_end=None, **options):
         """The Trajectory of an integrator; it ends early if a user's function raises. Ctrl-C raises KeyboardInterrupt."""
@@ -99,8 +112,8 @@ def resolve_model(study, model):
         return model.name, model.model, model
     built = model.build() if isinstance(model, Scene) else model
     if not isinstance(built, Model):
-        wanted = "a Model, a Scene, a Problem or the name of one is needed"
-        raise InputError(f"{study}: the model is {type(model).__name__}; {wanted}")
+        expected = "a Model, a Scene, a Problem or the name of one is needed"
+        raise InputError(f"{study}: the model is {type(model).__name__}; {expected}")
     return f"a scene of {built.n} coordinates" if isinstance(model, Scene) or built.is_scene else type(model).__name__, built, None
 
 
@@ -133,8 +146,8 @@ def load(spec, time=None, step=None, **options):
         else:
             result, settings = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
             if not isinstance(result, Scene | Model) or not isinstance(settings, dict):
-                wanted = "a Scene, a Model, (one of them, options) or a Problem is needed"
-                raise InputError(f"{name}: its function returned {type(result).__name__}; {wanted}")
+                expected = "a Scene, a Model, (one of them, options) or a Problem is needed"
+                raise InputError(f"{name}: its function returned {type(result).__name__}; {expected}")
             if unknown := set(settings) - set(FILE_OPTIONS):
                 raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(FILE_OPTIONS)}")
             model = result.build() if isinstance(result, Scene) else result
@@ -162,8 +175,8 @@ def integrator_lists(study, ivp, integrators, several=True):
     for label, value in integrators.items():
         lists[label] = list(value) if isinstance(value, (list, tuple)) else [value]
         if not lists[label] or not several and len(lists[label]) != 1:
-            wanted = "one or more integrators" if several else "one integrator"
-            raise InputError(f"{study}: integrators[{label!r}] = {value!r} must be {wanted}")
+            expected = "one or more integrators" if several else "one integrator"
+            raise InputError(f"{study}: integrators[{label!r}] = {value!r} must be {expected}")
         for integrator in lists[label]:
             require_run(ivp.model, ivp.t_end, 0.0, integrator)
     return lists

@@ -16,7 +16,7 @@ from polyida.progress import teller
 from polyida.show.style import INK, literal, marker_style, on_axes
 from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
 from polyida.study.plotting import slope_line
-from polyida.study.references import make_reference, user_reference
+from polyida.study.references import end_of, make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
 from polyida.validation import is_one_of, is_whole, named_keywords
@@ -36,6 +36,7 @@ COLUMNS = {
     "error_q": ("error in q", "{:.1e}"),
     "error_v": ("error in v", "{:.1e}"),
     "error_lam": ("error in lam", "{:.1e}"),
+    "error_x": ("error in x", "{:.1e}"),  # of models with first-order states
     "cpu_s": ("CPU s", "{:.3g}"),
     "steps": ("steps", "{}"),
     "residuals": ("residuals", "{}"),
@@ -44,11 +45,11 @@ COLUMNS = {
 }
 
 
-def error_at_end(run, part, reference):
-    """Largest absolute error of a part at the end; NaN if the run failed, if there is no reference, or if the part is empty."""
-    if not run.success or not np.size(reference.get(part, ())):
-        return NAN
-    return float(np.abs(getattr(run, part)[-1] - reference[part]).max())
+def errors_at_end(run, parts, reference):
+    """{part: largest absolute error at the end}; NaN if the run failed, if there is no reference, or if the part is empty."""
+    end = end_of(run) if run.success else {}
+    known = [part for part in parts if part in end and np.size(reference.get(part, ()))]
+    return dict.fromkeys(parts, NAN) | {part: float(np.abs(end[part] - reference[part]).max()) for part in known}
 
 
 def unresolved_pulse_notes(reference):
@@ -70,7 +71,7 @@ def stagnation_notes(rows, runs, reference):
         coarser = [pair for pair in pairs if 0 < FINER * pair[0]["steps"] <= pairs[-1][0]["steps"]]
         for part in ("q", "v") if coarser and "q" in reference else ():
             (finest, finest_run), (row, run) = pairs[-1], coarser[-1]
-            change = float(np.abs(getattr(finest_run, part)[-1] - getattr(run, part)[-1]).max())
+            change = float(np.abs(end_of(finest_run)[part] - end_of(run)[part]).max())
             if finest[f"error_{part}"] > STAGNATION * max(change, reference["known_to"].get(part, 0.0)):
                 notes.append(
                     f"{label}: from {row['steps']} to {finest['steps']} steps {part} at the end changes by {change:.1e}, but differs by "
@@ -82,18 +83,19 @@ def stagnation_notes(rows, runs, reference):
 
 
 class Precision(Result):
-    """Runs with their errors in q, v and lam at the end.
+    """Runs with their errors in q, v, lam, and of a model with first-order states in x, at the end.
 
     Attributes
     ----------
     reference : dict
-        {"q", "v", "lam": values at t_end, "made_by": [methods], "known_to": {part: accuracy}}.
+        {"q", "v", "lam", "x": values at t_end, "made_by": [methods], "known_to": {part: accuracy}}.
     """
 
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
-        for part in PARTS:
+        self.parts = (*PARTS, *(["x"] if any("error_x" in row for row in rows) else []))
+        for part in self.parts:
             count = sum(row[f"error_{part}"] <= self._accuracy(part) for row in self.rows)
             if count and self.known_to[part] > 0:
                 self.notes.append(
@@ -107,7 +109,7 @@ class Precision(Result):
     def known_to(self) -> dict[str, float]:
         """{part: accuracy of the reference}. Errors below it cannot be resolved. NaN if it is unknown or the part is empty."""
         known = self.reference.get("known_to", {})
-        return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
+        return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in self.parts}
 
     @property
     def orders(self) -> dict[str, dict[str, float]]:
@@ -115,7 +117,7 @@ class Precision(Result):
 
         The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them and for error control.
         """
-        return {label: {part: self._order(label, part) for part in PARTS} for label in self.labels}
+        return {label: {part: self._order(label, part) for part in self.parts} for label in self.labels}
 
     @property
     def figures(self) -> dict[str, float]:
@@ -191,11 +193,12 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress):
             runs.append(run)
 
     def smallest_errors(reference):
-        errors = {part: [error_at_end(run, part, reference) for run in runs] for part in PARTS}
-        return {part: min((e for e in values if e > 0), default=0.0) for part, values in errors.items()}
+        errors = [errors_at_end(run, ivp.parts, reference) for run in runs]
+        return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 
     reference = reference or make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
-    rows = [row | {f"error_{part}": error_at_end(run, part, reference) for part in PARTS} for row, run in zip(rows, runs)]
+    errors = (errors_at_end(run, ivp.parts, reference) for run in runs)
+    rows = [row | {f"error_{part}": error for part, error in each.items()} for row, each in zip(rows, errors)]
     progress(total + 1, total + 1, "")
     notes = [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
     if "q" not in reference:
@@ -217,7 +220,7 @@ class WorkPrecision(Precision):
 
         Parameters
         ----------
-        part : {"q", "v", "lam"}
+        part : {"q", "v", "lam", "x"}
         axes : Axes, optional
             New pyplot axes if None.
         work : {"cpu_s", "steps", "residuals", "factorizations", "solves"}
@@ -232,7 +235,7 @@ class WorkPrecision(Precision):
         InputError
             For another part or work.
         """
-        for name, value, known in (("part", part, PARTS), ("work", work, tuple(WORK))):
+        for name, value, known in (("part", part, self.parts), ("work", work, tuple(WORK))):
             if not is_one_of(value, known):
                 raise InputError(f"plot: {name} = {value!r} must be one of {', '.join(known)}")
         with on_axes(axes) as axis:
@@ -242,8 +245,8 @@ class WorkPrecision(Precision):
             return self._finish(axis, part, "x", xlabel=f"error in {part} at the end", ylabel=WORK[work])
 
     def pictures(self) -> dict:
-        """CPU time against the errors in q, v and lam, and residuals against the error in q."""
-        pictures = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in PARTS}
+        """CPU time against the errors of all parts, and residuals against the error in q."""
+        pictures = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in self.parts}
         pictures["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
         return {
             name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
@@ -275,7 +278,7 @@ def work_precision(
         State at t = 0. Default: that of the problem, or zero.
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
-    reference : {"q", "v", "lam"}, Trajectory or State at t_end, optional
+    reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, optional
         Default: the published digits of the problem, or else Radau IIA, refined until a method of another family agrees with it to a tenth
         of the smallest error.
     repeats : int
@@ -286,7 +289,7 @@ def work_precision(
     Returns
     -------
     result : WorkPrecision
-        A row for each run. Errors are the largest absolute deviations, in the units of q, v and lam. A failed run is a row with its status
+        A row for each run. Errors are the largest absolute deviations, in the units of q, v, lam and x. A failed run is a row with its status
         and message.
 
     Raises
@@ -323,7 +326,7 @@ class StepSizes(Precision):
 
         Parameters
         ----------
-        part : {"q", "v", "lam"}
+        part : {"q", "v", "lam", "x"}
         axes : Axes, optional
             New pyplot axes if None.
 
@@ -337,8 +340,8 @@ class StepSizes(Precision):
         InputError
             For another part.
         """
-        if not is_one_of(part, PARTS):
-            raise InputError(f"plot: part = {part!r} must be one of {', '.join(PARTS)}")
+        if not is_one_of(part, self.parts):
+            raise InputError(f"plot: part = {part!r} must be one of {', '.join(self.parts)}")
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
                 self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (row["h"], error))
@@ -349,10 +352,10 @@ class StepSizes(Precision):
             return self._finish(axis, part, "y", xlabel="step h, s", ylabel=f"error in {part} at the end")
 
     def pictures(self) -> dict:
-        """The errors in q, v and lam against the step."""
+        """The errors of all parts against the step."""
         return {
             f"error-{part}": (f"Error in {part} at the end against the step.", lambda axes, part=part: self.plot(part, axes))
-            for part in PARTS
+            for part in self.parts
         }
 
 

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from polyida.assembly.own_forces import take_from
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -27,7 +28,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.model.guarded import guard
 from polyida.run.solve import solve
-from polyida.study.ivp import PARTS
+from polyida.study.ivp import PARTS, values_of
 from polyida.validation import is_number
 
 LEGS = 32  # parts of an explicit run; without projection between them, angle motors drift by 2e-10 rad in 1 s
@@ -63,51 +64,52 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
     """
     from scipy.integrate import solve_ivp
 
-    state, wanted, found = consistent_state(model, t0, q0, v0), np.atleast_1d(t_end if times is None else times), []
+    model, end_times, states = guard(model), np.atleast_1d(t_end if times is None else times), []
+    state = consistent_state(model, t0, q0, v0)
     n, y, t = model.n, np.concatenate([state.q, state.v]), t0
-    projections = np.linspace(t0, wanted[-1], legs + 1)[1:-1]
-    count = WorkLimit("DOP853", "evaluations", MAX_EVALUATIONS / (n + SMALL_MODEL) if limited else np.inf, wanted[-1], t0)
+    projections = np.linspace(t0, end_times[-1], legs + 1)[1:-1]
+    count = WorkLimit("DOP853", "evaluations", MAX_EVALUATIONS / (n + SMALL_MODEL) if limited else np.inf, end_times[-1], t0)
 
     def rate(t, y):
         count(t)
         return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
 
     with one_blas_thread():
-        for end in sorted({*model.kinks(t0, wanted[-1]), *projections, wanted[-1]}):
-            within = wanted[(wanted > t) & (wanted <= end) | (wanted == t0) & (t == t0)]
+        for end in sorted({*model.kinks(t0, end_times[-1]), *projections, end_times[-1]}):
+            within = end_times[(end_times > t) & (end_times <= end) | (end_times == t0) & (t == t0)]
             at, options = np.union1d(within, [end]), {"rtol": rtol, "atol": rtol * 1e-3, "first_step": min(1e-6, end - t)}
             run = solve_ivp(rate, (t, end), y, method="DOP853", t_eval=at, **options)
             if not run.success:
                 raise RuntimeError(f"DOP853: {run.message}")
             known = dict(zip(at, run.y.T))
-            found += [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in within]
+            states += [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in within]
             y, t = run.y[:, -1], end
             if end in projections:
                 state = restarted(model, SimpleNamespace(t=end, q=y[:n], v=y[n:]))
                 y = np.concatenate([state.q, state.v])
-    return found
+    return states
 
 
 def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False):
-    """{"q", "v", "lam"} at t_end by `explicit`."""
+    """{part: value} at t_end by `explicit`."""
     q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS, limited=limited)[0]
-    return {"q": q, "v": v, "lam": lam}
+    return values_of(guard(model), q, v, lam)
 
 
 def by_radau(model, t_end, rtol, q0=None, v0=None):
-    """{"q", "v", "lam"} at t_end by Radau IIA of order 5 with error control. Raises RuntimeError if the run fails."""
+    """{part: value} at t_end by Radau IIA of order 5 with error control. Raises RuntimeError if the run fails."""
     return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0)
 
 
 def extrapolated(model, t_end, method, h, q0=None, v0=None):
-    """{"q", "v", "lam"} at t_end by `(4 x(h/2) - x(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
+    """{part: value} at t_end by `(4 y(h/2) - y(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
     coarse, fine = (end_state(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
-    return {part: (4 * fine[part] - coarse[part]) / 3 for part in PARTS}
+    return {part: (4 * fine[part] - value) / 3 for part, value in coarse.items()}
 
 
 def end_state(model, t_end, integrator, q0=None, v0=None, progress=None):
-    """{"q", "v", "lam"} at t_end by an integrator. Raises RuntimeError if the run fails."""
-    return _end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
+    """{part: value} at t_end by an integrator. Raises RuntimeError if the run fails."""
+    return end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
 
 
 def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, every=1):
@@ -119,8 +121,9 @@ def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, every=1
     return run
 
 
-def _end_of(run):
-    return {"q": run.q[-1], "v": run.v[-1], "lam": run.lam[-1]}
+def end_of(run):
+    """{part: value} at the end of a run."""
+    return values_of(guard(run.model), run.q[-1], run.v[-1], run.lam[-1])
 
 
 def distance(one, other):
@@ -138,22 +141,27 @@ CUBIC = np.linalg.inv(np.vander(STAGES, increasing=True))
 
 def has_known_discontinuities(model):
     """True if all discontinuities of the forces are announced: all own force elements give gaps, or an own model does."""
-    return all(force.switches for force in model.own_forces.each) if model.is_scene else model.switching
+    return all(force.switches for force in model.own_forces) if model.is_scene else model.switching
 
 
 def missed_impulse(run):
-    """{"q", "v", "lam": possible error at the end from pulses between the stages}; all steps of the run must be frames."""
-    model, error = guard(run.model), {"q": 0.0, "v": 0.0, "lam": 0.0}
+    """{part: possible error at the end from pulses between the stages}; all steps of the run must be frames."""
+    model = guard(run.model)
+    error = dict.fromkeys(values_of(model, run.q[-1], run.v[-1], run.lam[-1]), 0.0)
     steps = [_StepForces(model, run, k) for k in range(len(run) - 1) if run.t[k + 1] > run.t[k]]
     sampled = [(step, *step.deviation(max(SAMPLES_PER_STEP, int(np.ceil(SAMPLES * step.h / (run.t[-1] - run.t[0])))))) for step in steps]
     largest_force = max((size for _, size, _ in sampled), default=0.0)
     fastest = max(np.abs(run.v).max(initial=0.0), 1e-300)
     for step, _, deviation in sampled:
         if deviation > DEVIATION * largest_force:
-            dv, mu = step.impulse()
+            change, mu = step.impulse()
+            values = values_of(model, change, change, mu)
+            dv = float(np.abs(values["v"]).max(initial=0.0))
             error["v"] += dv
             error["q"] += dv * max(step.h, run.t[-1] - step.t)
-            error["lam"] += max(mu / step.h, np.abs(run.lam[-1]).max(initial=0.0) * dv / fastest)
+            error["lam"] += max(float(np.abs(mu).max(initial=0.0)) / step.h, np.abs(run.lam[-1]).max(initial=0.0) * dv / fastest)
+            if model.k:
+                error["x"] += float(np.abs(values["x"]).max())
     return error
 
 
@@ -174,15 +182,14 @@ class _StepForces:
         return max(float(np.abs(x).max(initial=0.0)) for x in (values, coefficients)), float(deviation.max(initial=0.0))
 
     def impulse(self):
-        """(largest |dv|, largest |mu|) of the missed impulse."""
+        """(dv (n,), mu (m,)) of the missed impulse."""
         s = np.linspace(0.0, 1.0, IMPULSE_SAMPLES + 1)
         J = self.h * (np.trapezoid(self.forces(s), s, axis=0) - WEIGHTS @ self.forces(STAGES))
         q = self.ends[1, 0]
         try:
-            dv, mu = KKT(self.model.mass(q), self.model.phi_q(self.t + self.h, q), 1.0).solve(J, np.zeros(self.model.m))
+            return KKT(self.model.mass(q), self.model.phi_q(self.t + self.h, q), 1.0).solve(J, np.zeros(self.model.m))
         except SingularSystem:
-            return np.inf, np.inf
-        return float(np.abs(dv).max(initial=0.0)), float(np.abs(mu).max(initial=0.0))
+            return np.full(self.model.n, np.inf), np.full(self.model.m, np.inf)
 
     def forces(self, points):
         """g of the forces without announced discontinuities at s = points (k,), (k, n)."""
@@ -192,7 +199,7 @@ class _StepForces:
         forces, states = np.zeros((len(points), self.model.n)), (quintic(points * self.h), quintic.derivative()(points * self.h))
         for row, s, q, v in zip(forces, points.tolist(), *states):
             if self.model.is_scene:
-                self.model.own_forces.take_from(row, self.t + s * self.h, q, v)
+                take_from(row, self.model.own_forces, self.t + s * self.h, q, v)
             else:
                 row[:] = self.model.force(self.t + s * self.h, q, v)
         return forces
@@ -243,11 +250,11 @@ def _by_radau_at(ivp, level):
     if has_known_discontinuities(ivp.model):
         return name, by_radau(*motion, RADAU_RTOL[level], ivp.q0, ivp.v0), {}
     run = _full_run(*motion, RadauIIA(rtol=RADAU_RTOL[level]), ivp.q0, ivp.v0)
-    return name, _end_of(run), missed_impulse(run)
+    return name, end_of(run), missed_impulse(run)
 
 
 def make_reference(ivp, smallest_errors=lambda values: {}, progress=lambda text: None, others=OTHER_FAMILIES, first=0):
-    """The reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: accuracy}, "failed": [messages]}.
+    """The reference {"q", "v", "lam" and "x" of a model with states, "made_by": [two methods], "known_to": {part: accuracy}, "failed": [messages]}.
 
     "sampling", s, is the time between two samples of forces without announced discontinuities. smallest_errors(values): {part: smallest
     measured error above zero against these values}; the accuracy is to be a tenth of it, or 1e-12 relative. others: families beside Radau
@@ -281,9 +288,9 @@ def _refine(ivp, method, levels, radau, failed, smallest_errors, progress):
         radau_name, values, missed = radau[level]
         least = {part: max(ROUND_OFF * np.abs(values[part]).max(initial=0.0), far) for part, far in _remaining(ivp, level, radau).items()}
         known = {part: max(least[part], far) + missed.get(part, 0.0) for part, far in distance(values, other).items()}
-        wanted = _inaccurate(best, smallest_errors) if best else PARTS
-        improved = not best or any(known[part] < IMPROVEMENT * best["known_to"][part] for part in wanted)
-        if better := [part for part in PARTS if not best or known[part] < best["known_to"][part]]:
+        inaccurate = _inaccurate(best, smallest_errors) if best else known
+        improved = not best or any(known[part] < IMPROVEMENT * best["known_to"][part] for part in inaccurate)
+        if better := [part for part in known if not best or known[part] < best["known_to"][part]]:
             known_to = best.get("known_to", {}) | {part: known[part] for part in better}
             best = best | {part: values[part] for part in better} | {"made_by": [radau_name, name], "known_to": known_to}
         if not improved or not _inaccurate(best, smallest_errors):
@@ -297,13 +304,17 @@ def _remaining(ivp, level, radau):
         if level == 0 and LOOSE_LEVEL not in radau:
             radau[LOOSE_LEVEL] = ("", by_radau(ivp.model, ivp.t_end, LOOSE_RTOL, ivp.q0, ivp.v0), {})
     before = radau.get(level - 1)
-    return {part: REMAINING * far for part, far in distance(before[1], radau[level][1]).items()} if before else dict.fromkeys(PARTS, 0.0)
+    return (
+        {part: REMAINING * far for part, far in distance(before[1], radau[level][1]).items()}
+        if before
+        else dict.fromkeys(radau[level][1], 0.0)
+    )
 
 
 def _relative_distance(pair, other):
     """Accuracy of a pair relative to another one, of the worst part; parts at round-off count as equal."""
-    sizes = {part: SUFFICIENT * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in PARTS}
-    return max(max(pair["known_to"][part], sizes[part]) / max(other["known_to"][part], sizes[part]) for part in PARTS)
+    sizes = {part: SUFFICIENT * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in pair["known_to"]}
+    return max(max(pair["known_to"][part], sizes[part]) / max(other["known_to"][part], sizes[part]) for part in sizes)
 
 
 def _inaccurate(pair, smallest_errors, share=WANTED_ACCURACY):
@@ -317,28 +328,33 @@ def _inaccurate(pair, smallest_errors, share=WANTED_ACCURACY):
 
 
 def user_reference(study, ivp, reference):
-    """The reference of a user: {"q", "v", "lam"} at t_end with optional "made_by" and "known_to", or a run or state at t_end.
+    """The reference of a user: {"q", "v", "lam"} at t_end, of a model with states also "x", with optional "made_by" and "known_to", or a run or state at t_end.
 
     Raises InputError for another form, time or shape.
     """
     if not isinstance(reference, dict):
         state = getattr(reference, "state", reference)
         if not all(hasattr(state, part) for part in ("t", *PARTS)):
-            wanted = "must be a dictionary of q, v and lam, a run, a State, or None"
-            raise InputError(f"{study}: reference = {type(reference).__name__} {wanted}")
+            expected = "must be a dictionary of q, v and lam, a run, a State, or None"
+            raise InputError(f"{study}: reference = {type(reference).__name__} {expected}")
         if abs(state.t - ivp.t_end) > 1e-9 * ivp.t_end:
             raise InputError(f"{study}: the reference ends at t = {state.t:g} s, the study at t_end = {ivp.t_end:g} s")
         reference = {part: getattr(state, part) for part in PARTS} | {"made_by": [repr(getattr(reference, "integrator", "a state"))]}
-    result = dict(reference)
-    for part, size in zip(PARTS, (ivp.model.n, ivp.model.n, ivp.model.m)):
+    model, result = guard(ivp.model), dict(reference)
+    if model.k and "x" not in result and np.shape(result.get("v")) == (model.n,):
+        result |= {"x": model.states_of(np.asarray(result["v"], float))}
+    for part, size in zip(ivp.parts, (model.n, model.n, model.m, model.k)):
         value = np.asarray(result.get(part, np.nan), float)
-        if value.shape != (size,) or not np.isfinite(value).all():
-            raise InputError(f"{study}: reference[{part!r}] must be {size} finite numbers, at t = {ivp.t_end:g} s")
-        result[part] = value
+        own = size - len(model.state_start) * (part in "qv")  # a user may leave out what is behind the coordinates of the model
+        if value.shape not in ((size,), (own,)) or not np.isfinite(value).all():
+            raise InputError(f"{study}: reference[{part!r}] must be {own} finite numbers, at t = {ivp.t_end:g} s")
+        result[part] = np.append(value, np.zeros(size - len(value)))
+    if model.k:
+        result |= {part: model.without_states(result[part]) for part in ("q", "v")}
     made_by, known = result.get("made_by", "the user's values"), result.get("known_to", {})
     if not isinstance(known, dict):
         raise InputError(f"{study}: reference['known_to'] = {known!r} must be a dictionary {{'q': ..., 'v': ..., 'lam': ...}}")
     for part, value in known.items():
-        if part in PARTS and not (is_number(value) and value >= 0):
+        if part in ivp.parts and not (is_number(value) and value >= 0):
             raise InputError(f"{study}: reference['known_to'][{part!r}] = {value!r} must be a number of at least 0")
     return result | {"made_by": [made_by] if isinstance(made_by, str) else list(made_by), "known_to": dict(known), "failed": []}

@@ -276,7 +276,7 @@ class StudyResult(Result):
     def _column_formats(names, rows):
         """{name: (heading, format)} of the columns that have a value."""
         values = {name: [row[name] for row in rows if row.get(name) != "" and not html.is_missing(row.get(name))] for name in names}
-        return {name: (name, "{}" if all(isinstance(x, int) for x in found) else "{:.4g}") for name, found in values.items() if found}
+        return {name: (name, "{}" if all(isinstance(x, int) for x in column) else "{:.4g}") for name, column in values.items() if column}
 
     @property
     def figures(self) -> dict[str, float]:
@@ -301,7 +301,7 @@ class StudyResult(Result):
         for kind, rows in kinds.items():
             columns = self._column_formats(self.study.columns or self.columns, rows)
             values = {name: [row.get(name) for row in rows] for name in columns if name in kind}
-            shared = {name: found[0] for name, found in values.items() if 1 < len(rows) == found.count(found[0])}
+            shared = {name: entries[0] for name, entries in values.items() if 1 < len(rows) == entries.count(entries[0])}
             caption = ", ".join(f"{name}: {html.format_value(value)}" for name, value in shared.items())
             tables.append(html.Table({name: column for name, column in columns.items() if name not in shared}, rows, caption))
         return tables

@@ -6,8 +6,8 @@ prepared instants, and addresses of contiguous float64 arrays. It returns a stat
 | entry | arguments | action |
 |---|---|---|
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
-| HOLD | q, v, times | store the state at which a step begins; times: as of PREPARE |
-| CLOSE | q, dd, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
+| BEGIN | q, v, times | store the state at which a step begins; times: as of PREPARE |
+| CONSTRAINTS | q, dd, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; 0 if the caller of the driver computes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
 | RATE | q, v, rate, known | `phi_q v + phi_t`; known: True at the q of the last REACTION of this stage |
@@ -26,7 +26,7 @@ Further entries serve the s stages of Radau IIA. The instant of a step's beginni
 | ROWS | q, v, a, known | compute the rows of the middle stage; a is read if phi'' is a row; known: True if B is that of the last RESIDUAL |
 | TURN | r, back | rotate the residuals (s, n) into the frame of the middle stage, or corrections back; 0 without frames |
 | REAL, PAIR | r, rows, lam, dq, multipliers | the correction of a mode, radau/step.py; rows and multipliers (2, m), lam (m,) of the middle stage |
-| OFF | v, a, r, p, q, rows | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; rows: of ROWS, times v; p and rows may be 0 |
+| INERTIA | v, a, r, p, q, rows | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; rows (2, m): of ROWS, times v, or B v in place of a second block that is not there; p and rows may be 0 |
 | MATRICES | q, v, a, lam, slot | compute K, C and M of a state, stored under a number; 0 if the caller of the driver computes them |
 | SELECT | slot, c | use those of a number; c: of the real mode, real and imaginary part of the complex one, 0 without one |
 
@@ -53,8 +53,8 @@ INSTANTS = (
 )
 STEPS = 256  # most steps of Radau IIA that are prepared together
 # constants of compiled code
-RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
-PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)
+RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
+PREPARE, REACTION, ROWS, TURN, REAL, PAIR, INERTIA, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)
 ENTRIES = 22
 
 

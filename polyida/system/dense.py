@@ -14,7 +14,7 @@ from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -22,10 +22,10 @@ FUNCTIONS = (
     "mass", "force", "phi", "phi_q", "phi_t", "residual", "rejection_reason", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
     "potential",
 )  # fmt: skip
-MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD, ENDED = range(8)  # of Dense.flags
-# BENT: B varies with t or q; VARIES: with q; KEPT: the factors are those of the current S and B; HELD: B is that of the state;
-# ENDED: status of the calls since `take`
-FLAGS = 8
+MASS_VARIES, VELOCITY, DRIVEN, ROWS_VARY, ROWS_VARY_WITH_Q, FACTORED, ROWS_CURRENT, ENDED, OWN = range(9)  # of Dense.flags
+# ROWS_VARY: B varies with t or q; FACTORED: the factors are those of the current S and B; ROWS_CURRENT: B is that of the state;
+# ENDED: status of the calls since `set_state`; OWN: number of coordinates without those of states
+FLAGS = 9
 REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: the end of the step, or, at a kink, a time beside it inside the step; and the end itself
 
@@ -51,7 +51,7 @@ class Dense(NamedTuple):
     phi_bias: np.ndarray
     c: np.ndarray  # (2,) c_m and c_v
     S: np.ndarray  # (n, n)
-    made: np.ndarray  # t, q, v, a, lam of S
+    made_at: np.ndarray  # t, q, v, a, lam of S
     slope: np.ndarray  # (n, n)
     near: np.ndarray  # (4, n) values of differences
     lu: np.ndarray  # of S and B
@@ -76,8 +76,8 @@ def vector(at, size):
 
 
 @part
-def ask(w, function, time, out):
-    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `take`. Returns the status."""
+def evaluate(w, function, time, out):
+    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `set_state`. Returns the status."""
     if w.flags[ENDED] == DONE:
         t = address(w.t) + 8 * time
         w.flags[ENDED] = call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
@@ -85,7 +85,7 @@ def ask(w, function, time, out):
 
 
 @part
-def take(w, instant, q, v):
+def set_state(w, instant, q, v):
     """Set t, q and v of the functions' arguments."""
     w.flags[ENDED] = DONE
     w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
@@ -94,18 +94,18 @@ def take(w, instant, q, v):
 
 
 @part
-def take_forces(w, a, lam):
+def set_a_lam(w, a, lam):
     """Set a and lam of the functions' arguments."""
     dense.put(1.0, vector(a, w.a.shape[0]), w.a)
     dense.put(1.0, vector(lam, w.lam.shape[0]), w.lam)
 
 
 @part
-def take_rows(w):
+def evaluate_rows(w):
     """Evaluate B at the state if it varies."""
-    if w.lam.shape[0] and w.flags[BENT] and not w.flags[HELD]:
-        w.flags[KEPT] = 0
-        ask(w, PHI_Q, INNER, w.B)
+    if w.lam.shape[0] and w.flags[ROWS_VARY] and not w.flags[ROWS_CURRENT]:
+        w.flags[FACTORED] = 0
+        evaluate(w, PHI_Q, INNER, w.B)
     return w.flags[ENDED]
 
 
@@ -122,12 +122,12 @@ def finite(x):
 def equilibrium(w, r):
     """r = `M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
     if w.functions[WHOLE]:
-        ask(w, WHOLE, INNER, w.g)
+        evaluate(w, WHOLE, INNER, w.g)
         dense.put(1.0, w.g, r)
         return w.flags[ENDED]
     if w.flags[MASS_VARIES]:
-        ask(w, MASS, INNER, w.M)
-    ask(w, FORCE, INNER, w.g)
+        evaluate(w, MASS, INNER, w.M)
+    evaluate(w, FORCE, INNER, w.g)
     for i in range(r.shape[0]):
         total = w.g[i]
         for j in range(r.shape[0]):
@@ -141,30 +141,30 @@ def equilibrium(w, r):
 @entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r at the state inside the step, phi at its end."""
-    take(w, instant, q, v)
-    take_forces(w, a, lam)
+    set_state(w, instant, q, v)
+    set_a_lam(w, a, lam)
     out, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
     if rows.shape[0]:
-        ask(w, PHI, END, w.phi)
+        evaluate(w, PHI, END, w.phi)
         dense.put(1.0, w.phi, rows)
-        take_rows(w)
+        evaluate_rows(w)
     ended = equilibrium(w, out)
     return NOT_FINITE if ended == DONE and not (finite(out) and finite(rows)) else ended
 
 
 @entry
-def hold(w, instant, q, v, c, d, e, f):
+def begin(w, instant, q, v, c, d, e, f):
     """Do nothing: phi is computed from positions."""
     return DONE
 
 
 @entry
-def close(w, instant, q, dd, dv, phi, rate, f):
+def constraints(w, instant, q, dd, dv, phi, rate, f):
     """phi at the end; the rate is unchanged."""
     if not w.lam.shape[0]:
         return DONE
-    take(w, instant, q, address(w.v))
-    ended = ask(w, PHI, END, w.phi)
+    set_state(w, instant, q, address(w.v))
+    ended = evaluate(w, PHI, END, w.phi)
     dense.put(1.0, w.phi, vector(phi, w.lam.shape[0]))
     return ended
 
@@ -188,10 +188,10 @@ def bordered(A, w, matrix, size):
 def combined(w, function, out):
     """The value of a function: M a for "mass", B^T lam for "phi_q"."""
     if function == FORCE:
-        ended = ask(w, FORCE, INNER, w.g)
+        ended = evaluate(w, FORCE, INNER, w.g)
         dense.put(1.0, w.g, out)
         return ended
-    ended = ask(w, MASS, INNER, w.slope) if function == MASS else ask(w, PHI_Q, INNER, w.B)
+    ended = evaluate(w, MASS, INNER, w.slope) if function == MASS else evaluate(w, PHI_Q, INNER, w.B)
     for i in range(out.shape[0]):
         total = 0.0
         if function == MASS:
@@ -224,7 +224,7 @@ def add_slope(w, written, function, x, c):
     """S += c times a derivative that the model writes, or its difference."""
     if not w.functions[written]:
         return add_difference(w, function, x, c)
-    ended = ask(w, written, INNER, w.slope)
+    ended = evaluate(w, written, INNER, w.slope)
     for i in range(w.S.shape[0]):
         for j in range(w.S.shape[0]):
             w.S[i, j] += c * w.slope[i, j]
@@ -235,7 +235,7 @@ def add_slope(w, written, function, x, c):
 def add_slopes(w):
     """S as the sum of the model's terms at w.t, w.q, w.v, w.a, w.lam."""
     if w.flags[MASS_VARIES]:
-        ask(w, MASS, INNER, w.M)
+        evaluate(w, MASS, INNER, w.M)
     for i in range(w.S.shape[0]):
         dense.put(w.c[0], w.M[i], w.S[i])
     add_slope(w, FORCE_Q, FORCE, w.q, 1.0)
@@ -243,7 +243,7 @@ def add_slopes(w):
         add_slope(w, FORCE_V, FORCE, w.v, w.c[1])
     if w.flags[MASS_VARIES]:
         add_slope(w, MASS_A_Q, MASS, w.q, 1.0)
-    if w.flags[VARIES] and w.lam.shape[0]:
+    if w.flags[ROWS_VARY_WITH_Q] and w.lam.shape[0]:
         add_slope(w, REACTION_Q, PHI_Q, w.q, 1.0)
     return w.flags[ENDED]
 
@@ -252,16 +252,16 @@ def add_slopes(w):
 def factor(w, instant, q, v, a, lam, c, f):
     """S at a state; `solve` factors it with B."""
     n = w.q.shape[0]
-    take(w, instant, q, v)
-    take_forces(w, a, lam)
+    set_state(w, instant, q, v)
+    set_a_lam(w, a, lam)
     dense.put(1.0, vector(c, 2), w.c)
-    w.made[0] = w.t[INNER]
-    dense.put(1.0, w.q, w.made[1:])
-    dense.put(1.0, w.v, w.made[1 + n :])
-    dense.put(1.0, w.a, w.made[1 + 2 * n :])
-    dense.put(1.0, w.lam, w.made[1 + 3 * n :])
-    w.flags[KEPT] = 0
-    return ask(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
+    w.made_at[0] = w.t[INNER]
+    dense.put(1.0, w.q, w.made_at[1:])
+    dense.put(1.0, w.v, w.made_at[1 + n :])
+    dense.put(1.0, w.a, w.made_at[1 + 2 * n :])
+    dense.put(1.0, w.lam, w.made_at[1 + 3 * n :])
+    w.flags[FACTORED] = 0
+    return evaluate(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
 
 
 @part
@@ -298,11 +298,11 @@ def solve_masses(w):
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
     n, m, size = w.q.shape[0], w.lam.shape[0], typical(w.S)
-    if not w.flags[KEPT]:
+    if not w.flags[FACTORED]:
         bordered(w.lu, w, w.S, size)
         if not dense.factor(w.lu, w.pivots):
             return SINGULAR
-        w.flags[KEPT] = 1
+        w.flags[FACTORED] = 1
     dense.put(-1.0, vector(r, n), w.x)
     dense.put(-1.0, vector(phi, m), w.x[n:])
     solve_bordered(w, w.lu, w.pivots, size)
@@ -315,10 +315,10 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
 def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
     rows = vector(out, w.lam.shape[0])
-    take(w, instant, q, v)
-    take_rows(w)
+    set_state(w, instant, q, v)
+    evaluate_rows(w)
     if w.flags[DRIVEN]:
-        ask(w, PHI_T, INNER, w.phi_t)
+        evaluate(w, PHI_T, INNER, w.phi_t)
     for k in range(rows.shape[0]):
         total = w.phi_t[k]
         for i in range(w.q.shape[0]):
@@ -331,7 +331,7 @@ def rate(w, instant, q, v, out, d, e, f):
 def project(w, instant, rows, x, from_zero, d, e, f):
     """Change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    if w.flags[MASS_VARIES] and ask(w, MASS, INNER, w.M) != DONE:
+    if w.flags[MASS_VARIES] and evaluate(w, MASS, INNER, w.M) != DONE:
         return w.flags[ENDED]
     right, moved = vector(rows, m), vector(x, n)
     for k in range(m):
@@ -354,8 +354,8 @@ def accept(w, instant, q, b, c, d, e, f):
     """Ask the model whether it accepts the state."""
     if not w.functions[ACCEPTED]:
         return DONE
-    take(w, instant, q, address(w.v))
-    return ask(w, ACCEPTED, END, w.x)
+    set_state(w, instant, q, address(w.v))
+    return evaluate(w, ACCEPTED, END, w.x)
 
 
 @part
@@ -372,10 +372,10 @@ def bias(w):
     """w.phi_bias at w.t, w.q, w.v: the model's, or, without drives, differences of fourth order of `phi_q v` along v. Changes w.B."""
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.functions[PHI_BIAS]:
-        return ask(w, PHI_BIAS, INNER, w.phi_bias)
+        return evaluate(w, PHI_BIAS, INNER, w.phi_bias)
     for k in range(m):
         w.phi_bias[k] = 0.0
-    if not w.flags[BENT]:
+    if not w.flags[ROWS_VARY]:
         return DONE
     at, step = w.near[0], REACH * reach(w)
     dense.put(1.0, w.q, at)
@@ -383,7 +383,7 @@ def bias(w):
         s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
         for i in range(n):
             w.q[i] = at[i] + s * w.v[i]
-        ask(w, PHI_Q, INNER, w.B)
+        evaluate(w, PHI_Q, INNER, w.B)
         for k in range(m):
             for i in range(n):
                 w.phi_bias[k] += weight * w.B[k, i] * w.v[i]
@@ -395,13 +395,13 @@ def bias(w):
 def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    take(w, instant, q, v)
+    set_state(w, instant, q, v)
     if w.flags[MASS_VARIES]:
-        ask(w, MASS, INNER, w.M)
-    ask(w, FORCE, INNER, w.g)
+        evaluate(w, MASS, INNER, w.M)
+    evaluate(w, FORCE, INNER, w.g)
     if m:
         bias(w)
-    if take_rows(w) != DONE:
+    if evaluate_rows(w) != DONE:
         return w.flags[ENDED]
     dense.put(-1.0, w.g, w.x)
     dense.put(-1.0, w.phi_bias, w.x[n:])
@@ -418,18 +418,18 @@ def values(d, t, q, v, a, lam, r, phi, rates, biases):
     ended = DONE
     for k in range(t.shape[0]):
         d.times[0, INNER] = d.times[0, END] = t[k]
-        given = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
+        state = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
         if r.shape[0]:
-            ended = residual(d, 0, given[0], given[1], given[2], given[3], address(r[k]), address(d.phi))
+            ended = residual(d, 0, state[0], state[1], state[2], state[3], address(r[k]), address(d.phi))
         elif phi.shape[0]:
-            take(d, 0, given[0], given[1])
-            ended = ask(d, PHI, END, d.phi)
+            set_state(d, 0, state[0], state[1])
+            ended = evaluate(d, PHI, END, d.phi)
         if phi.shape[0]:
             phi[k] = d.phi
         if ended == DONE and rates.shape[0]:
-            ended = rate(d, 0, given[0], given[1], address(rates[k]), 0, 0, 0)
+            ended = rate(d, 0, state[0], state[1], address(rates[k]), 0, 0, 0)
         if ended == DONE and biases.shape[0]:
-            take(d, 0, given[0], given[1])
+            set_state(d, 0, state[0], state[1])
             ended = bias(d)
             biases[k] = d.phi_bias
         if ended != DONE:
@@ -446,5 +446,7 @@ def example():
 @cache
 def addresses():
     """{number: address} of the entries, for all Dense."""
-    entries = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+    entries = {
+        RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept,
+    }  # fmt: skip
     return {number: c_address(function, typeof(example())) for number, function in entries.items()}

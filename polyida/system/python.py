@@ -12,7 +12,7 @@ from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
-from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 from polyida.system import dense as small
 
 SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
@@ -41,7 +41,7 @@ class PythonTable:
             self.functions[number] = self._address(function)
 
     def _entries(self):
-        entries = {RESIDUAL: self._residual, HOLD: self._hold, CLOSE: self._close, SOLVE: self._solve}
+        entries = {RESIDUAL: self._residual, BEGIN: self._begin, CONSTRAINTS: self._constraints, SOLVE: self._solve}
         return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
     def _address(self, function, kind=CALLBACK):
@@ -50,14 +50,14 @@ class PythonTable:
         def called(*arguments):
             try:
                 return function(*arguments[1:]) or DONE
-            except BaseException as error:  # noqa: BLE001 raise_left raises it
+            except BaseException as error:  # noqa: BLE001 raise_error raises it
                 self.raised = error
                 return RAISED
 
         self.callbacks.append(kind(called))
         return ctypes.cast(self.callbacks[-1], ctypes.c_void_p).value
 
-    def raise_left(self):
+    def raise_error(self):
         """Raise the exception that a callback stored."""
         error, self.raised = self.raised, None
         if error is not None:
@@ -108,7 +108,7 @@ class PythonTable:
     def _at(self, instant):
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
 
-    def _hold(self, instant, q, v, *_):
+    def _begin(self, instant, q, v, *_):
         self.increments, model = None, self.model
         if self.incremental:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
@@ -129,7 +129,7 @@ class PythonTable:
         out[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
         return DONE if np.isfinite(out).all() and np.isfinite(rows).all() else NOT_FINITE
 
-    def _close(self, instant, q, dd, dv, phi, rate, _):
+    def _constraints(self, instant, q, dd, dv, phi, rate, _):
         model = self.model
         rows, rates = self._array(phi, model.m), self._array(rate, model.m)
         if self.increments is None:
@@ -169,11 +169,11 @@ class DenseTable(PythonTable):
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE
+        flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE, model.n - model.k
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._address(function, ALONE) if function else 0
-        self.workspace, self.factored, self.made = w.address, None, False
+        self.workspace, self.factored, self.has_constants = w.address, None, False
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: Python function that reads its arguments from w and writes its result to w, or None}."""
@@ -185,7 +185,7 @@ class DenseTable(PythonTable):
             return array
 
         def fill(out, function, t, *vectors):
-            function, (first, *others) = getattr(function, "given", function), [x.copy for x in vectors]
+            function, (first, *others) = getattr(function, "direct", function), [x.copy for x in vectors]
 
             def called():
                 q = first()
@@ -224,27 +224,27 @@ class DenseTable(PythonTable):
         for number, at in () if self.functions[RESIDUAL] else small.addresses().items():
             self.functions[number] = at
         if system is not self.factored:
-            self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
+            self.factored, self.w.S[...], self.w.flags[small.FACTORED] = system, system.S, 0
         with self.timed():
             yield self.functions, self.workspace
 
     def make(self, t, q, v, a, lam, c_m, c_v):
         """Compute S at a state in the workspace."""
         w, self.w.times[0] = self.w, t
-        self.hold_constant(t, q)
+        self.evaluate_constants(t, q)
         arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
         ended = small.factor(w, 0, *(x.ctypes.data for x in arrays), 0)
-        self.raise_left()
+        self.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)
 
-    def hold_constant(self, t, q):
+    def evaluate_constants(self, t, q):
         """Compute M and B once if they are constant."""
-        if not self.made:
-            self.made = True
+        if not self.has_constants:
+            self.has_constants = True
             if not self.w.flags[small.MASS_VARIES]:
                 self.w.M[...] = dense(self.model.mass(q))
-            if self.model.m and not self.w.flags[small.BENT]:
+            if self.model.m and not self.w.flags[small.ROWS_VARY]:
                 self.w.B[...] = dense(self.model.phi_q(t, q))
 
 
@@ -264,7 +264,7 @@ class DenseMatrix(StepMatrix):
     def read(self):
         """Copy the last S of the table."""
         w = self.table.w
-        self.S, self.made_at, self.table.factored = w.S.copy(), w.made.copy(), self
+        self.S, self.made_at, self.table.factored = w.S.copy(), w.made_at.copy(), self
 
 
 class CompiledTable(DenseTable):
@@ -290,15 +290,6 @@ def small_own(model):
     own = unguarded(model)
     written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
     return not (written or model.is_scene or model.n + model.m > MOST)
-
-
-def table_of(model, linear, tied, incremental):
-    """The table of a model. linear: of the integrator; tied: True if RATE and PROJECT are needed; incremental: True for phi by increments."""
-    if model.compiled and linear != "kkt":
-        from polyida.system.scene import SceneTable
-
-        return SceneTable(model, tied, incremental)
-    return (None if linear == "kkt" else small_table(model, incremental)) or PythonTable(model, incremental)
 
 
 def small_table(model, incremental=False):

@@ -1,6 +1,6 @@
 """The table of a scene: its compiled kernels as C functions."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cache
 from typing import NamedTuple
 
@@ -12,23 +12,24 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
 from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.increments import drive_table, gain_table
-from polyida.assembly.own_laws import Laws, add_own_forces
+from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces
 from polyida.assembly.projection import ConstraintProjection, constraint_projection, velocity_rate
 from polyida.assembly.projection import project as project_rows
+from polyida.assembly.relaxation import add_relaxation, eliminate, recover
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
-from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
 DZ, FORCES, START, VX, DX, DV = range(
     6
 )  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
-H, TO_A, COSINE, INCREMENTAL = range(4)  # of SceneWork.numbers
+H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
 
 
 @pack
@@ -55,7 +56,7 @@ class SceneWork(NamedTuple):
     gains: np.ndarray  # (instants, profiles, 3)
     rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
     points: np.ndarray  # (6, points, 2)
-    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments
+    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
     level: np.ndarray  # (m,)
     solid: Solid | None
 
@@ -73,10 +74,11 @@ def rows(w, at):
 
 
 @part
-def add_forces(s, damp, laws, drives, u, v, r):
-    """Add damping and force elements to r. An argument that is None: its branch is not compiled."""
+def add_forces(s, damp, laws, drives, u, v, still, r):
+    """Add damping, relaxation (`still` as of add_relaxation) and force elements to r. An argument that is None: its branch is not compiled."""
     if damp is not None:
         add_damping(s, u, v, damp, r)
+    add_relaxation(s, s.relaxation, u, None, v, still, r)
     if laws is not None:
         add_own_forces(laws, s.links, drives, u, v, r)
 
@@ -91,20 +93,32 @@ def residual(w, instant, q, v, a, lam, r, phi):
     w.numbers[COSINE] = cosine
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
-    add_forces(w.scene, w.damp, w.laws, drives, u, pairs(w, v), out)
+    add_forces(w.scene, w.damp, w.laws, drives, u, pairs(w, v), 1.0, out)
     return DONE
 
 
 @entry
-def hold(w, instant, q, v, c, d, e, f):
-    """Store the points at a step's start."""
+def begin(w, instant, q, v, c, d, e, f):
+    """Store the points at a step's start, and renew the slopes of force elements on plates there: those of the factor turn with the bodies."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
+    renew_slopes(w, w.laws, w.drives[instant + 1], w.points[START], w.points[VX])
     return DONE
 
 
+@part
+def renew_slopes(w, laws, drives, dz, vz):
+    """The same for points at dz with velocities vz; nothing if laws is None or without plates, whose solves cost more than the slopes."""
+    if laws is not None:  # noqa: SIM102  numba drops the branch only if the condition stands alone
+        if w.scene.plates.body_operator.shape[0] > 0:
+            coupling, own = w.scene.links.coupling, w.workspace.own
+            own[:] = 0.0
+            add_own_curvature(laws, coupling, drives, dz, vz, 1.0, w.numbers[TO_V], own)
+            corotated.condense_states(coupling, w.factored, own)
+
+
 @entry
-def close(w, instant, q, dd, dv, phi, rate, f):
+def constraints(w, instant, q, dd, dv, phi, rate, f):
     """phi and its rate, by increments since the step's start; or phi from positions."""
     s, dx, vx = w.scene.links, w.points[DX], w.points[DV]
     if w.numbers[INCREMENTAL] != 0.0:
@@ -121,11 +135,13 @@ def close(w, instant, q, dd, dv, phi, rate, f):
 @entry
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    s, drives, state = w.scene.links, w.drives[instant + 1], (rows(w, lam), pairs(w, r), rows(w, phi))
-    out = pairs(w, dq), rows(w, dlam)
+    s, drives, out, strains = w.scene.links, w.drives[instant + 1], (pairs(w, dq), rows(w, dlam)), w.workspace.elimination
+    right = eliminate(w.scene, w.scene.relaxation, strains, pairs(w, q), pairs(w, r))
+    state = rows(w, lam), right, rows(w, phi)
     regular = corotated.solve(
         s, w.factored, w.workspace, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
     )
+    recover(w.scene, w.scene.relaxation, strains, pairs(w, q), out[0])
     return DONE if regular else SINGULAR
 
 
@@ -173,7 +189,7 @@ def accept(w, instant, q, b, c, d, e, f):
     return DONE if w.numbers[COSINE] > 0.0 else HALF_TURN
 
 
-FUNCTIONS = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+FUNCTIONS = {RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
 
 
 @cache
@@ -196,7 +212,7 @@ class SceneTable:
 
     def __init__(self, model, tied, incremental):
         self.model, links = model, model.arrays.links
-        self.helpers = Helpers(threads() if model.n >= SHARED else 1)
+        self.helpers = Helpers(threads()) if 2 * model.n_factored >= SHARED and threads() > 1 else None
         profiles, nodes = len(model.profiles), (model.n_nodes, 2)
         self.w = {
             "scene": model.arrays,
@@ -207,7 +223,7 @@ class SceneTable:
             "gains": np.zeros((INSTANTS, profiles, 3)),
             "rotation": np.zeros(nodes),
             "points": np.zeros((6, model.n_points, 2)),
-            "numbers": np.array([0.0, 0.0, 1.0, float(incremental)]),
+            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
             "level": np.zeros(len(links.row_constant)),
             "solid": None,
         }
@@ -228,13 +244,14 @@ class SceneTable:
 
     @contextmanager
     def at_work(self, system):
-        with self.helpers.at_work(system.corotated, system.workspace) as workspace:
-            self.w["numbers"][TO_A] = system.c_m
+        own = system.workspace
+        with self.helpers.at_work(system.corotated, own) if self.helpers else nullcontext(own) as workspace:
+            self.w["numbers"][[TO_A, TO_V]] = system.c_m, system.c_v
             if self.work is None or self.work.workspace is not workspace:
                 before, self.work = self.work, SceneWork(factored=system.corotated, workspace=workspace, **self.w)
                 if before is None or typeof(self.work) != typeof(before):
                     self.functions = addresses(typeof(self.work), tuple(self.entries.items()))
             yield self.functions, self.work.address
 
-    def raise_left(self):
+    def raise_error(self):
         """Do nothing: no function raises."""

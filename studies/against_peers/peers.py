@@ -31,12 +31,12 @@ def superlu(model, blocks):
     """(factor, solve) of SuperLU in symmetric mode with minimum degree on A + A^T; each factorization computes the ordering again."""
     from scipy.sparse.linalg import splu
 
-    matrix, kept, b = matrix_of(model, blocks), {}, np.ones(model.n, blocks.dtype)
+    matrix, factors, b = matrix_of(model, blocks), {}, np.ones(model.n, blocks.dtype)
 
     def factor():
-        kept["lu"] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        factors["lu"] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
-    return factor, lambda: kept["lu"].solve(b)
+    return factor, lambda: factors["lu"].solve(b)
 
 
 def matrix_of(model, blocks):
@@ -56,14 +56,14 @@ def band(model, blocks):
         raise Missing(f"no band factor beyond {WIDEST_BAND} coordinates")
     lower = tril(matrix_of(model, blocks), format="coo")
     row, column = lower.coords
-    kept, b, room = {}, np.ones(model.n), np.empty((model.n, int(np.max(row - column)) + 1))
+    factors, b, bands = {}, np.ones(model.n), np.empty((model.n, int(np.max(row - column)) + 1))
 
     def factor():
-        room[:] = 0.0
-        room[column, row - column] = lower.data
-        kept["factor"] = dpbtrf(room.T, lower=1, overwrite_ab=1)[0]
+        bands[:] = 0.0
+        bands[column, row - column] = lower.data
+        factors["factor"] = dpbtrf(bands.T, lower=1, overwrite_ab=1)[0]
 
-    return factor, lambda: dpbtrs(kept["factor"], b, lower=1)[0]
+    return factor, lambda: dpbtrs(factors["factor"], b, lower=1)[0]
 
 
 def pardiso(model, blocks, dtype=np.float64):
@@ -234,12 +234,12 @@ def radau(model, times, rtol, watch):
     (y, yp), (length, speed) = first.system.pack(start), typical_sizes(model, start, times[-1])
     atol = rtol * np.repeat([length, speed, 10 * speed], [n, n, 2 * model.m])
     begin = time.process_time()
-    found = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times, jac=first.jacobians)
+    solution = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times, jac=first.jacobians)
     seconds = time.process_time() - begin
-    if found.status != 0:
-        raise RuntimeError(f"solve_dae: {found.message}")
-    counts = {"residuals": int(found.nfev), "tangents": int(found.njev), "factorizations": int(found.nlu)}
-    return {"cpu_s": seconds} | counts, np.array([watch(q) for q in found.y[:n].T])
+    if solution.status != 0:
+        raise RuntimeError(f"solve_dae: {solution.message}")
+    counts = {"residuals": int(solution.nfev), "tangents": int(solution.njev), "factorizations": int(solution.nlu)}
+    return {"cpu_s": seconds} | counts, np.array([watch(q) for q in solution.y[:n].T])
 
 
 class ExudynScene:
@@ -285,9 +285,9 @@ class ExudynScene:
         """A sparse matrix as exudyn takes it: without stored zeros."""
         from scipy.sparse import csr_matrix
 
-        kept, made = csr_matrix(matrix), self.exu.MatrixContainer()
-        kept.eliminate_zeros()
-        made.SetWithSparseMatrix(kept)
+        sparse, made = csr_matrix(matrix), self.exu.MatrixContainer()
+        sparse.eliminate_zeros()
+        made.SetWithSparseMatrix(sparse)
         return made
 
     def force(self, system, t, number, q, v):

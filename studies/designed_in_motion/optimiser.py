@@ -22,7 +22,7 @@ def minimised(densities, value, stages, x, volume=VOLUME):
     value(rho, q): (a positive value, its slopes in rho); ArithmeticError if a run stops. The logarithm of the value is minimised, so that
     steps do not depend on its unit. volume: upper bound of the mean of rho over the area.
     """
-    nlopt, history, kept = _nlopt(), [], []
+    nlopt, history, designs = _nlopt(), [], []
     for q, beta, evaluations in stages:
         mma = nlopt.opt(nlopt.LD_MMA, len(x))
         mma.set_lower_bounds(0.0)
@@ -31,8 +31,8 @@ def minimised(densities, value, stages, x, volume=VOLUME):
         mma.set_min_objective(_objective(densities, q, beta, value, history))
         mma.add_inequality_constraint(_constraint(densities, beta, volume), 1e-6)
         x = mma.optimize(x)
-        kept.append(densities.of(x, beta)[0])
-    return x, kept, history, math.exp(mma.last_optimum_value())
+        designs.append(densities.of(x, beta)[0])
+    return x, designs, history, math.exp(mma.last_optimum_value())
 
 
 def _objective(densities, q, beta, value, history):

@@ -19,9 +19,9 @@ def solid(machine, meshes, rho, volume):
 
 def _solid(machine, meshes, rho, volume, at):
     """The same for this threshold; None if a plate's end is not connected to its hinge, or too weakly."""
-    made = solid_meshes(meshes, rho, at)
+    solids = solid_meshes(meshes, rho, at)
     try:
-        return made and (made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume))))
+        return solids and (solids, at, judged(machine, moved(machine, solids, thickness_for(machine, solids, volume))))
     except ArithmeticError:
         return None
 

@@ -25,9 +25,9 @@ def swinging(cells):
 @lru_cache(maxsize=4)
 def thrown(cells):
     """(model, v0): the double plate without its shoulder and without gravity, both plates turning."""
-    given = plates.double_plate(cells)
+    scene_of_plates = plates.double_plate(cells)
     scene = Scene()
-    for name, part in given.parts.items():
+    for name, part in scene_of_plates.parts.items():
         if not (isinstance(part, Revolute) and name == "shoulder"):
             scene.add(part)
     model, v0, root = scene.build(), [], np.array(DRIFT)

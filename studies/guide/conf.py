@@ -37,6 +37,7 @@ extensions = [
     "rendering.mathml",
     "rendering.docstrings",
 ]
+suppress_warnings = ["ref.python"]  # names in tables of attributes, such as x, become links, and several classes have an x
 exclude_patterns = ["examples", "rendering"]
 smartquotes = False  # texts are code more often than speech
 html_theme = "furo"

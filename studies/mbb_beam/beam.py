@@ -58,8 +58,8 @@ def bilinear(mesh, places=GAUSS):
     matrix, corners = square_stiffness(places), np.array([_from_lower_left(mesh, cell) for cell in range(mesh.n_cells)])
     dof = np.stack([2 * corners, 2 * corners + 1], axis=2).reshape(-1, 8)
     x, y = mesh.points.T
-    held = np.r_[2 * np.flatnonzero(x == 0.0), 2 * np.flatnonzero((x == LENGTH) & (y == 0.0)) + 1]
-    free = np.setdiff1d(np.arange(2 * mesh.n_nodes), held)
+    fixed = np.r_[2 * np.flatnonzero(x == 0.0), 2 * np.flatnonzero((x == LENGTH) & (y == 0.0)) + 1]
+    free = np.setdiff1d(np.arange(2 * mesh.n_nodes), fixed)
     load = np.zeros(2 * mesh.n_nodes)
     load[2 * np.flatnonzero((x == 0.0) & (y == HEIGHT)) + 1] = -1.0
     rows, columns = np.repeat(dof, 8, axis=1).ravel(), np.tile(dof, (1, 8)).ravel()

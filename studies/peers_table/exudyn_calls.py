@@ -19,12 +19,12 @@ def scene():
 
 def settings(exudyn, h=H, t_end=T_END):
     """Settings of a quiet run that writes nothing."""
-    made = exudyn.SimulationSettings()
-    made.timeIntegration.numberOfSteps, made.timeIntegration.endTime = round(t_end / h), t_end
-    made.timeIntegration.verboseMode = made.staticSolver.verboseMode = 0
-    made.timeIntegration.generalizedAlpha.spectralRadius = 0.9
-    made.solutionSettings.writeSolutionToFile = False
-    return made
+    options = exudyn.SimulationSettings()
+    options.timeIntegration.numberOfSteps, options.timeIntegration.endTime = round(t_end / h), t_end
+    options.timeIntegration.verboseMode = options.staticSolver.verboseMode = 0
+    options.timeIntegration.generalizedAlpha.spectralRadius = 0.9
+    options.solutionSettings.writeSolutionToFile = False
+    return options
 
 
 def pendulum(axis=1):
@@ -69,9 +69,9 @@ def cable():
     marker = system.AddMarker(MarkerNodeRigid(nodeNumber=nodes[-1]))
     system.AddLoad(Torque(markerNumber=marker, loadVector=[0, 0, np.pi]))
     system.Assemble()
-    made = settings(exudyn)
-    made.staticSolver.numberOfLoadSteps = 20
-    system.SolveStatic(made)
+    options = settings(exudyn)
+    options.staticSolver.numberOfLoadSteps = 20
+    system.SolveStatic(options)
     end = np.array(system.GetNodeOutput(nodes[-1], exudyn.OutputVariableType.Position))[:2]
     away = float(np.linalg.norm(end - [0.0, 2 / np.pi]))
     require(away < 1e-2, f"its end is {away:.1e} m from that of a half circle")
@@ -143,7 +143,7 @@ def own_step():
     exudyn, system, mass, omega = oscillator()
     solver = exudyn.MainSolverImplicitSecondOrder()
 
-    def step(solver, system, made):
+    def step(solver, system, options):
         h, data = solver.it.currentStepSize, system.systemData
         q, v = data.GetODE2Coordinates(), data.GetODE2Coordinates_t()
         half = v + h / 2 * acceleration(solver, system)
@@ -229,12 +229,12 @@ def restarted():
     with tempfile.TemporaryDirectory() as folder:
         for t_end in (T_END / 2, T_END):
             exudyn, system, mass = pendulum()
-            made = settings(exudyn, t_end=t_end)
-            restart = made.solution.restart
+            options = settings(exudyn, t_end=t_end)
+            restart = options.solution.restart
             restart.write = restart.continueIfAvailable = True
             restart.name, restart.writePeriod = str(Path(folder) / "state.txt"), 0.05
             solver = exudyn.MainSolverImplicitSecondOrder()
-            require(solver.SolveSystem(system, made), "no end")
+            require(solver.SolveSystem(system, options), "no end")
         require(solver.output.restartTime > 0, "it began anew")
         return f"went on from t = {solver.output.restartTime:g} s; {swung(position(exudyn, system, mass), 1e-4)}"
 

@@ -69,9 +69,9 @@ def elastodynamics(scheme):
     path = Path(sfepy.__file__).parent / "examples" / "linear_elasticity" / "elastodynamic.py"
     with tempfile.TemporaryDirectory() as folder:
         options = {"dims": (1e-2, 2.5e-3), "shape": (11, 4), "save_times": 2, "ct1": 1.0, "output_dir": folder}
-        made = ProblemConf.from_file(str(path), *get_standard_keywords(), define_args=options)
-        next(one for one in made.solvers.values() if one.name == "tsn").kind = scheme
-        problem, status = Problem.from_conf(made), IndexedStruct()
+        configuration = ProblemConf.from_file(str(path), *get_standard_keywords(), define_args=options)
+        next(one for one in configuration.solvers.values() if one.name == "tsn").kind = scheme
+        problem, status = Problem.from_conf(configuration), IndexedStruct()
         problem.setup_output(output_dir=folder)
         state = problem.solve(save_results=False, status=status)
     return problem, state.get_state_parts()["u"], status

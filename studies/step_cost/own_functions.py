@@ -1,4 +1,4 @@
-"""A step with user-defined functions: in Python, compiled by `polyida.compiled`, and built in. `python own_functions.py` prints it."""
+"""A step with user-defined functions: in Python, compiled by `polyida.compiled`, and built in; with states. `python own_functions.py` prints it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 import polyida as pi
+from polyida.problems.plates import double_plate
 from polyida.run.solve import solve
-from step_cost.side import NO_FRAMES, cpu
+from step_cost.side import NO_FRAMES, cells_for, cpu
 
 H = 1e-3  # s
 STEPS = {"alpha": (200, 1200), "radau": (20, 120), "energy": (20, 220)}  # of the two runs whose difference is told
@@ -65,6 +66,24 @@ class Dumbbell(pi.Body):
         return 0.5 * self.k * (abs(z[1] - z[0]) - 1.0) ** 2
 
 
+@dataclass(frozen=True, eq=False)
+class Sampled(pi.Controller):
+    """A torque against the rotation of a direction, computed in Python every 10 steps."""
+
+    at: Any
+    name: str | None = None
+    period = 10 * H
+
+    def sides(self):
+        return (self.at.d,)
+
+    def sample(self, t, x, v, s, u):
+        return np.array([-0.1 * (x[0, 0] * v[0, 1] - x[0, 1] * v[0, 0])])
+
+    def forces(self, t, x, v, s, u):
+        return u[0] / (x[0, 0] ** 2 + x[0, 1] ** 2) * np.array([[-x[0, 1], x[0, 0]]])
+
+
 def compiled(kind):
     """A subclass that numba compiles."""
     return pi.compiled(dataclass(frozen=True, eq=False)(type(f"Compiled{kind.__name__}", (kind,), {})))
@@ -80,16 +99,36 @@ def height(t, q, v):
     return q[1] + 10.0
 
 
-def pendulum(body=None, force=None):
-    """The model of two bars, or a bar and a body, that fall."""
+def pendulum(body=None, force=None, *at_elbow):
+    """The model of two bars, or a bar and a body, that fall; at_elbow: functions of the second joint."""
     scene = pi.Scene(gravity=(0.0, -9.81))
     first = scene.add(pi.RigidBody.bar(1.0, 1.0, name="first"))
     second = scene.add(body or pi.RigidBody.bar(1.0, 1.0, (1.0, 0.0), name="second"))
     scene.add(pi.Revolute(pi.ground, first.at("left")))
-    scene.add(pi.Revolute(first.at("right"), second.at("left")))
+    elbow = scene.add(pi.Revolute(first.at("right"), second.at("left")))
+    for part in at_elbow:
+        scene.add(part(elbow))
     if force:
         scene.add(force(first, second))
     return scene.build()
+
+
+def plates(*forces):
+    """The model of two plates of about 1000 coordinates, with forces, functions of their joint."""
+    scene = double_plate(cells_for(1000))
+    for force in forces:
+        scene.add(force(scene.parts["elbow"]))
+    return scene.build()
+
+
+def driven(joint):
+    """A DC motor against the ground."""
+    return pi.DCMotor(joint.a, pi.profile.sine(6.0, 1.0), k=0.05, L=1e-3, R=1.0, gear=20.0)
+
+
+def controlled(joint):
+    """A PID controller of the angle between two bodies."""
+    return pi.PID(joint.b, kp=5.0, ki=2.0, kd=0.2, target=0.3, against=joint.a, filter=0.01)
 
 
 def spring(kind):
@@ -103,7 +142,15 @@ def motor(moment):
     return pendulum(force=lambda first, second: pi.Torque(first.at("right"), moment))
 
 
+def sampled(joint):
+    """A controller that samples in Python and whose force is compiled."""
+    return compiled(Sampled)(joint.b)
+
+
 CASES = {  # what: {variant: (what makes its model, options of solve)}
+    "motor and PID, bars": {"without": (pendulum, {}), "with": (lambda: pendulum(None, None, driven, controlled), {})},
+    "motor and PID, plates": {"without": (plates, {}), "with": (lambda: plates(driven, controlled), {})},
+    "sample every 10 steps, plates": {"without": (plates, {}), "with": (lambda: plates(sampled), {})},
     "force": {
         "python": (lambda: spring(Spring), {}),
         "compiled": (lambda: spring(compiled(Spring)), {}),
@@ -134,11 +181,11 @@ def tasks(quick):
 
 def own_row(function, method, rounds):
     """{variant: CPU microseconds of a step}, medians of rounds in which all variants alternate."""
-    made = {name: (make(), options) for name, (make, options) in CASES[function].items()}
-    result: dict = {name: [] for name in made}
+    models = {name: (make(), options) for name, (make, options) in CASES[function].items()}
+    result: dict = {name: [] for name in models}
     short, long = STEPS[method]
     for _ in range(rounds + 1):
-        for name, (model, options) in made.items():
+        for name, (model, options) in models.items():
             ends = [cpu(lambda: solve(model, steps * H, METHODS[method], every=NO_FRAMES, **options))[0] for steps in (short, long)]  # noqa: B023
             result[name].append(1e6 * (ends[1] - ends[0]) / (long - short))
     return {f"{name}_us": float(np.median(times[1:])) for name, times in result.items()}

@@ -38,10 +38,10 @@ class Run:
         before = threads()
         threads(count)
         self.states = GeneralizedAlpha(h=H).steps(self.model, consistent_state(self.model), 1e5 * H, Counts())
-        self.take(2)
+        self.advance(2)
         threads(before)
 
-    def take(self, steps):
+    def advance(self, steps):
         """The state after so many more steps."""
         for _ in range(steps):
             state = next(self.states)
@@ -61,15 +61,15 @@ def threads_row(dof, steps, repeats):
     triad: a = b + c/2 on arrays that no cache holds, 24 bytes a number. Raises ArithmeticError if results differ by the threads.
     """
     one, two, halves = Run(dof), Run(dof, THREADS), [Run(dof // THREADS) for _ in range(THREADS)]
-    require_same(one.take(steps), two.take(steps))
+    require_same(one.advance(steps), two.advance(steps))
     with ThreadPoolExecutor(THREADS) as pool:
-        require_same(*pool.map(lambda half: half.take(steps), halves))
+        require_same(*pool.map(lambda half: half.advance(steps), halves))
         triads = [partial(_triad, *np.ones((3, MANY // 8))) for _ in range(THREADS)]
         measured = {
-            "one_thread": lambda: one.take(steps),
-            "two_threads": lambda: two.take(steps),
-            "halves_by_turns": lambda: [half.take(1) for _ in range(steps) for half in halves],
-            "halves_at_once": lambda: list(pool.map(lambda half: half.take(steps), halves)),
+            "one_thread": lambda: one.advance(steps),
+            "two_threads": lambda: two.advance(steps),
+            "halves_by_turns": lambda: [half.advance(1) for _ in range(steps) for half in halves],
+            "halves_at_once": lambda: list(pool.map(lambda half: half.advance(steps), halves)),
             "triad_one": lambda: [triad() for triad in triads],
             "triad_two": lambda: list(pool.map(lambda triad: triad(), triads)),
         }

@@ -64,19 +64,19 @@ def stall(rows, scene, phi, solve):
 
 def table(rows):
     """[(name of the figure, quantity, solver, slope, theory)] of errors after a few steps and of the stagnation level, with each solver."""
-    made = []
+    figures = []
     for part in PARTS:
         for solve in SOLVES:
             slope = method(rows, "smooth motors", part, solve)
-            made.append((f"slope_method_{part}{name_of(solve)}", f"method, {part}", solve, slope, METHOD[part]))
+            figures.append((f"slope_method_{part}{name_of(solve)}", f"method, {part}", solve, slope, METHOD[part]))
         for solve in SOLVES:
             slope, what = round_off(rows, "smooth motors", part, solve), f"round-off of phi from positions, {part}"
-            made.append((f"slope_round_off_{part}{name_of(solve)}", what, solve, slope, ROUND_OFF[part]))
+            figures.append((f"slope_round_off_{part}{name_of(solve)}", what, solve, slope, ROUND_OFF[part]))
     for phi, theory in STALL.items():
         for solve in SCALINGS:
             name = f"stall_slope_phi_{phi.replace(' ', '_')}{name_of(solve)}"
-            made.append((name, f"Newton's stall, phi {phi}", solve, stall(rows, "scene 2", phi, solve), theory))
-    return made
+            figures.append((name, f"Newton's stall, phi {phi}", solve, stall(rows, "scene 2", phi, solve), theory))
+    return figures
 
 
 def in_words(rows):

@@ -1,1 +1,1 @@
-"""Modules of studies/stress.py: axes, what is driven along them, what counts as right."""
+"""Modules of studies/stress.py: the axes, the runs along them, and the checks of the runs."""

@@ -1,4 +1,4 @@
-"""Cases of the stress study: each drives one scene to one value and states how right is told from wrong."""
+"""Cases of the stress study: each runs a scene at one value and returns the checks of the run."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,7 +8,7 @@ import numpy as np
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.run.solve import solve
 from stress import scenes
-from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, off_by, tip
+from stress.outcome import COLLAPSED, Check, Stop, balance, drift_check, extent, integrator, tip, tip_check
 
 FIXED = ("alpha", "stabilised", "energy")
 FEW_FRAMES = 10**9
@@ -18,13 +18,13 @@ SETTLED = 1e-9  # of the scene's size: drift of phi
 
 
 def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
-    """A case: the tip at t_end against runs of two families with an eighth of the step, within a share of the scene's size.
+    """A case that compares the tip at t_end with runs of two methods with an eighth of the step.
 
-    t_end, h: numbers, or functions of the value. benign: the value at which the reference is taken, where the value must not matter.
-    The methods that choose their step are allowed 500 times their rtol of 1e-5, the ratio of global to local error that is usual
-    for them. The distance of the two references is added to the bound thrice, and must be below a third of it. Where both stop
-    because the material collapses, a run must stop at that time. Energy must not grow, the energy-momentum method must keep it to
-    1e-7.
+    t_end, h: numbers or functions of the value. within: allowed error over the size of the scene. benign: value of the reference runs if
+    the motion does not depend on the value. Error-controlled methods may have an error of 500 rtol, rtol = 1e-5, a usual ratio of global
+    to local error. The bound is increased by three times the distance of the references, which must be below a third of the bound. If the
+    material collapses in both reference runs, the run must stop at that time. Energy must not grow; the energy-momentum method must
+    conserve it to 1e-7.
     """
     span, step = (x if callable(x) else (lambda value, x=x: x) for x in (t_end, h))
     reference = lru_cache(maxsize=4)(lambda value: refined(make(value), span(value), step(value)))
@@ -35,7 +35,7 @@ def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
         if known.collapse:
             time = Check("time of the collapse, s", abs(run.t[-1] - known.collapse), 2 * step(value) + 3 * known.apart, at_stop=True)
             return run, [time]
-        return run, [off_by_refined(run, known, within if name in FIXED else 5e-3), held(run, SETTLED), *_energies(run, name, loss)]
+        return run, [refined_check(run, known, within if name in FIXED else 5e-3), drift_check(run, SETTLED), *_energies(run, name, loss)]
 
     case.__doc__ = (
         f"The tip within {within:g} of the scene's size, {500 * 1e-5:g} for the integrators that choose their step, of "
@@ -47,9 +47,9 @@ def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
 
 @dataclass(frozen=True)
 class Refined:
-    """What two families of refined runs agree on: the tip's place at t_end, or the time of a collapse, s.
+    """Result of two refined runs: the place of the tip at t_end, or the time of a collapse, s.
 
-    apart: how far they are apart, as a share of the scene's size, or s. failed: why there is neither.
+    apart: distance of the two results, over the size of the scene or in s. failed: reason if there is no result.
     """
 
     place: object = None
@@ -59,7 +59,7 @@ class Refined:
 
 
 def refined(model, t_end, h):
-    """The Refined of generalized-alpha and the energy-momentum method with h/8; both judge each other."""
+    """The Refined of generalized-alpha and the energy-momentum method with step h/8."""
     runs = [solve(model, t_end, integrator(name, h / 8), every=FEW_FRAMES) for name in ("alpha", "energy")]
     if all(any(word in run.message for word in COLLAPSED) for run in runs):
         ends = [float(run.t[-1]) for run in runs]
@@ -69,12 +69,12 @@ def refined(model, t_end, h):
     return Refined((one + other) / 2, float(np.linalg.norm(one - other)) / extent(model), failed=failed)
 
 
-def off_by_refined(run, known, bound):
-    """The Check of the tip's place: NaN if the refined runs failed, or are too far apart to judge."""
+def refined_check(run, known, bound):
+    """The Check of the place of the tip; NaN if a reference run failed or the references differ too much."""
     if known.failed:
         return Check(f"tip; a refined run stops: {known.failed[:80]}", float("nan"), 1.0)
-    kept = bound + 3 * known.apart if 3 * known.apart < bound else float("nan")
-    return off_by(run, known.place, kept, "tip against refined runs")
+    allowed_error = bound + 3 * known.apart if 3 * known.apart < bound else float("nan")
+    return tip_check(run, known.place, allowed_error, "tip against refined runs")
 
 
 def _energies(run, name, loss):
@@ -88,21 +88,21 @@ def _energies(run, name, loss):
 
 
 def stiff_limit(modulus, name):
-    """Two plates so stiff that they swing as rigid bodies: against their ordinary differential equation.
+    """Two nearly rigid plates swing: the tip agrees with the solution for rigid bodies.
 
-    They sag by about 0.3 m at E = 50 MPa, in inverse proportion to E; that much and 2e-3 of their length is allowed.
+    The elastic sag is about 0.3 m at E = 50 MPa and is proportional to 1/E; the sag and 2e-3 of the length are allowed.
     """
     model = scenes.swing(scenes.rubber(modulus))
     run = solve(model, 0.5, integrator(name))
     return run, [
-        off_by(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"),
-        held(run, SETTLED),
+        tip_check(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"),
+        drift_check(run, SETTLED),
         *_energies(run, name, 0.1),
     ]
 
 
 def rigid_tip(model, t_end):
-    """Place of the tip of the double plate as two rigid bodies that fall from rest, masses and inertias from the mass matrix."""
+    """Place of the tip if both plates are rigid and fall from rest; masses and moments of inertia are those of the mass matrix."""
     from scipy.integrate import solve_ivp
 
     mass, first = model._even_mass, model.bodies[0].nodes
@@ -129,12 +129,12 @@ def rigid_tip(model, t_end):
 
 
 def one_virtual_element(corners, name):
-    """A single virtual element that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
+    """A single virtual element swings about a corner: the tip agrees with a compound pendulum of the same mass matrix."""
     return one_element(corners, name, "virtual")
 
 
 def one_element(corners, name, element="wachspress"):
-    """A single polygon that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
+    """A single polygonal element swings about a corner: the tip agrees with a compound pendulum of the same mass matrix."""
     from scipy.integrate import solve_ivp
 
     model = scenes.one_polygon(corners, element)
@@ -152,15 +152,16 @@ def one_element(corners, name, element="wachspress"):
     ).y[0, -1]
     to_tip = tip(run)[0] + [0.5, 0.0]
     place = [to_tip[0] * np.cos(angle) - to_tip[1] * np.sin(angle) - 0.5, to_tip[0] * np.sin(angle) + to_tip[1] * np.cos(angle)]
-    return run, [off_by(run, place, 5e-3, "tip against a rigid pendulum"), held(run, SETTLED), *_energies(run, name, 0.05)]
+    return run, [tip_check(run, place, 5e-3, "tip against a rigid pendulum"), drift_check(run, SETTLED), *_energies(run, name, 0.05)]
 
 
 def small_steps(h, name):
-    """40 steps of the motor-driven plates: q and v against Taylor's series at the start, a and lam against the equations of motion.
+    """40 steps of the motor-driven plates: q and v agree with Taylor's series at the start, a and lam with the equations of motion.
 
-    a, lam: distance from what M a + g + B^T lam = 0, phi'' = 0 give at the same q and v, relative; not for the energy-momentum
-    method and Radau IIA, which make their own of just these equations, nor for IDA, which leaves them out of its error control. IDA is
-    given h as its first and largest step; its q and v are allowed 500 times rtol |q| + atol. Radau IIA takes equal steps.
+    The check of a and lam applies to generalized-alpha: their relative distance from the solution of M a + g + B^T lam = 0, phi'' = 0 at
+    the same q and v. IDA does not control the error of a and lam; the energy-momentum method and Radau IIA compute them from these
+    equations. h is the first and largest step of IDA, whose q and v may have an error of 500 (rtol |q| + atol). Radau IIA takes equal
+    steps.
     """
     from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
 
@@ -174,7 +175,7 @@ def small_steps(h, name):
     checks = [
         Check("q against Taylor", np.abs(run.q[-1] - q).max(), 2e-3 * pull * t**2 + extra),
         Check("v against Taylor", np.abs(run.v[-1] - v).max(), 2e-3 * pull * t + 1e3 * extra),
-        held(run, SETTLED),
+        drift_check(run, SETTLED),
     ]
     if name in ("alpha", "stabilised"):
         a, lam = consistent_acceleration(model, float(run.t[-1]), run.q[-1], run.v[-1])
@@ -186,12 +187,12 @@ def small_steps(h, name):
 
 
 def newton_tolerance(tolerance, name):
-    """The swinging plates with another Newton tolerance: it must not show beside the time error of 2e-3 of the size."""
+    """Swinging plates with another Newton tolerance: the error stays below 2e-3 of the size, the error of the time integration."""
     return _toleranced(name, tolerance=tolerance)
 
 
 def error_tolerance(rtol, name):
-    """The swinging plates with another rtol: 500 times that, and the reference's error, is allowed."""
+    """Swinging plates with another rtol: the error stays below 500 rtol plus the error of the reference."""
     return _toleranced(name, rtol=rtol, allowed=500 * rtol, t_end=0.3 if rtol > 1e-7 else 0.01)
 
 
@@ -203,38 +204,38 @@ def _swing_reference(t_end):
 def _toleranced(name, allowed=2e-3, t_end=0.3, **settings):
     run = solve(scenes.swing(), t_end, integrator(name, **settings))
     known = _swing_reference(t_end)
-    kept = allowed + 3 * known.apart
-    checks = [off_by(run, known.place, kept, "tip against refined runs"), held(run, max(SETTLED, 1e-2 * kept))]
-    return run, [*checks, *balance(run, max(GAIN, kept), 1.01)]
+    allowed_error = allowed + 3 * known.apart
+    checks = [tip_check(run, known.place, allowed_error, "tip against refined runs"), drift_check(run, max(SETTLED, 1e-2 * allowed_error))]
+    return run, [*checks, *balance(run, max(GAIN, allowed_error), 1.01)]
 
 
 def spectral_radius(rho_inf, name):
-    """The swinging plates with another rho_inf."""
+    """Swinging plates with another rho_inf: the tip agrees with refined runs."""
     run = solve(scenes.swing(), 0.5, integrator(name, rho_inf=rho_inf))
-    return run, [off_by_refined(run, _swing_reference(0.5), 2e-3), held(run, SETTLED), *balance(run, GAIN, 0.05)]
+    return run, [refined_check(run, _swing_reference(0.5), 2e-3), drift_check(run, SETTLED), *balance(run, GAIN, 0.05)]
 
 
 def through_flat(start, name):
-    """A parallelogram of plates falls from crank angle `start` through its flat position: phi and energy hold; rest at 0 is the flat start."""
+    """A parallelogram of plates falls from crank angle `start` through its flat position, or rests there: phi and energy stay accurate."""
     run = solve(scenes.four_bar(start), 0.8, integrator(name))
-    return run, [held(run, SETTLED), *_energies(run, name, 0.05)]
+    return run, [drift_check(run, SETTLED), *_energies(run, name, 0.05)]
 
 
-def held_twice(kind, name):
-    """Joints that repeat or contradict each other: the scene must be refused; a run of it proves nothing."""
+def redundant_joints(kind, name):
+    """Joints repeat or contradict each other: the scene is refused."""
     return solve(scenes.redundant(kind), 0.02, integrator(name)), []
 
 
 def refused_as_redundant(kind, name):
-    """A motor that stands at 0.5 rad beside another at 0 is refused as contradicting it, the others as following from each other."""
+    """The scene with motors at 0 rad and 0.5 rad is refused as contradictory, the other scenes as redundant."""
     return Stop(("refused",), ("violates the constraint", "redundant") if kind == "two motors" else ("redundant",))
 
 
 def blow(duration, name):
-    """A pulse of 1 N s on a free plate: linear and angular momentum afterwards.
+    """A pulse of 1 N s acts on a free plate: linear and angular momentum agree with the pulse.
 
-    Steps are cut at its corners alone, so that a short one is one step up and one down: generalized-alpha, whose two accelerations
-    lag behind each other there, is allowed 0.5 %, as is what error control leaves; the energy-momentum method takes it exactly.
+    Steps end at the corners of the pulse, so a short pulse takes one step up and one step down. Generalized-alpha, which has two
+    different accelerations there, and the error-controlled methods may deviate by 0.5 %. The energy-momentum method must be exact.
     """
     model = scenes.struck(duration)
     run = solve(model, 0.013 + duration, integrator(name))
@@ -246,26 +247,28 @@ def blow(duration, name):
     return run, [
         Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
         Check("angular momentum", abs(spin - 1.0), 0.02),
-        held(run),
+        drift_check(run),
     ]
 
 
 def pressing(pressure, name):
-    """A block pressed slowly: the stretch of the material's law up to 0.19245 E; beyond, a stop that says that it collapses, as
-    long after the largest load as its viscosity delays it."""
+    """A block is pressed slowly: the stretch agrees with the material law up to 0.19245 E. Under a higher pressure the run stops with a
+    message about the collapse. The time of the stop agrees with the delay by viscosity.
+    """
     run = solve(scenes.pressed(pressure), 0.6, integrator(name))
     if beyond_the_material(pressure, name):
         time, delay = _collapse_of_the_pressed(pressure)
         return run, [Check("time of the collapse, s", abs(run.t[-1] - time), 0.3 * delay, at_stop=True)]
     stretch = max(root.real for root in np.roots([1.0, 0.0, -1.0, 2 * pressure]) if abs(root.imag) < 1e-9)
-    return run, [Check("stretch", abs(tip(run)[-1, 0] / 0.05 - stretch), 2e-3), held(run, SETTLED)]
+    return run, [Check("stretch", abs(tip(run)[-1, 0] / 0.05 - stretch), 2e-3), drift_check(run, SETTLED)]
 
 
 def _collapse_of_the_pressed(pressure):
-    """(time of the collapse, how long it lags behind the largest load), s.
+    """(time of the collapse, its delay after the largest load), s.
 
-    Beside the stretch s = 1/sqrt 3 + d of the largest load, `(tau / 3) d' = -(p'/E) (t - t_c) - (sqrt 3 / 2) d^2`, tau the
-    viscosity: d goes to minus infinity at `t_c + 2.338 ((tau / 3)^2 / (p'/E sqrt 3 / 2))^(1/3)`, 2.338 the first zero of Airy's Ai.
+    Near the stretch s = 1/sqrt 3 + d of the largest load, `(tau / 3) d' = -(p'/E) (t - t_c) - (sqrt 3 / 2) d^2` with the viscosity tau.
+    The solution d goes to minus infinity at `t_c + 2.338 ((tau / 3)^2 / (p'/E sqrt 3 / 2))^(1/3)`; -2.338 is the first zero of the Airy
+    function Ai.
     """
     from scipy.optimize import brentq
 
@@ -276,20 +279,20 @@ def _collapse_of_the_pressed(pressure):
 
 
 def beyond_the_material(pressure, name):
-    """The largest pressure that St. Venant-Kirchhoff bears is E / sqrt 27."""
+    """A St. Venant-Kirchhoff material has an equilibrium up to a pressure of E / sqrt 27."""
     return Stop(("inverted", "objection"), COLLAPSED) if pressure > 1 / np.sqrt(27) else None
 
 
 def too_soft(modulus, name):
-    """The driven plates' weight bends them at the shoulder by 31 N m, `6 M / (t H^2)` = 1.9 MPa: beyond 0.9 E they fold there."""
+    """The weight of the driven plates causes a bending moment of 31 N m, `6 M / (t H^2)` = 1.9 MPa. They collapse if that exceeds 0.9 E."""
     return Stop(("inverted", "objection"), COLLAPSED) if 0.9 * modulus < 1.9e6 else None
 
 
 def too_thin(width, name):
-    """Cells as thin as 1e-8 of the mesh or thinner are refused."""
+    """Cells with a width of at most 1e-8 of the mesh are refused."""
     return Stop(("refused",), ("is a sliver",)) if width <= 1e-8 else None
 
 
 def too_many_corners(corners, name):
-    """Wachspress elements beyond 16 corners are refused."""
+    """Wachspress elements with more than 16 corners are refused."""
     return Stop(("refused",), ("corners",)) if corners > 16 else None

@@ -1,7 +1,7 @@
-"""Cases of the stress study that no refined run can judge: identities tell right from wrong there.
+"""Cases of the stress study without a reference run: checks by balances and symmetries.
 
-Whole turns: the turned angle, the work, the shape. Steps that are too long: balance of forces and moments, energy.
-Reversal: going back returns to the start.
+Whole turns: angle, work and shape. Long steps: balance of forces and moments, and energy. Reversal: the reversed motion returns to the
+start.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from conditioning.systems import freed
 from polyida import profile
 from polyida.run.solve import solve
 from stress import scenes
-from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, tip
+from stress.outcome import COLLAPSED, Check, Stop, balance, drift_check, extent, integrator, tip
 
 SETTLED = 1e-9  # of the scene's size: drift of phi
 SPREAD = float(np.sqrt(scenes.STIFF.E / scenes.STIFF.rho / 12) * 0.1)  # m2/s, sqrt(EI / rho A) of a plate 0.1 m high
@@ -19,17 +19,18 @@ RETURNS = 1e-2  # of what was travelled, how near a reversed motion must come to
 
 
 def turned(run):
-    """Angle of the line from the hub to the tip, followed from frame to frame, (frames,), rad."""
+    """Continuous angle of the line from the hub to the tip, (frames,), rad."""
     x, y = tip(run).T
     return np.unwrap(np.arctan2(y, x))
 
 
 def many_turns(turns, name):
-    """A motor turns a plate `turns` times, 0.1 s a turn, 1 s at least: at every frame it has turned by theta(t), but for three
-    times what the acceleration bends it, and is as long as the centrifugal force makes it; at the fastest its kinetic energy is
-    that of the turning plate; at the end every node stands where it began; the work of the motor is the energy gained. What a step
-    may lose adds up over the turns, and so rtol goes down with them, but of IDA, which tests q of flexible bodies to rtol^(3/2); Radau IIA
-    takes no step above 5 ms, as the work is summed up from frame to frame."""
+    """A motor turns a plate `turns` times, in 0.1 s a turn and at least 1 s. At every frame the angle is theta(t), up to three times the
+    bending by the acceleration, and the length agrees with the centrifugal stretch. The largest kinetic energy is that of the turning
+    plate, all nodes return to their places, and the work of the motor equals the gained energy. Errors add up over the turns, so rtol
+    falls with their number, except for IDA, which uses rtol^(3/2) for q of flexible bodies. Radau IIA takes steps of at most 5 ms,
+    because the work is summed over frames.
+    """
     t_end = max(1.0, 0.1 * turns)
     angle = profile.quintic(0.0, 2 * np.pi * turns, duration=t_end)
     model = scenes.driven(angle)
@@ -47,11 +48,11 @@ def many_turns(turns, name):
         Check("kinetic energy at the fastest", abs(run.energy.kinetic.max() / fastest - 1), 0.01 + lag),
         Check("nodes after whole turns, m", np.abs(run.q[-1]).max(), 5e-3),
     ]
-    return run, [*checks, held(run, SETTLED), *balance(run, 0.01, 0.01)]
+    return run, [*checks, drift_check(run, SETTLED), *balance(run, 0.01, 0.01)]
 
 
 def _stretch_of_a_turn():
-    """Elongation of the plate of `driven` at 1 rad/s, m: rho L^3 / 3E of itself, m L^2 / EA of its tip mass."""
+    """Elongation of the plate of `driven` at 1 rad/s, m: rho L^3 / 3E by its own mass, m L^2 / EA by the mass at the tip."""
     return scenes.STIFF.rho / (3 * scenes.STIFF.E) + scenes.TIP / (scenes.STIFF.E * 0.1 * 0.01)
 
 
@@ -62,20 +63,21 @@ def _inertia(model):
 
 
 def large_steps(h, name):
-    """The swinging plates with steps too long to be accurate: phi holds; no more energy comes in than 2 % of what is turned over
-    (none by the energy-momentum method), no more goes than the fall to rest sets free; at every frame but the
-    energy-momentum method's the forces and moments of everything together balance to 1e-3 of the weight."""
+    """Swinging plates with steps too long for accuracy: phi stays accurate, and energy grows by at most 2 % (not at all with the
+    energy-momentum method). The loss of energy is at most the difference to the rest position. Except for the energy-momentum method, all
+    forces and moments balance at every frame to 1e-3 of the weight.
+    """
     model = scenes.swing()
     run = solve(model, max(0.5, 20 * h), integrator(name, h))
     if name == "energy":
-        return run, [held(run, SETTLED), *balance(run, 1e-7, 1e-7)]
+        return run, [drift_check(run, SETTLED), *balance(run, 1e-7, 1e-7)]
     gained = balance(run, 0.02, 1.0)[0]
     below, forces = Check("energy below rest", _below_rest(run), 0.02), unbalanced_forces(run)
-    return run, [held(run, SETTLED), gained, below, Check("balance of all forces", forces, 1e-3)]
+    return run, [drift_check(run, SETTLED), gained, below, Check("balance of all forces", forces, 1e-3)]
 
 
 def _below_rest(run):
-    """How far the energy falls below that of the plates hanging at rest, over what the fall to there sets free."""
+    """Energy below that of the hanging plates at rest, over the energy from the start to that position."""
     model = run.model
     weight = 9.81 * (model.mass() @ np.tile([0.0, 1.0], model.n_nodes)).reshape(-1, 2)[:, 1]
     free = float(weight @ np.abs(model.reference[:, 0]))
@@ -84,8 +86,8 @@ def _below_rest(run):
 
 
 def unbalanced_forces(run):
-    """Largest sum of all nodes' forces M a + g + B^T lam, and of their moments about the origin, over the weight (times the
-    scene's size) or the inertia where that is more: what acts within the plates drops out of both.
+    """Largest sum of the nodal forces M a + g + B^T lam, and of their moments about the origin, over the weight (times the size of the
+    scene) or, if larger, the inertia forces. Inner forces of the plates cancel.
     """
     model, worst = run.model, 0.0
     for t, q, v, a, lam in zip(run.t, run.q, run.v, run.a, run.lam):
@@ -98,15 +100,15 @@ def unbalanced_forces(run):
 
 
 def cannot_be_predicted(h, name):
-    """Beyond sqrt(2 m / g) a step falls farther than a plate is long: Newton's iteration starts from where nothing is."""
+    """In a step longer than sqrt(2 m / g) a plate falls by more than its length; Newton's method starts far from the solution."""
     stop = Stop(("newton", "inverted", "objection"), ("Newton does not converge", *COLLAPSED), only=False)
     return stop if 9.81 * h * h / 2 > 1.0 else None
 
 
 def reversal(rate, name):
-    """A motor at `rate` rad/s turns back within one step of 1 ms: the plate holds no more energy than an elastic rebound at twice
-    the speed would leave in it; and with all velocities turned round and the motor running backwards every node comes back to
-    where it began, to 1 % of what the tip has travelled."""
+    """A motor with `rate` rad/s reverses within one step of 1 ms: the energy of the plate is at most that of an elastic rebound with
+    twice the speed. With reversed velocities and motor all nodes return to the start, up to 1 % of the path of the tip.
+    """
     angle, t_end = scenes.zigzag(rate, 1e-3), TURN_BACK + 0.01
     model = scenes.driven(angle)
     run = solve(model, t_end, integrator(name))
@@ -122,24 +124,25 @@ def reversal(rate, name):
     return run, [
         Check("energy over that of a rebound", inner / most, 9.0),
         Check("back at the start, of what was travelled", away / travelled, RETURNS),
-        held(run, SETTLED),
-        held(back, SETTLED),
+        drift_check(run, SETTLED),
+        drift_check(back, SETTLED),
     ]
 
 
 def half_turn(jump, name):
-    """A motor jumps by `jump` rad within one step: the section stands at its angle, on the right half-turn. Where the jump
-    bends the plate beyond what its material bears, the run stops."""
+    """A motor jumps by `jump` rad within one step: the section has the angle of the motor, on the correct half-turn. The run stops if the
+    bending exceeds what the material can carry.
+    """
     model = scenes.driven(profile.quintic(0.0, jump, duration=1e-3, begin=0.01))
     run = solve(model, 0.012, integrator(name))
     objections = [model.rejection_reason(t, q) for t, q in zip(run.t, run.q)]
-    return run, [Check("frames on the wrong half-turn or inside out", sum(map(bool, objections)), 0.5), held(run, SETTLED)]
+    return run, [Check("frames on the wrong half-turn or inside out", sum(map(bool, objections)), 0.5), drift_check(run, SETTLED)]
 
 
 def bends_too_far(jump, name):
-    """Euler's beam, its end turned by theta(t), has the curvature `sqrt(2 / sqrt(EI / rho A))` times the half derivative of theta
-    there, at most 1.285 jump / sqrt T for a quintic within T. St. Venant-Kirchhoff bears a strain of 1 - 1/sqrt 3 in compression;
-    at half as much again nothing but a stop is right.
+    """An Euler beam whose end turns by theta(t) has there a curvature of `sqrt(2 / sqrt(EI / rho A))` times the half derivative of theta,
+    at most 1.285 jump / sqrt T for a quintic profile of duration T. St. Venant-Kirchhoff collapses at a compressive strain of 1 - 1/sqrt
+    3. Beyond 1.5 times that strain the run must stop.
     """
     strain = 0.05 * np.sqrt(2 / SPREAD) * 1.285 * jump / np.sqrt(1e-3)
     share = strain / (1 - 1 / np.sqrt(3))

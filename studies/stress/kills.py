@@ -1,4 +1,4 @@
-"""Kill -9 at random moments: of a run that writes to a file and is resumed, and of a sweep that is started again."""
+"""Processes that are killed at random times: a run that writes to a file and is resumed, and a sweep that is repeated."""
 
 import mmap
 import os
@@ -27,10 +27,10 @@ SETTINGS = {"alpha": {"h": 1e-4}, "energy": {"h": 1e-4}, "radau": {"rtol": 1e-11
 
 
 def killed_after(work, seconds):
-    """Do work() in a new process that shares this one's memory and is killed after so much CPU time; whether it ended before.
+    """Run work() in a forked process that is killed after so many CPU seconds. Returns True if the process ended before.
 
-    CPU time: so the moment does not depend on what else the machine does. The timer's signal ends a process at once, as SIGKILL does.
-    Raises ChildProcessError if the work failed by itself.
+    CPU time does not depend on other processes of the machine. The signal of the timer ends a process at once, like SIGKILL. Raises
+    ChildProcessError if work() failed.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: those of BLAS are idle
@@ -52,11 +52,9 @@ def killed_after(work, seconds):
 
 
 def killed_runs(kills, name, seed=0, t_end=0.4):
-    """`kills` kills of runs to a file, each resumed until it is killed again or ends: (last whole Trajectory, checks).
-
-    Lost frames: those accepted before a kill that the file does not hold. At most one flush interval may be missing, and the
-    INSTANTS steps that compiled code takes at most before a state from which a resumed run can go on. Wrong frames: up to the
-    first kill and, where resuming is exact, all.
+    """`kills` kills of runs that write to a file: the resumed runs have the frames of a run without interruption, and no file loses more
+    frames than one flush interval and one stretch of INSTANTS compiled steps. Frames are compared up to the first kill and, if resuming
+    is exact, to the end.
     """
     model, method = plates.double_plate_motors(cells=4).build(), integrator(name, **SETTINGS.get(name, {"rtol": 1e-6}))
     solve(model, t_end / 100, method)  # loads the kernels
@@ -75,37 +73,37 @@ def killed_runs(kills, name, seed=0, t_end=0.4):
             part = load(path)
             written = struct.unpack("q", accepted[:8])[0]
             lost = max(lost, written - FLUSH - INSTANTS - (len(part) - 1))
-            deviation = max(deviation, _apart(part, whole, name))
+            deviation = max(deviation, _largest_difference(part, whole, name))
             if part.status == "done":
                 path.unlink()
         last = resume(path) if path.exists() and part.status != "done" else whole
-    deviation = max(deviation, _apart(last, whole, name))
+    deviation = max(deviation, _largest_difference(last, whole, name))
     same_end = float(np.abs(last.q[-1] - whole.q[-1]).max())
     allowed = ALLOWED[name]
     return last, [
         Check("frames lost beyond the last flush", float(max(lost, 0)), 0.5),
-        Check("kept frames, m", deviation, max(allowed, 1e-300)),
+        Check("stored frames, m", deviation, max(allowed, 1e-300)),
         Check("end of the resumed run, m", same_end, max(allowed, 1e-300)),
         Check("kills", float(kills), float(count)),
     ]
 
 
 def _going_on(path, model, method, t_end, accepted):
-    """What a victim does: go on from the file if there is one, tell every accepted step."""
+    """The work of a killed process: continue from the file, or begin, and report accepted steps."""
     done = len(load(path)) - 1 if path.exists() else 0
 
-    def tell(t, steps=[done]):  # noqa: B006, the list is the counter
+    def report(t, steps=[done]):  # noqa: B006, the list is the counter
         steps[0] += 1
         accepted[:8] = struct.pack("q", steps[0])
 
     accepted[:8] = struct.pack("q", done)
     if path.exists():
-        return lambda: resume(path, progress=tell)
-    return lambda: solve(model, t_end, method, out=path, flush_every=FLUSH, progress=tell)
+        return lambda: resume(path, progress=report)
+    return lambda: solve(model, t_end, method, out=path, flush_every=FLUSH, progress=report)
 
 
-def _apart(run, whole, name):
-    """Largest difference of the frames, entry by entry, where a resumed run takes the same steps; for IDA that of the motion at equal times."""
+def _largest_difference(run, whole, name):
+    """Largest difference of frames; for IDA, whose resumed runs take other steps, of the motion at equal times."""
     if name in SETTINGS:
         differences = [np.abs(np.asarray(getattr(run, key)) - getattr(whole, key)[: len(run)]).max(initial=0.0) for key in FRAMES]
         return float(differences[1] if name == "energy" else max(differences))
@@ -114,7 +112,7 @@ def _apart(run, whole, name):
 
 
 def short_run(number, folder):
-    """A task of the sweep: a short run, and a line in a log that tells that it was done."""
+    """A task of the sweep: a short run that adds a line to a log."""
     with open(Path(folder) / "log", "a") as log:
         log.write(f"{number}\n")
     run = solve(plates.double_plate(cells=2).build(), 0.02 + 0.01 * (number % 7), integrator("alpha"))
@@ -122,8 +120,9 @@ def short_run(number, folder):
 
 
 def killed_sweeps(kills, name="any", seed=0, tasks=12):
-    """`kills` kills of sweeps of short runs, started again until they are whole: nothing is done twice that was written,
-    and the rows are those of a sweep that was never killed."""
+    """`kills` kills of sweeps of short runs, which are repeated until they are complete: no stored task runs again, and the rows are
+    those of a sweep without interruption.
+    """
     chance, count, repeated, wrong = random.Random(seed), 0, 0, 0
     with tempfile.TemporaryDirectory() as folder:
 

@@ -1,4 +1,4 @@
-"""Runs of very many steps: phi, energy, time and memory must not grow."""
+"""Runs of very many steps: the errors of phi and energy, the time of a step and the memory must not grow."""
 
 import resource
 import sys
@@ -15,7 +15,7 @@ PARTS = 20  # of a run, between which time and memory are compared
 
 
 class Meter:
-    """A progress function that records CPU seconds and the peak memory of this process after every part of a run."""
+    """A progress function that records CPU seconds and peak memory of the process after each part of a run."""
 
     def __init__(self, steps):
         self.due, self.every, self.count, self.marks = steps // PARTS, steps // PARTS, 0, []
@@ -28,7 +28,7 @@ class Meter:
 
     @property
     def slower(self):
-        """CPU seconds a step in the last quarter of the parts over those in the second quarter."""
+        """CPU time of a step in the last quarter over that in the second quarter."""
         counts, cpu, _ = np.array(self.marks).T
         each = np.diff(cpu) / np.diff(counts)
         quarter = len(each) // 4
@@ -36,7 +36,7 @@ class Meter:
 
     @property
     def grown(self):
-        """Bytes by which the largest memory grew in the second half of the parts."""
+        """Increase of the peak memory in the second half, bytes."""
         memory = np.array(self.marks)[:, 2]
         return float(memory[-1] - memory[len(memory) // 2])
 
@@ -47,8 +47,9 @@ def _memory():
 
 
 def many_steps(steps, name):
-    """`steps` steps of 1 ms of two swinging plates of few cells: drift of phi below 1e-10 m, no energy gained, no step
-    slower than twice an early one, no memory beyond 4 MiB and 8 bytes a step gained in the second half."""
+    """`steps` steps of 1 ms of two swinging plates with few cells: drift of phi below 1e-10 m, no growth of energy, steps at the end take
+    at most twice the time of early ones, and memory grows by at most 4 MiB plus 8 bytes a step in the second half.
+    """
     model, meter = plates.double_plate(cells=2).build(), Meter(steps)
     settings = {"max_step": H, "max_num_steps": 4 * steps} if name in ("ggl2", "ggl1", "radau") else {}
     run = solve(model, steps * H, integrator(name, H, **settings), every=max(1, steps // 2000), progress=meter)

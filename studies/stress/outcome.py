@@ -1,4 +1,4 @@
-"""Outcome of a run with extreme values: right by a stated check, stopped with a reason, or wrong."""
+"""Classification of a run: right, stopped with a reason, or wrong."""
 
 import time
 from dataclasses import dataclass
@@ -27,15 +27,15 @@ class Check:
 
     @property
     def share(self):
-        """Deviation over bound; infinite if it cannot be told."""
+        """Deviation over bound; infinite if it is not finite."""
         share = self.deviation / self.bound if self.bound > 0 else float("nan")
         return float(share) if np.isfinite(share) else float("inf")
 
 
 @dataclass(frozen=True)
 class Stop:
-    """The predicted stop of a row: its statuses ("refused": by InputError), and words of which its message contains one. only: a run that
-    reaches its end is wrong.
+    """The correct stop of a row: possible statuses ("refused" for an InputError) and words, one of which the message contains. only: True
+    if a run that reaches its end is wrong.
     """
 
     statuses: tuple
@@ -43,12 +43,12 @@ class Stop:
     only: bool = True
 
     def covers(self, status, message):
-        """True if a stop is this one."""
+        """True if a status and a message agree with this Stop."""
         return status in self.statuses and any(word in message for word in self.words)
 
 
 def integrator(name, h=1e-3, rtol=1e-5, **settings):
-    """An integrator of the table by its short name; `rtol` is for those that choose their step, alpha with 0.01 m rtol for q."""
+    """An integrator by its short name. rtol: of the error-controlled methods; generalized-alpha has atol = 0.01 m rtol."""
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.energy.energy_momentum import EnergyMomentum
     from polyida.integrate.ida.integrator import IDA
@@ -68,11 +68,11 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
 
 
 def outcome_of(case, *arguments, foreseen=None):
-    """The row of a case: case(*arguments) -> (Trajectory, checks). foreseen: the predicted Stop, or None.
+    """The row of a case: case(*arguments) -> (Trajectory, checks). foreseen: the correct Stop, or None.
 
-    "right": the run reached its end, its frames are finite and every check passes. "stated_stop": it ended earlier with finite frames, or
-    the input was refused, as predicted. "unforeseen_stop": another stop with a status, a message and finite frames, or another refusal.
-    "wrong" is everything else, also a run whose error cannot be determined.
+    "right": the run reaches its end with finite frames and passes all checks. "stated_stop": the run stops with finite frames, or the
+    input is refused, as foreseen. "unforeseen_stop": another stop with a status, a message and finite frames, or another refusal.
+    "wrong": all other runs, also those whose error is unknown.
     """
     begin = time.process_time()
     try:
@@ -92,7 +92,7 @@ def _kind(status, message, foreseen):
 
 
 def judged(run, checks, foreseen=None):
-    """Outcome, status and reason of a run, and the check that is closest to its bound; run None: only the checks."""
+    """Outcome, status and reason of a run, and the check with the largest share. Without a run (None) the checks decide."""
     if run is None:
         return {"status": "done"} | _by_checks(checks)
     finite = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
@@ -107,7 +107,7 @@ def judged(run, checks, foreseen=None):
 
 
 def _stopped(run, checks, foreseen):
-    """Outcome of a stopped run: its frames must be finite, its message must give the reason, and the checks of a stop must pass."""
+    """Outcome of a stopped run: frames must be finite, there must be a message, and the checks with `at_stop` must pass."""
     drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
     result = _by_checks([drift, *checks])
     if result["outcome"] == "wrong" or not run.message:
@@ -129,15 +129,15 @@ def extent(model):
     return model.extent or 1.0
 
 
-def held(run, share=1e-9):
-    """phi stays below a fraction of the scene's size."""
+def drift_check(run, share=1e-9):
+    """The Check that the drift of phi is below a fraction of the size of the scene."""
     return Check("drift", run.drift.max(), share * extent(run.model))
 
 
 def balance(run, gain, loss):
-    """Energy error that motors and gravity do not explain, relative to the largest kinetic and strain energy or motor work.
+    """Checks of the energy that motors and gravity do not explain, over the largest kinetic and strain energy or potential difference.
 
-    Generalized-alpha and BDF dissipate unresolved motion: a loss beyond `loss` is wrong, a gain beyond `gain` is.
+    gain, loss: bounds. Generalized-alpha and BDF dissipate unresolved motion, so a loss may be larger than a gain.
     """
     excess, energy = unbalanced(run), run.energy
     turned = max((energy.kinetic + energy.strain).max(), np.ptp(energy.potential), 1e-300)
@@ -149,8 +149,8 @@ def tip(run):
     return run.position("tip")
 
 
-def off_by(run, place, bound, of="tip"):
-    """Distance of the tip at the end from its reference, relative to the size of the scene."""
+def tip_check(run, place, bound, of="tip"):
+    """The Check of the distance of the tip from its place at the end, over the size of the scene."""
     return Check(of, float(np.linalg.norm(tip(run)[-1] - place)) / extent(run.model), bound)
 
 
@@ -165,29 +165,29 @@ def figures(rows):
 
 
 def outcome_in(row):
-    """A row's outcome: a crash or hang of the process; an exception without a clear message counts as a crash."""
+    """The outcome of a row; an exception without a clear message counts as a crash."""
     return row.get("outcome") or "crash"
 
 
 def limits(rows):
-    """Lines: for each axis, the limit up to which each integrator is right, and the outcome at the first value beyond it."""
+    """Lines of text for each axis: the values with correct runs of each integrator, and the outcome at the first other value."""
     lines = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
-        of_axis, said = [row for row in rows if row["axis"] == axis], {}
+        of_axis, names_of = [row for row in rows if row["axis"] == axis], {}
         for name in dict.fromkeys(row["integrator"] for row in of_axis):
-            said.setdefault(_limit([row for row in of_axis if row["integrator"] == name]), []).append(name)
-        lines += [f"{axis}: {', '.join(names)}: {text}" for text, names in said.items()]
+            names_of.setdefault(_limit([row for row in of_axis if row["integrator"] == name]), []).append(name)
+        lines += [f"{axis}: {', '.join(names)}: {text}" for text, names in names_of.items()]
     return lines
 
 
 def _limit(rows):
     good = [_short(row["value"]) for row in rows if outcome_in(row) == "right"]
     bad = [row for row in rows if outcome_in(row) != "right"]
-    held_at = f"right at {', '.join(good)}" if good else ""
+    correct = f"right at {', '.join(good)}" if good else ""
     if not bad:
-        return held_at
+        return correct
     reason = (bad[0].get("reason") or bad[0].get("error") or "").split(";")[0].split("(least")[0][:120]
-    return f"{held_at}{'; ' if good else ''}{outcome_in(bad[0])} at {_short(bad[0]['value'])}: {reason}"
+    return f"{correct}{'; ' if good else ''}{outcome_in(bad[0])} at {_short(bad[0]['value'])}: {reason}"
 
 
 def _short(value):

@@ -1,4 +1,4 @@
-"""Cases of the stress study with user-defined bodies, joints, forces and models: right against a formula, or refused by name."""
+"""Cases of the stress study with user-defined bodies, joints, forces and models: they agree with a formula, or are refused by name."""
 
 import warnings
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from polyida.model import Model, Needs
 from polyida.model.check import check_derivatives
 from polyida.run.solve import solve
 from polyida.scene import Scene
-from stress.outcome import INTEGRATORS, Check, Stop, held, integrator
+from stress.outcome import INTEGRATORS, Check, Stop, drift_check, integrator
 
 G = 9.81
 WITHOUT_POTENTIAL = tuple(name for name in INTEGRATORS if name != "energy")  # of models that give the method no potential
@@ -31,7 +31,7 @@ ALLOWED = 5e-3  # of the motion: what the integrators of the table with their us
 
 @dataclass(frozen=True, eq=False)
 class Anchored(Body):
-    """A point of mass m, kg, on a spring of stiffness k, N/m, to the origin; its elastic force is Python."""
+    """A point mass m, kg, on a spring to the origin of stiffness k, N/m. Its elastic force is a Python function."""
 
     m: float
     k: float
@@ -60,8 +60,9 @@ BESIDE = ("nothing", "spring", "torque")
 
 
 def own_body_beside(what, name):
-    """A user-defined body, 1 kg on its own spring of 30 N/m, starts with 1 m/s beside a built-in force: it moves as
-    `sin(omega t) / omega`, a built-in spring of 20 N/m adds to its stiffness, a torque turns another body by `M t^2 / (2 I)`."""
+    """A user-defined body of 1 kg on a spring of 30 N/m starts with 1 m/s beside a built-in force: it moves as `sin(omega t) / omega`. A
+    built-in spring adds 20 N/m; a torque turns another body by `M t^2 / (2 I)`.
+    """
     scene, t_end, extra = Scene(), 0.3, 20.0 if what == "spring" else 0.0
     point = scene.add(Anchored(1.0, 30.0, name="own"))
     wheel = scene.add(RigidBody(mass=1.0, inertia=0.5, points={"hub": (0.0, 0.0), "rim": (1.0, 0.0)}, origin=(0.0, 5.0), name="wheel"))
@@ -80,7 +81,7 @@ def own_body_beside(what, name):
     return run, [
         Check("place of the own body, m", float(np.linalg.norm(moved)), ALLOWED / omega),
         Check("place of the wheel's rim, m", float(np.linalg.norm(rim)), ALLOWED),
-        held(run),
+        drift_check(run),
     ]
 
 
@@ -108,7 +109,7 @@ class Linear(Model):
 
 
 def damped_oscillator(damping, name):
-    """Modes of `s^2 + d s + 1`: both roots for every d, also where they are real, -d/2 +- sqrt(d^2/4 - 1)."""
+    """Modes of `s^2 + d s + 1`: both roots -d/2 +- sqrt(d^2/4 - 1) are computed, also if they are real."""
     return None, [_all_roots(Linear(1.0, damping, 1.0), np.roots([1.0, damping, 1.0]))]
 
 
@@ -119,7 +120,7 @@ BICYCLE = {  # Meijaard, Papadopoulos, Ruina, Schwab (2007), Proc. R. Soc. A 463
 
 
 def bicycle(speed, name):
-    """Modes of the benchmark bicycle of Meijaard and others (2007): the published roots, growing and real ones among them."""
+    """Modes of the benchmark bicycle of Meijaard and others (2007): all published roots are computed, also growing and real ones."""
     M = [[80.81722, 2.31941332208709], [2.31941332208709, 0.29784188199686]]
     C = [[0.0, 33.86641391492494], [-0.85035641456978, 1.68540397397560]]
     K0 = np.array([[-80.95, -2.59951685249872], [-2.59951685249872, -0.80329488458618]])
@@ -128,7 +129,7 @@ def bicycle(speed, name):
 
 
 def _all_roots(model, known):
-    """The Check that `modes` has every root, the conjugates of complex modes included."""
+    """The Check that `modes` has every root, including complex conjugates."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that modes grow is what is looked for
         roots = modes(model, damped=True, count=2 * model.n).roots
@@ -145,14 +146,14 @@ class Rail(Joint):
 
 
 class Mirrored(Joint):
-    """The same line, with its formula times -2."""
+    """The constraint of Rail with its formula times -2."""
 
     def rows(self):
         return [cross(self.b.x - self.a.x, self.a.d) * 2.0]
 
 
 class Pin(Joint):
-    """Both points stay together."""
+    """The points of a and b coincide."""
 
     def rows(self):
         return [self.b.x - self.a.x]
@@ -162,8 +163,7 @@ HOLDS = {"Slot": Slot, "Rail": Rail, "Mirrored": Mirrored, "Pin": Pin}
 
 
 def reaction_of(kind, name):
-    """A body of 2 kg slides down or hangs at a joint: its reaction is what the joint does to side b, `m (a - g)`, for user-defined joints as
-    for the built-in one."""
+    """A body of 2 kg slides or hangs at a joint: the reaction on side b is `m (a - g)`, for user-defined joints and for the built-in one."""
     scene = Scene(gravity=(0.0, -G))
     body = scene.add(RigidBody(mass=2.0, inertia=0.1, points={"pin": (0.0, 0.0)}, name="body"))
     scene.add(HOLDS[kind](ground.at((0.0, 0.0), direction=(0.8, 0.6)), body.at("pin"), name="joint"))
@@ -172,14 +172,14 @@ def reaction_of(kind, name):
     known = 2.0 * G * (np.array([0.0, 1.0]) if kind == "Pin" else 0.8 * normal)
     force = np.asarray(run.wrench("joint"))[-1, :2]
     off = float(np.linalg.norm(force - known)) if force.shape == (2,) else float("inf")
-    return run, [Check("reaction on side b, of the weight", off / (2.0 * G), ALLOWED), held(run)]
+    return run, [Check("reaction on side b, of the weight", off / (2.0 * G), ALLOWED), drift_check(run)]
 
 
 PROMISES = ("none", "driven", "mass_varies", "velocity_forces", "phi_q_varies")
 
 
 class Promising(Model):
-    """Two coordinates on a line or a circle; what `broken` names is there although `needs` says that it is not."""
+    """Two coordinates with one constraint. `broken` is a property that `needs` wrongly denies."""
 
     n, m = 2, 1
 
@@ -202,14 +202,14 @@ class Promising(Model):
 
 
 def promised(broken, name):
-    """A user-defined model says of everything that it does not vary: right where that is true, against a run of it that promises nothing."""
+    """A user-defined model with all `needs` False: if that is true, the run agrees with a run of the model with default `needs`."""
     model = Promising(broken)
     run = solve(model, 0.5, integrator(name))
     return run, _against_honest(run, Promising(broken), needs=Needs())
 
 
 def broken_promise(broken, name):
-    """What a model promises by `needs` and does not keep is refused by its name."""
+    """A model that contradicts its `needs` is refused, and the message names the property."""
     return Stop(("refused",), (broken,)) if broken != "none" else None
 
 
@@ -217,7 +217,7 @@ DERIVATIVES = ("none", "phi_rate", "phi_bias")
 
 
 class Circling(Model):
-    """A point of 1 kg on the unit circle under gravity; `wrong` names what is not the derivative of phi that it should be."""
+    """A point of 1 kg on the unit circle under gravity. `wrong` is the function that is no derivative of phi."""
 
     n, m = 2, 1
 
@@ -244,27 +244,27 @@ class Circling(Model):
 
 
 def circled(wrong, name):
-    """A user-defined pendulum that writes phi_rate and phi_bias: right where they are the derivatives of phi."""
+    """A user-defined pendulum with phi_rate and phi_bias: the run is correct if they are derivatives of phi."""
     run = solve(Circling(wrong), 0.5, integrator(name), q0=[1.0, 0.0])
     return run, _against_honest(run, Circling("none"))
 
 
 def no_derivative(wrong, name):
-    """A phi_rate or phi_bias that is not the derivative of phi is refused by its name."""
+    """A model whose phi_rate or phi_bias is no derivative of phi is refused, and the message names the function."""
     return Stop(("refused",), (wrong,)) if wrong != "none" else None
 
 
 def _against_honest(run, model, **attributes):
-    """Checks of a run against Radau IIA with a small tolerance on a model with other attributes."""
+    """Checks of a run against Radau IIA with a small tolerance on a correct model."""
     vars(model).update(attributes)
     exact = solve(model, float(run.t[-1]), RadauIIA(rtol=1e-10), q0=run.q[0], v0=run.v[0])
     off = np.abs(run.q[-1] - exact.q[-1]).max() if exact.success else np.nan
-    return [Check("q at the end against Radau IIA", float(off), ALLOWED), held(run)]
+    return [Check("q at the end against Radau IIA", float(off), ALLOWED), drift_check(run)]
 
 
 @dataclass(frozen=True, eq=False)
 class Attraction(ForceElement):
-    """A point is attracted by the origin with `k d`, N; its energy is `share` of the potential of that."""
+    """A point is attracted by the origin with the force `k d`, N. Its energy is `share` times the potential."""
 
     at: Any
     k: float
@@ -282,7 +282,7 @@ class Attraction(ForceElement):
 
 
 def own_energy(share, name):
-    """A user-defined force with `share` of its potential as energy: checked by `check_derivatives`, then the run must keep its energy."""
+    """A user-defined force with `share` times its potential as energy: `check_derivatives` accepts it, and the run conserves energy."""
     scene = Scene()
     body = scene.add(RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(1.0, 0.0), name="body"))
     scene.add(Attraction(body.at("c"), 20.0, share, name="own"))
@@ -292,9 +292,9 @@ def own_energy(share, name):
         raise InputError(f"check_derivatives: {', '.join(f'{key} {value:.3g}' for key, value in off.items())}")
     run = solve(model, 0.5, integrator(name))
     energy = run.energy.total
-    return run, [Check("energy, of that at the start", float(np.abs(energy - energy[0]).max() / energy[0]), ALLOWED), held(run)]
+    return run, [Check("energy, of that at the start", float(np.abs(energy - energy[0]).max() / energy[0]), ALLOWED), drift_check(run)]
 
 
 def no_potential(share, name):
-    """An energy that is not the potential of its force is told by `check_derivatives`."""
+    """`check_derivatives` detects an energy that is not the potential of its force."""
     return Stop(("refused",), ("check_derivatives",)) if share != 1.0 else None

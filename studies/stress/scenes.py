@@ -1,4 +1,4 @@
-"""Scenes that are driven to where something breaks: each function takes the value that is varied and gives a built model."""
+"""Scenes of the stress study: each function takes the varied value and returns a built model."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def rubber(modulus, **options):
 
 
 def swing(material=plates.RUBBER, tip_mass=plates.TIP_MASS, cells=CELLS):
-    """Two plates that swing freely, built."""
+    """Two plates that swing freely."""
     return plates.double_plate(cells, material=material, tip_mass=tip_mass).build()
 
 
@@ -60,7 +60,7 @@ def slender(ratio):
 
 
 def sliver(width):
-    """One hinged plate of quadrilaterals, 1 m x 0.1 m, one column of which is `width` wide."""
+    """One hinged plate of quadrilaterals, 1 m x 0.1 m, with one column of the width `width`."""
     x = np.sort(np.r_[np.linspace(0.0, 1.0, 11), 0.45, 0.45 + width])
     points = np.array([(at, y) for at in x for y in (-0.05, 0.05)])
     first = 2 * np.arange(len(x) - 1)
@@ -69,7 +69,7 @@ def sliver(width):
 
 
 def short_edge(length):
-    """One hinged plate of 10 x 2 quadrilaterals, an inner node of which is two, `length` apart: two pentagons with a short edge."""
+    """One hinged plate of 10 x 2 quadrilaterals. One inner node is split into two at the distance `length`, which gives two pentagons."""
     points = np.array([(x, y) for x in np.linspace(0.0, 1.0, 11) for y in (-0.05, 0.0, 0.05)] + [(0.5, 0.0)])
     points[16], points[33] = points[16] - length / np.sqrt(8), points[33] + length / np.sqrt(8)
     low = [[3 * k, 3 * k + 3, 3 * k + 4, 3 * k + 1] for k in range(10)]
@@ -85,7 +85,7 @@ def _of_polygons(points, nodes, offsets):
 
 
 def one_polygon(corners, element="wachspress"):
-    """A regular polygon of 1 m diameter, one element, that swings about its left corner; E = 5 GPa."""
+    """One element, a regular polygon of 1 m diameter, that swings about its left corner; E = 5 GPa."""
     angle = np.pi + 2 * np.pi * np.arange(corners) / corners
     points = 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     scene = Scene(DOWN)
@@ -108,9 +108,10 @@ def blocks(count):
 
 
 def four_bar(start, material=plates.RUBBER):
-    """Crank, coupler and rocker of 1 m each as a parallelogram on pivots 1 m apart: flat, and singular if rigid, at crank angle 0.
+    """Crank, coupler and rocker of 1 m each form a parallelogram on pivots with a distance of 1 m. At crank angle 0 it is flat, and
+    singular if rigid.
 
-    start: crank angle in rad from which it falls; the point "tip" is the middle of the coupler.
+    start: initial crank angle, rad. The point "tip" is the right end of the coupler.
     """
     of, scene = mesh.rectangle(1.0, 0.1, CELLS, seed=1), Scene(DOWN)
     end = np.array([np.cos(start), np.sin(start)])
@@ -130,7 +131,7 @@ def four_bar(start, material=plates.RUBBER):
 
 
 def redundant(kind):
-    """Two plates held more often than once, in ways that no solver can tell apart."""
+    """Two plates with more joints than necessary, so that their reactions are not unique."""
     of, scene = mesh.rectangle(1.0, 0.1, CELLS, seed=1), Scene(DOWN)
     one, other = (scene.add(Plate(of, plates.RUBBER, 0.01, origin=(x, 0.0), name=name)) for x, name in ((0.0, "one"), (1.0, "other")))
     left, right, next_left = one.section("left"), one.section("right"), other.section("left")
@@ -148,7 +149,7 @@ def redundant(kind):
 
 
 def struck(duration):
-    """A free plate that a triangular pulse of 1 N s in y strikes at its right end from t = 10 ms on; a kink at each corner."""
+    """A free plate with a triangular pulse of 1 N s in y at its right end, from t = 10 ms on, with a kink at each corner."""
     t0, t1, t2 = 0.01, 0.01 + duration / 2, 0.01 + duration
     scene = Scene()
     board = scene.add(Plate(mesh.rectangle(1.0, 0.1, CELLS, seed=1), STIFF, 0.01, name="board"))
@@ -159,10 +160,9 @@ def struck(duration):
 
 
 def pressed(pressure):
-    """A short plate, nu = 0, on a clamp, pressed along its axis by `pressure` times its modulus of 1 MPa, slowly, with damping.
+    """A short clamped plate, nu = 0, with damping, is pressed slowly along its axis by `pressure` times its modulus of 1 MPa.
 
-    It shortens by the same stretch s everywhere, `E (s - s^3)/2 = pressure`, up to the largest pressure that St. Venant-Kirchhoff
-    bears, `E / (3 sqrt 3) = 0.19245 E` at s = 0.577.
+    The stretch s is uniform, `E (s - s^3)/2 = pressure`, up to the largest possible pressure `E / (3 sqrt 3) = 0.19245 E` at s = 0.577.
     """
     scene = Scene()
     board = scene.add(Plate(mesh.quads(0.05, 0.1, 2, 4), Material(1e6, 0.0, 1100.0, viscosity=SLOW), 0.01, name="board"))
@@ -173,7 +173,7 @@ def pressed(pressure):
 
 
 def collapsing(modulus):
-    """The motor-driven double plate of a modulus."""
+    """The motor-driven double plate with another modulus."""
     return plates.double_plate_motors(CELLS, material=rubber(modulus)).build()
 
 
@@ -183,7 +183,7 @@ def damped(viscosity):
 
 
 def zigzag(rate, h):
-    """Angle profile that runs at `rate` rad/s and turns back within a step of h at t = 0.05 s (d1 changes sign smoothly over h)."""
+    """Angle profile of `rate` rad/s that reverses within a step of h at t = 0.05 s; its rate changes smoothly."""
     t0 = 0.05
 
     def s(t):
@@ -199,6 +199,6 @@ def zigzag(rate, h):
 
 
 def backwards(angle, t_end):
-    """The angle profile run backwards from t_end."""
+    """The angle profile in reversed time from t_end."""
     kinks = tuple(sorted(t_end - t for t in angle.kinks if t < t_end))
     return profile.Profile(lambda t: angle(t_end - t), lambda t: -angle.d1(t_end - t), lambda t: angle.d2(t_end - t), kinks)

@@ -101,9 +101,9 @@ def case(name, quick):
 def measure(name, member, x, quick):
     """Errors at the end, CPU seconds and counts of one run; a failed run has its message as outcome and no errors."""
     selected = case(name, quick)
-    motion, made = selected.ivp, integrator(member, x, selected.sizes, selected.ivp.t_end / 20, selected.newton)
+    motion, method = selected.ivp, integrator(member, x, selected.sizes, selected.ivp.t_end / 20, selected.newton)
     start = {"q0": motion.q0, "v0": motion.v0}
-    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: made}, reference=selected.reference).rows
+    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: method}, reference=selected.reference).rows
     reference_columns = {
         "outcome": "done" if row["status"] == "done" else row["message"],
         "reference": "; ".join(selected.reference["made_by"]),

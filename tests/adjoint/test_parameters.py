@@ -56,7 +56,7 @@ def machine():
     scene.add(pi.Torque(two.section("right"), pi.profile.sine(0.3, 3.0), against=four.section("left"), name="torque"))
     scene.add(pi.Force(one.section("right"), (0.5, pi.profile.ramp(0.0, 1.0, 0.1)), follower=True, name="push"))
     scene.add(pi.SpringDamper(one.section("top"), pi.ground.at((0.2, 3.0)), 50.0, 0.3, name="spring"))
-    scene.add(pi.Contact(bar.at("right"), pi.ground.at((0.0, 0.5)), 300.0, 0.1, name="contact"))
+    scene.add(pi.PenaltyContact(bar.at("right"), pi.ground.at((0.0, 0.5)), 300.0, 0.1, name="contact"))
     scene.add(Wind(one.section("right"), pi.profile.sine(0.4, 1.0), 3.0, name="wind"))
     return scene.build().with_factors(one=(np.array([1.0, 0.5, 2.0]), np.array([0.3, 1.0, 1.0])))
 

@@ -60,6 +60,18 @@ def test_a_damped_scene():
     assert max(errors.values()) < CLOSE, errors
 
 
+def test_errors_do_not_grow_as_steps_become_short():
+    """A body that a controller turns: bars of its joint's forces are large in short steps."""
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(1.0, 0.5, {"centre": (0.0, 0.0), "rim": (1.0, 0.0)}, name="rotor"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), body.at("centre"), name="axle"))
+    scene.add(pi.PID(body.at("centre"), kp=20.0, ki=30.0, kd=4.0, target=0.5, filter=0.02, name="drive"))
+    run = pi.solve(scene.build(), 1.0, pi.RadauIIA(h=5e-3, tolerance=1e-13))
+    goal = pi.objective.Deviation(body.at("rim"), (np.cos(0.5), np.sin(0.5)))
+    errors = pi.check_gradient(run, goal, parameters=["drive.kp", "drive.ki", "drive.kd"])
+    assert max(errors.values()) < 1e-8, errors
+
+
 def same(found, wanted):
     return all(np.allclose(found[name], wanted[name], rtol=1e-7, atol=1e-9 * np.abs(wanted[name]).max()) for name in NAMES)
 

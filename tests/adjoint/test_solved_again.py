@@ -90,3 +90,30 @@ def reduced(numbers):
 @pytest.mark.parametrize("objective", [pi.objective.StrainEnergy(), pi.objective.PeakStress(p=4), pi.objective.PeakReaction("hub", p=4)])
 def test_modes_of_a_reduced_plate_change_with_poissons_ratio(objective):
     assert error(reduced, {"arm.nu": 0.3}, "arm.nu", 0.03, pi.RadauIIA(h=5e-3, tolerance=1e-15), objective) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "integrator", [pi.GeneralizedAlpha(h=1e-2, tolerance=1e-10), pi.GeneralizedAlpha(h=7.1e-3, tolerance=1e-10), pi.RadauIIA(h=1e-2)]
+)
+def test_a_motor_whose_speed_jumps_beside_a_path_that_bends(integrator):
+    """The path bends at the end of the motor's move: J has a kink in the duration, and its slope is the mean of both sides."""
+    angle = pi.profile.linear(0.0, 1.5, duration=0.3)
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    crank = scene.add(pi.RigidBody(1.0, 0.5, {"hub": (-0.5, 0.0), "knee": (0.5, 0.0)}, name="crank"))
+    rod = scene.add(pi.RigidBody(0.3, 0.05, {"knee": (-0.5, 0.0), "tip": (0.5, 0.0)}, origin=(1.0, 0.0), name="rod"))
+    scene.add(pi.Revolute(pi.ground.at((-0.5, 0.0)), crank.at("hub"), name="hub"))
+    scene.add(pi.AngleMotor(pi.ground.at((-0.5, 0.0)), crank.at("hub"), angle=angle, name="motor"))
+    scene.add(pi.Revolute(crank.at("knee"), rod.at("knee"), name="joint"))
+    scene.add(pi.TorsionSpring(crank.at("knee"), rod.at("knee"), stiffness=20.0, damping=0.05, name="spring"))
+    run = pi.solve(scene.build(), 0.5, integrator)
+    bent = pi.objective.Deviation(rod.at("tip"), lambda t: (np.cos(angle.at(t)[0]), np.sin(angle.at(t)[0])))
+    at = int(np.argmin(np.abs(run.t - 0.3)))
+    near = np.zeros((len(run), 1))
+    near[at - 1 : at + 2, 0] = 1.0, 3.0, 2.0  # frames at the jump and on both sides of it
+    ways = {name: near * np.cos(np.arange(getattr(run, name).shape[1])) for name in ("v", "a", "lam")}
+    states = [
+        pi.objective.UserObjective(lambda run, n=n: float(np.sum(ways[n] * getattr(run, n))), lambda run, n=n: {n: ways[n]}) for n in ways
+    ]
+    for objective in (bent, pi.objective.PeakReaction("motor", p=8), *states):
+        errors = pi.check_gradient(run, objective, parameters=["motor.end", "motor.duration"])
+        assert len(errors) == 2 and max(errors.values()) < 1e-6, errors

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.border import assemble, is_accurate, solve_border
+from polyida.assembly.border import solve_border, solve_in_order
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.stabilised_border import stabilised_workspace
 from polyida.jit import entry
-from polyida.linear.elimination import eliminate, solve
 from polyida.problems.n_four_bar import n_four_bar
 
 C = {"real": 2e3, "complex": 2e3 * (0.66 + 0.75j)}
@@ -67,11 +66,7 @@ def solved(b, w):
 
 @entry
 def fixed_order_solves(b, w):
-    assemble(b, w)
-    if not eliminate(b.elimination, w.values, w.x):
-        return False
-    solve(b.elimination, w.values, w.right, w.x)
-    return is_accurate(b, w)
+    return solve_in_order(b, w)
 
 
 def step_of(model, c, lam, q):

@@ -5,7 +5,7 @@ import pytest
 
 from polyida.assembly import corotated
 from polyida.assembly.corotated import SceneStepMatrix
-from polyida.assembly.stabilised_border import massive, stabilised_border, stabilised_workspace
+from polyida.assembly.stabilised_border import mass_columns, stabilised_border, stabilised_workspace
 from polyida.jit import entry
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
@@ -43,7 +43,7 @@ def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, c):
 
     step = SceneStepMatrix(model)
     step.factor(t, q, zero, zero, lam, c * c, c)
-    more = massive(model, step.corotated, C / c if damped else None)
+    more = mass_columns(model, step.corotated, C / c if damped else None)
     found = np.empty((n // 2, 2), dtype), np.empty(m, dtype), np.empty(m, dtype)
     where = model.arrays.links, step.corotated, more, step.workspace, stabilised_workspace(model, dtype), model.drives(t), model.rotation(q)
     sides = r2.reshape(-1, 2), r3, r4

@@ -299,7 +299,7 @@ class ByNumba(InPython):
 PARTS = {
     "spring": lambda b, wheel: pi.SpringDamper(b.at("b"), wheel.at("tip"), stiffness=50.0, damping=2.0, length=0.4),
     "torsion": lambda b, wheel: pi.TorsionSpring(pi.ground, wheel.at("tip"), stiffness=4.0, damping=0.3),
-    "contact": lambda b, wheel: pi.Contact(b.at("a"), wheel.at("tip"), stiffness=1e3, radius=2.0),
+    "contact": lambda b, wheel: pi.PenaltyContact(b.at("a"), wheel.at("tip"), stiffness=1e3, radius=2.0),
     "python": lambda b, wheel: InPython(b.at("a"), wheel.at("tip")),
     "compiled": lambda b, wheel: ByNumba(b.at("a"), wheel.at("tip"), k=10.0),
     "torque": lambda b, wheel: pi.Torque(wheel.at("tip"), 3.0),

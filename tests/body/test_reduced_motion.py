@@ -20,7 +20,7 @@ class FloatingFrame(pi.Model):
 
     def __init__(self, few, full, hinge, about):
         self.fields, self.full, self.n, self.m = few.few[0].body.shapes(), full, few.n, 2
-        pairs, weights = full.held(hinge, "point")
+        pairs, weights = full.pairs_and_weights(hinge, "point")
         self.hinge = weights @ self.fields[pairs]
         self.rest, self.about = few.few[0].rest, about
         self.M = full.mass()

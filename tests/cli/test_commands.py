@@ -119,7 +119,7 @@ def test_run_and_show_answer_with_the_same_of_a_run(capsys):
 def test_list_answers_with_all_that_has_a_name(capsys):
     data, err = answer(capsys, "list", "--json")
     assert [entry["name"] for entry in data["problems"]] == [*pi.problems.names()] and not err
-    assert [entry["name"] for entry in data["integrators"]] == ["alpha", "energy", "ida", "radau"]
+    assert [entry["name"] for entry in data["integrators"]] == ["alpha", "energy", "ida", "radau", "NonsmoothAlpha", "MoreauJean"]
     assert {"name", "what"} == set(data["studies"][0])
 
 

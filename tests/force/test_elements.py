@@ -13,10 +13,10 @@ BETWEEN = {  # of two bodies: what one does to the other that does to the one
     "spring": lambda a, b: pi.SpringDamper(a, b, 30.0, 2.0, 0.4, 1.5),
     "further spring": lambda a, b: pi.SpringDamper(a, b, 30.0, force=lambda e, rate: 5.0 * e**3 + 0.3 * rate),
     "torsion spring": lambda a, b: pi.TorsionSpring(a, b, 3.0, 0.2, 0.4),
-    "line of a body": lambda a, b: pi.Contact(a, b, 1e3, 0.02, 2.0),
+    "line of a body": lambda a, b: pi.PenaltyContact(a, b, 1e3, 0.02, 2.0),
     "motor": lambda a, b: pi.Torque(a, WAVE, against=b),
     "motor of state": lambda a, b: pi.Torque(a, lambda t, angle, rate: 1.0 + np.sin(angle) - 0.3 * rate + 3.0 * t, against=b),
-    "circle": lambda a, b: pi.Contact(a, b, 1e3, 0.02, radius=2.5),
+    "circle": lambda a, b: pi.PenaltyContact(a, b, 1e3, 0.02, radius=2.5),
 }
 ALONE = {
     "spring to ground": lambda a, b: pi.SpringDamper(GUIDE, b, 30.0, 2.0),
@@ -26,7 +26,7 @@ ALONE = {
     "force": lambda a, b: pi.Force(a, (WAVE, -1.0)),
     "follower": lambda a, b: pi.Force(a, (lambda t: t * t, -1.0), follower=True),
     "force of state": lambda a, b: pi.Force(a, lambda t, x, v: (x[0] * v[1], -v[0] + t), follower=True),
-    "line": lambda a, b: pi.Contact(a, GUIDE, 1e3, 0.05),
+    "line": lambda a, b: pi.PenaltyContact(a, GUIDE, 1e3, 0.05),
 }
 ELEMENTS = BETWEEN | ALONE
 
@@ -45,7 +45,7 @@ def bodies(make):
 def made(request):
     """(its name, a model of two rigid bodies with it, itself in its scene)."""
     model = bodies(ELEMENTS[request.param])
-    return request.param, model, model.own_forces.each[0]
+    return request.param, model, model.own_forces[0]
 
 
 def moved(model, seed, size=0.4):
@@ -76,7 +76,7 @@ def test_a_force_is_the_slope_of_its_energy(made):
 @pytest.mark.parametrize("name", BETWEEN)
 def test_what_one_does_to_the_other_the_other_does_to_the_one(name):
     """Forces on points sum to nothing, and so do moments: x cross f of points, d cross f of directions."""
-    own = bodies(BETWEEN[name]).own_forces.each[0]
+    own = bodies(BETWEEN[name]).own_forces[0]
     points = np.array([side.part == "point" for side in _sides(own)])
     x, v = np.random.default_rng(5).standard_normal((2, *own.rest.shape))
     f = own.forces(T, x, v)
@@ -92,7 +92,7 @@ def _sides(own):
 
 
 def test_contact_never_pulls():
-    element = bodies(BETWEEN["circle"]).own_forces.each[0]
+    element = bodies(BETWEEN["circle"]).own_forces[0]
     x, leaving = np.array([[2.49, 0.0], [0.0, 0.0]]), np.array([[100.0, 0.0], [0.0, 0.0]])
     assert not element.forces(0.0, x, leaving).any() and element.forces(0.0, x, 0.0 * x)[0, 0] > 0.0
     assert not element.forces(0.0, 1.01 * x, -leaving).any()
@@ -115,6 +115,6 @@ def test_a_torsion_spring_holds_less_than_half_a_turn():
 def test_the_centre_of_a_circle_leads_nowhere_and_is_named():
     scene = pi.Scene()
     ball = scene.add(pi.RigidBody(1.0, 0.1, {"C": (0.0, 0.0)}))
-    scene.add(pi.Contact(ball.at("C"), pi.ground.at((0.0, 0.0)), 1e3, radius=0.5, name="hoop"))
+    scene.add(pi.PenaltyContact(ball.at("C"), pi.ground.at((0.0, 0.0)), 1e3, radius=0.5, name="hoop"))
     with pytest.raises(pi.InputError, match="hoop.*its point is at the centre of its circle"):
         pi.consistent_state(scene.build())

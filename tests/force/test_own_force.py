@@ -266,7 +266,7 @@ def test_a_compiled_force_reads_its_fields(scenes):
     wave, table = pi.profile.sine(2.0, 1.5, 0.3), np.arange(6.0).reshape(3, 2)
     scene.add(Everything(upper.section("right"), 3, table, wave, (wave, pi.profile.constant(2.0)), cubed))
     model = scene.build()
-    own, q = model.own_forces.each[0], 0.1 * np.random.default_rng(1).standard_normal(model.n)
+    own, q = model.own_forces[0], 0.1 * np.random.default_rng(1).standard_normal(model.n)
     r = np.zeros((model.n_nodes, 2))
     laws.add_own_forces(model.laws, model.arrays.links, model.drives(0.3), q.reshape(-1, 2), 0.0 * r, r)
     expected = -own.A.T @ own.forces(0.3, own.places(q), np.zeros((1, 2))).ravel()

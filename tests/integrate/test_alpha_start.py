@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.start import started
-from polyida.integrate.start import consistent_state
+from polyida.integrate.start import consistent_state, started
 
 H = 4e-4  # s; energies are looked at to a hundredth, which is more than Newton leaves
 MEMBERS = {

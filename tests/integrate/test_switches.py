@@ -31,7 +31,7 @@ def thrown(stop, gravity=0.0, at=(0.0, 0.0), velocity=(1.0, 0.0)):
 
 
 def ball(x=0.5, y=0.0, **settings):
-    return lambda point: pi.Contact(point, pi.ground.at((x, y)), **{"stiffness": 1e6, "radius": 0.01, "name": "stop"} | settings)
+    return lambda point: pi.PenaltyContact(point, pi.ground.at((x, y)), **{"stiffness": 1e6, "radius": 0.01, "name": "stop"} | settings)
 
 
 def speeds(run):
@@ -57,7 +57,7 @@ def test_a_glancing_blow_keeps_energy_and_turns_the_way(name):
 @pytest.mark.parametrize("name", ["radau, tight", "alpha, long h", "energy"])
 def test_bounces_on_a_line_keep_energy(name):
     run = pi.solve(
-        thrown(lambda p: pi.Contact(p, pi.ground.at((0.0, 0.0)), 1e5, exponent=1.0), 9.81, (0.0, 0.2)), 1.0, INTEGRATORS[name][0]
+        thrown(lambda p: pi.PenaltyContact(p, pi.ground.at((0.0, 0.0)), 1e5, exponent=1.0), 9.81, (0.0, 0.2)), 1.0, INTEGRATORS[name][0]
     )
     energy = run.energy
     assert run.success and abs(energy.total - energy.total[0]).max() < 5e-3 * energy.kinetic.max()
@@ -88,7 +88,7 @@ def test_a_damped_blow_loses_what_hunt_and_crossley_say():
 def test_a_body_at_rest_in_contact_takes_no_more_steps():
     """Pressed in by its weight, it stays there and nothing switches."""
     depth = (9.81 / 1e6) ** (2 / 3)
-    model = thrown(lambda p: pi.Contact(p, pi.ground.at((0.0, 0.0)), 1e6), 9.81, (0.0, -depth), (0.3, 0.0))
+    model = thrown(lambda p: pi.PenaltyContact(p, pi.ground.at((0.0, 0.0)), 1e6), 9.81, (0.0, -depth), (0.3, 0.0))
     run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=0.02))
     assert run.success and run.steps == 100 and abs(run.v.reshape(-1, 2)[:, 1]).max() < 1e-6
 
@@ -195,7 +195,7 @@ def test_gradients_take_the_steps_that_end_at_contacts_again(integrator):
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody.bar(1.0, 1.0, angle=0.3, name="bar"))
     scene.add(pi.Revolute(bar.at("left"), pi.ground.at((0.0, 0.0)), name="pin"))
-    scene.add(pi.Contact(bar.at("right"), pi.ground.at((0.0, -0.99)), 1e3, radius=0.05, name="stop"))
+    scene.add(pi.PenaltyContact(bar.at("right"), pi.ground.at((0.0, -0.99)), 1e3, radius=0.05, name="stop"))
     run = pi.solve(scene.build(), 0.8, integrator)
     assert run.counts.rejected
     deviation = pi.objective.Deviation(bar.at("right"), lambda t: (0.3, -0.2))

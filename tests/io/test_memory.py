@@ -62,4 +62,4 @@ def test_where_the_system_grants_nothing_there_is_no_memory(monkeypatch):
     monkeypatch.setattr(memory.mmap, "mmap", refused)
     monkeypatch.setattr(memory, "_unused", defaultdict(list))
     with pytest.raises(MemoryError):
-        memory.room([(1 << 20,)], [np.dtype(float)], 2**30)
+        memory.allocate([(1 << 20,)], [np.dtype(float)], 2**30)

@@ -142,7 +142,7 @@ PARTS = {  # what works on the section at the left or right, and the share of it
     "torque": (lambda left, right: pi.Torque(left, P.quintic(0.0, 5.0, 0.05), name="part"), 1e-5),
     "force": (lambda left, right: pi.Force(right, (P.sine(5.0, 8.0), 3.0), name="part"), 3e-5),
     "follower": (lambda left, right: pi.Force(right, (0.0, 5.0), follower=True, name="part"), 3e-4),
-    "contact": (lambda left, right: pi.Contact(right, pi.ground.at((0.0, -0.02)), 2e5, 0.3, name="part"), 1e-4),
+    "contact": (lambda left, right: pi.PenaltyContact(right, pi.ground.at((0.0, -0.02)), 2e5, 0.3, name="part"), 1e-4),
     "path": (
         lambda left, right: pi.PrescribedPosition(right, None, P.quintic(right.point[1], right.point[1] + 0.2, 0.08), name="part"),
         1e-5,

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import polyida as pi
 from polyida.errors import InputError, StepFailure
+from polyida.study.comparison import compare
+from polyida.study.ivp import InitialValueProblem
 
 STEPS = (1e-2, 5e-3, 2.5e-3)
 
@@ -193,3 +196,38 @@ def test_energy_and_drift_follow_whole_runs(tmp_path):
     assert all(row["drift"] < 1e-6 for row in off.rows) and off.plot("velocity_drift").get_yscale() == "log"
     assert np.isnan(off.to_xarray()["drift"].sel(run="IDA").values).sum() == 201 - off.rows[2]["steps"] - 1
     assert (kept.report(tmp_path / "kept") / "unbalanced.csv").exists() and (off.report(tmp_path / "off") / "drift.csv").exists()
+
+
+class Lagging(pi.Model):
+    """A mass on a spring beside a spring and a damper in series: `x' = (q - x)/0.1`."""
+
+    n, m, k = 1, 0, 1
+    needs = pi.Needs(mass_varies=False)
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v, x):
+        return 13.0 * q - 9.0 * x
+
+    def rates(self, t, q, v, x):
+        return (q - x) / 0.1
+
+
+def test_states_have_errors_and_orders():
+    exact = expm(np.array([[0.0, 1.0, 0.0], [-13.0, 0.0, 9.0], [10.0, 0.0, -10.0]])) @ [0.0, 1.0, 0.0]
+    study = pi.study.step_sizes(Lagging(), 1.0, v0=[1.0], integrators={"alpha": pi.GeneralizedAlpha}, h=(0.02, 0.01))
+    run = pi.solve(Lagging(), 1.0, pi.GeneralizedAlpha(h=0.01), v0=[1.0])
+    errors = [study.rows[1][f"error_{part}"] for part in "qvx"]
+    assert errors == pytest.approx(np.abs([run.q[-1, 0], run.v[-1, 0], run.x[-1, 0]] - exact), rel=1e-4)
+    assert study.orders["alpha"]["x"] == pytest.approx(2.0, abs=0.15) and 0 < study.known_to["x"] < 1e-3 * errors[2]
+    given = {"q": exact[:1], "v": exact[1:2], "lam": [], "x": exact[2:]}
+    same = pi.study.work_precision(Lagging(), 1.0, v0=[1.0], integrators={"alpha": pi.GeneralizedAlpha(h=0.01)}, reference=given)
+    assert same.rows[0]["error_x"] == pytest.approx(errors[2], rel=1e-4) and "error in x" in str(same)
+    with pytest.raises(InputError, match=r"reference\['x'\] must be 1 finite"):
+        pi.study.work_precision(
+            Lagging(), 1.0, v0=[1.0], integrators={"alpha": pi.GeneralizedAlpha(h=0.01)}, reference=given | {"x": [1.0, 2.0]}
+        )
+    rows = compare(InitialValueProblem("lag", Lagging(), 1.0, v0=[1.0]), integrators={"alpha": pi.GeneralizedAlpha(h=0.01)}).rows
+    assert [rows[0]["states_end"], rows[0]["error_end"]] == pytest.approx([errors[2], errors[0]], rel=1e-4)
+    assert rows[0]["states_max"] >= rows[0]["states_end"]

@@ -180,7 +180,7 @@ def test_a_force_that_both_methods_step_over_is_not_known(push):
 def test_a_contact_is_known_as_well_as_two_methods_agree():
     scene = pi.Scene()
     body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0)))
-    scene.add(pi.Contact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
+    scene.add(pi.PenaltyContact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
     model = scene.build()
     found = references.make_reference(InitialValueProblem("contact", model, 1.0), others=(references.BY_BDF,))
     assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]

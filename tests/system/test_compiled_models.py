@@ -7,7 +7,7 @@ import polyida as pi
 from polyida import compiled
 from polyida.model.guarded import guard
 from polyida.problems import get
-from polyida.system.python import table_of
+from polyida.system.python import small_table
 
 
 def slope_of(angle):
@@ -120,7 +120,7 @@ def test_a_problem_s_own_model_is_compiled_as_it_stands():
 @pytest.mark.parametrize("kind", [Slider, Exact])
 def test_the_step_matrix_is_that_of_the_functions_in_python(kind):
     model, state = guard(by_numba(kind)()), [np.array(x) for x in ([0.8, 0.4], [-0.6, 1.3], [0.9, -0.2], [1.7])]
-    table = table_of(model, "auto", False, False)
+    table = small_table(model)
     table.make(0.7, *state, 1e4, 1e2)
     exact = Exact().tangent(0.7, *state, 1e4, 1e2, 1.0)
     assert np.abs(table.w.S - exact).max() < 1e-9 * np.abs(exact).max()

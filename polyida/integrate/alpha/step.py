@@ -5,6 +5,8 @@ The stabilised form satisfies phi = 0 and `phi_q v + phi_t = 0` at once:
 by Newmark's formula in a, is free of it (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels 2015). In one Newton step, with dq = x + y, x
 in v and a too and `y = -M^-1 phi_q^T eta`: `S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`. The sum of
 the y of a step, GGL, is computed anew with phi_q of each iterate, so that in the end it has phi_q of the step's end.
+
+A velocity row psi is a row with phi = 0, the rate psi and phi_q = W: `W dq = -psi/gamma'` in Newton's method, `W y = 0` in the stabilised form.
 """
 
 from typing import NamedTuple
@@ -20,9 +22,10 @@ EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
-Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES = range(8)  # rows of Memory.past; the first three are those of Trial.now too
+# rows of Memory.past; the first three are those of Trial.now too
+Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES, PLACES = range(9)
 DD, R, DQ, DV, GGL = range(3, 8)  # further rows of Trial.now
-LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.closed, and of Trial.rows
+LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.rows and of Trial.rows
 # of Memory.marks; norms are root mean squares
 CONTRACTION, AGE = range(2)  # of Newton's method, and its age in steps
 ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(
@@ -41,7 +44,7 @@ class Method(NamedTuple):
     least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over to_a. extent: of the
     coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
     steps), of which atol + rtol |q| is allowed; grow: the error below which h may grow; before: weight of the change of q'' in the step
-    before, over that in this step, in the error.
+    before, over that in this step, in the error. velocity_rows: their numbers among the rows.
     """
 
     h: float
@@ -62,18 +65,19 @@ class Method(NamedTuple):
     atol: float
     grow: float
     before: float
+    velocity_rows: np.ndarray
 
 
 @pack
 class Memory(NamedTuple):
-    """Memory from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks` (MARKS,).
+    """Memory from step to step: `past` (9, n), `rows` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks` (MARKS,).
 
     CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: weights of the coordinates in the mean squares of the
-    local error and of Newton's method.
+    local error and of Newton's method. PLACES: of |q|, which the local error is relative to: MASSES without the integrals of states.
     """
 
     past: np.ndarray
-    closed: np.ndarray
+    rows: np.ndarray
     marks: np.ndarray
 
 
@@ -87,7 +91,7 @@ class Trial(NamedTuple):
 
 def empty(n, m):
     """(Memory, Trial) for n coordinates and m constraints."""
-    return Memory(np.zeros((8, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((8, n)), np.zeros((5, m)))
+    return Memory(np.zeros((9, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((8, n)), np.zeros((5, m)))
 
 
 @entry
@@ -104,7 +108,7 @@ def predict(p, y, w):
         now[DD, i] = dd
         now[Q, i] = past[Q, i] + (p.h * past[V, i] + dd)
     for k in range(w.rows.shape[1]):
-        w.rows[LAM, k] = y.closed[LAM, k]
+        w.rows[LAM, k] = y.rows[LAM, k]
 
 
 @fast
@@ -163,7 +167,7 @@ def end_step(p, y, w, q, v, a, lam):
     for i in range(q.shape[0]):
         q[i], v[i], a[i] = y.past[Q, i], y.past[V, i], y.past[A, i]
     for k in range(lam.shape[0]):
-        lam[k] = y.closed[LAM, k]
+        lam[k] = y.rows[LAM, k]
     if p.control > 0.0:
         y.marks[SINCE] += 1.0
         if y.marks[SINCE] >= PATIENCE:
@@ -181,7 +185,7 @@ def local_error(p, y, w):
         before = p.before * y.past[CHANGE, i]
         change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + before) ** 2
         earlier += before * before
-        size += y.past[MASSES, i] * w.now[Q, i] * w.now[Q, i]
+        size += y.past[PLACES, i] * w.now[Q, i] * w.now[Q, i]
     control = p.control / (1.0 + p.before) if earlier > 0.0 else p.control
     return control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
@@ -204,7 +208,7 @@ def remember(p, y, w):
         past[EARLIER, i] = before
         past[Q, i], past[V, i], past[A, i] = now[Q, i], now[V, i], a
     for k in range(w.rows.shape[1]):
-        y.closed[LAM, k], y.closed[PHI, k], y.closed[RATE, k] = w.rows[LAM, k], w.rows[PHI, k], w.rows[RATE, k]
+        y.rows[LAM, k], y.rows[PHI, k], y.rows[RATE, k] = w.rows[LAM, k], w.rows[PHI, k], w.rows[RATE, k]
     y.marks[AHEAD], y.marks[BEHIND] = nearest(aa, ab, bb, ad, bd)
 
 
@@ -218,16 +222,16 @@ def nearest(aa, ab, bb, ad, bd):
 
 
 @part
-def close(f, w, k, p, y, x):
+def constraints(f, w, k, p, y, x):
     """(how it ended, the largest |phi|); fills phi and rate at the trial state."""
     now, rows = x.now, x.rows
     for i in range(now.shape[1]):
         a1 = (now[DD, i] / (p.h * p.h) - (0.5 - p.beta) * y.past[A_ALG, i]) / p.beta
         now[DV, i] = p.h * ((1.0 - p.gamma) * y.past[A_ALG, i] + p.gamma * a1)
     for i in range(rows.shape[1]):
-        rows[PHI, i], rows[RATE, i] = y.closed[PHI, i], y.closed[RATE, i]
+        rows[PHI, i], rows[RATE, i] = y.rows[PHI, i], y.rows[RATE, i]
     places = address(now[Q]), address(now[DD]), address(now[DV]), address(rows[PHI]), address(rows[RATE])
-    ended = call(f[table.CLOSE], w, k, places[0], places[1], places[2], places[3], places[4], 0)
+    ended = call(f[table.CONSTRAINTS], w, k, places[0], places[1], places[2], places[3], places[4], 0)
     worst = 0.0
     for i in range(rows.shape[1]):
         worst = max(worst, abs(rows[PHI, i]))
@@ -243,6 +247,18 @@ def split_constraints(f, w, k, p, x):
         share = rows[BIAS, i] / p.to_v
         rows[BIAS, i] = rows[PHI, i] - share
         rows[PHI, i] = share
+    for i in range(p.velocity_rows.shape[0]):
+        rows[BIAS, p.velocity_rows[i]] = 0.0
+    return ended
+
+
+@part
+def add_velocity_rows(f, w, k, p, x):
+    """Fill the velocity rows of rows[PHI] with psi/gamma'."""
+    rows = x.rows
+    ended = call(f[table.RATE], w, k, address(x.now[Q]), address(x.now[V]), address(rows[BIAS]), 0, 0, 0)
+    for i in range(p.velocity_rows.shape[0]):
+        rows[PHI, p.velocity_rows[i]] = rows[BIAS, p.velocity_rows[i]] / p.to_v
     return ended
 
 
@@ -283,7 +299,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         predict(p, y, x)
         y.marks[ACCEL] *= 0.9
         y.marks[ACCEL_CHANGE] *= 0.9
-    call(f[table.HOLD], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
+    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
     if stabilised and last == 0.0:
         for i in range(now.shape[1]):
             now[GGL, i] = 0.0
@@ -293,9 +309,11 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         ended = call(f[table.RESIDUAL], w, k, state[0], state[1], state[2], state[3], r, phi)
         counts[0] += 1
         if ended == DONE and p.incremental:
-            ended, _ = close(f, w, k, p, y, x)
+            ended, _ = constraints(f, w, k, p, y, x)
         if ended == DONE and stabilised:
             ended = split_constraints(f, w, k, p, x)
+        elif ended == DONE and p.velocity_rows.shape[0]:
+            ended = add_velocity_rows(f, w, k, p, x)
         if ended != DONE:
             return ended, last
         ended = call(f[table.SOLVE], w, k, state[0], state[3], r, phi, dq, dlam)
@@ -306,7 +324,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         if ended != DONE:
             return ended, last
         if converged:
-            ended, worst = close(f, w, k, p, y, x)
+            ended, worst = constraints(f, w, k, p, y, x)
             if ended != DONE:
                 return ended, last
             if worst <= allowed:

@@ -6,27 +6,28 @@ import numpy as np
 
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step_size import CUT, LOWEST, StepSizeController
 from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
 from polyida.integrate.sizes import extent, states_at_rest, weights
-from polyida.integrate.start import start_values
+from polyida.integrate.start import start_values, started
 from polyida.integrate.state import State, States, Stretch
 from polyida.linear.lu import FactorCache, SingularSystem
-from polyida.memory import room
+from polyida.memory import allocate
 from polyida.system import INSTANTS
-from polyida.system.python import table_of
+from polyida.system.python import PythonTable, small_table
 
 ADAPTIVE = 128  # steps of a stretch if h may change
+SAME_H = 1e-9  # relative difference of steps that is round-off
 DIVERGED = 0.03  # of the model's extent: distance of the runs with h and h/2 beyond which they are different motions
 
 
 class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
-    control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every beginning and `stepped(state)` for
-    every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer" if adaptive steps should be, else
-    None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam (count, m)], or None.
+    factored_for: h of the factor. control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every
+    beginning and `stepped(state)` for every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer"
+    if adaptive steps should be, else None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam
+    (count, m)], or None.
     """
 
     chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
@@ -35,13 +36,19 @@ class Steps:
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
-        self.table = table_of(model, settings.linear, self.stabilised, settings.incremental_phi and model.has_constraint_increments)
+        incremental = settings.incremental_phi and model.has_constraint_increments
+        if model.compiled and settings.linear != "kkt":
+            from polyida.system.scene import SceneTable
+
+            self.table = SceneTable(model, self.stabilised or model.velocity_rows.size > 0, incremental)
+        else:
+            self.table = (None if settings.linear == "kkt" else small_table(model, incremental)) or PythonTable(model, incremental)
         self.caution = self.table.system(settings).caution
-        self.system = self.spare = self.resize = self.recorder = None
+        self.system = self.spare = self.resize = self.recorder = self.factored_for = None
         self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
 
-    def begin(self, state, h):
-        """Go on with steps of h from a state that `started` returned.
+    def begin(self, state, h, same_factor=False):
+        """Go on with steps of h from a state that `started` returned, with the present factor or one for this h.
 
         memory["pause"]: the number of counted steps after which a stretch ends. memory["stretch"]: length of the next stretch of a model
         with switches; who takes the states writes it into the last one of a stretch.
@@ -53,15 +60,17 @@ class Steps:
         least, most, share = s.newton_tolerance(to_a * h * h)
         numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
         held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
-        self.method = step.Method(*numbers, s.incremental_phi and model.has_constraint_increments, s.max_iterations, *held_to)
+        incremental = s.incremental_phi and model.has_constraint_increments
+        self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         if control and control.before and not at_kink(model, state.t):  # for the error of the first step
             y.past[step.CHANGE] = state.memory.get("change", 0.0)
-        y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
+        y.rows[step.LAM], (y.rows[step.PHI], y.rows[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
         self.resize, self.ended, self.last, self.first, self.count, self.waiting = None, None, None, 0, 0, []
-        self._take(self.factors.take(h))
+        if not same_factor:
+            self._set_system(self.factors.get(h))
         if self.recorder is not None:
             self.recorder.begun(state, h)
 
@@ -70,19 +79,28 @@ class Steps:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 
     def _weigh(self, masses):
-        self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses
+        past = self.memory.past
+        past[step.MASSES], past[step.SHARES], past[step.PLACES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses, masses
+        past[step.PLACES, self.model.hidden] = 0.0
 
-    def _take(self, system):
+    def _set_system(self, system):
         """Use a factor, of which Newton's contraction is not known."""
         self.system = system
         self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
 
+    def restore_factor(self, memory):
+        """Make the factor of a memory again, unless it is the present one."""
+        made_at = memory["factored_at"]
+        if self.system is None or not np.array_equal(made_at, self.system.made_at):
+            self.system = None
+            if len(made_at):
+                h = float(memory.get("factored_for", memory["h"]))
+                self._factor(float("nan"), lambda system: system.again(made_at, *self.settings.coefficients.rates(h)), h)
+
     def recall(self, memory):
-        """Take up Newton's memory and factor, so that a resumed run is the same to the last bit."""
+        """Take up Newton's memory, so that a resumed run is the same to the last bit."""
         self.memory.past[step.CHANGE], self.memory.past[step.EARLIER] = memory["change"], memory["earlier"]
         self._weigh(memory.get("weights", self.memory.past[step.MASSES].copy()))
-        if len(memory["factored_at"]):
-            self._factor(float("nan"), lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v))
         self.memory.marks[:] = memory["marks"]
         self.method = self.method._replace(extent=float(memory["extent"]))
 
@@ -121,7 +139,7 @@ class Steps:
         to_pause, h, n, m = self.pause - self.counts.steps, self.method.h, self.model.n, self.model.m
         self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))
         self.first, self.count = 0, len(times) - 1
-        self.frames = self.rows(self.count) or room([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
+        self.frames = self.rows(self.count) or allocate([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
         self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
 
     def _stretch(self, grid, done):
@@ -165,11 +183,12 @@ class Steps:
         self.counts.add(*counts)
         if counts[2]:
             self.system.read()
+            self.factored_for = method.h
         return result
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
         self.ended = None
-        self.table.raise_left()
+        self.table.raise_error()
         if not fresh and ended not in (HALF_TURN, SINGULAR):
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
@@ -185,7 +204,7 @@ class Steps:
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
-            self.table.raise_left()
+            self.table.raise_error()
             if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
             y.marks[step.MOVED] = moved
@@ -194,20 +213,22 @@ class Steps:
 
     def _factor_here(self, first):
         t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.rows[step.LAM].copy()
-        self._factor(t, lambda system, p: self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v))
+        p = self.method
+        self._factor(t, lambda system: self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v), p.h)
 
-    def _factor(self, t, make):
-        """A new factor by make(system, method), which returns the number of residuals it took, or None."""
+    def _factor(self, t, make, h):
+        """A new factor for steps of h by make(system), which returns the number of residuals it took, or None."""
         system = self.spare or self.table.system(self.settings)
         self.counts.add(factors=1)
         try:
-            self.counts.add(residuals=make(system, self.method) or 0)
+            self.counts.add(residuals=make(system) or 0)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
         self.counts.add(system=system)
-        self._take(system)
+        self._set_system(system)
+        self.factored_for = h
         if self.control:
-            self.factors.keep(self.method.h, system)
+            self.factors.keep(h, system)
         else:
             self.spare = system  # the next factor overwrites it
 
@@ -219,7 +240,7 @@ class Steps:
     def state(self, t):
         """The last accepted state with the memory from which a run goes on."""
         y = self.memory
-        return State(float(t), *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), self._memory(None), restart=False)
+        return State(float(t), *y.past[: step.A + 1].copy(), y.rows[step.LAM].copy(), self._memory(None), restart=False)
 
     def _memory(self, grid):
         y, p = self.memory, self.method
@@ -227,10 +248,11 @@ class Steps:
         memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
         memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made_at, "extent": p.extent}
+        memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, p.h) else {}
         if self.model.needs.mass_varies:
             memory["weights"] = y.past[step.MASSES].copy()
         if p.incremental:
-            memory |= {"phi": y.closed[step.PHI].copy(), "rate": y.closed[step.RATE].copy()}
+            memory |= {"phi": y.rows[step.PHI].copy(), "rate": y.rows[step.RATE].copy()}
         return memory if grid is None else memory | {"grid": grid}
 
 
@@ -251,9 +273,15 @@ def fixed_steps(engine, state, begin, end, count):
         failures = []
         if level == 0:
             try:
-                engine.begin(started(settings, model, state, grid.h), grid.h)
-                near, same_h = 1e-12 * max(abs(state.t), abs(grid.end)), np.isclose(state.memory.get("h", 0.0), grid.h, rtol=1e-9, atol=0.0)
-                if "factored_at" in state.memory and same_h and not model.kinks(state.t - near, state.t + near):
+                near, same_h = (
+                    1e-12 * max(abs(state.t), abs(grid.end)),
+                    np.isclose(state.memory.get("h", 0.0), grid.h, rtol=SAME_H, atol=0.0),
+                )
+                goes_on = "factored_at" in state.memory and same_h and not model.kinks(state.t - near, state.t + near)
+                if goes_on:
+                    engine.restore_factor(state.memory)
+                engine.begin(started(settings, model, state, grid.h, engine.system if goes_on else None), grid.h, goes_on)
+                if goes_on:
                     engine.recall(state.memory)
                 while done < grid.count:
                     stretch = engine.stretch(grid, done)

@@ -103,13 +103,16 @@ class EnergyMomentum(Integrator):
                 raise InputError(f"{part} gives no potential(q), so there is no energy to keep{other}")
             if own.needs.mass_varies and not _equal(own.mass(q), own.mass(q + d)):
                 raise InputError(f"{part}: its mass varies with q; it must be constant{other}")
-            if own.m and not _equal(own.phi(0.0, q + d) - own.phi(0.0, q - d), 2.0 * own.phi_q(0.0, q) @ d):
+            move = np.delete(2.0 * own.phi_q(0.0, q) @ d, own.velocity_rows)  # the force of a velocity row does no work in any case
+            gain = np.delete(own.phi(0.0, q + d) - own.phi(0.0, q - d), own.velocity_rows)
+            if move.size and not _equal(gain, move):
                 raise InputError(
                     f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{other}"
                 )
             if unguarded(own).by_numba:
                 Compiled(own, OF_ENERGY)
-        require_energies(guard(model), 0.0, np.zeros(model.n))
+        own = guard(model)
+        require_energies(own, 0.0, np.zeros(own.n))
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one for each step. Raises StepFailure."""
@@ -118,7 +121,10 @@ class EnergyMomentum(Integrator):
     def _stretches(self, model, state, t_end, counts):
         for begin, end, most in pieces(model, state.t, t_end, self.h):
             t = beside(begin, 1) if at_kink(model, begin) else begin  # behind a jump of a motor's speed
-            state = State(state.t, state.q, on_velocity(model, t, state.q, state.v), state.a, state.lam, state.memory)
+            v, memory = model.sampled(begin, state.q, state.v), state.memory
+            if "v_free" in memory and v is not state.v:
+                memory = memory | {"v_free": memory["v_free"] + (v - state.v)}
+            state = State(state.t, state.q, on_velocity(model, t, state.q, v), state.a, state.lam, memory)
             grid = Grid(begin, end, number_of_steps(model, state, begin, end, min(self.h, most)))
             for state in states_at_rest(model, state, grid, counts):
                 grid = grid._replace(done=grid.done + 1)
@@ -201,11 +207,11 @@ class Steps:
     def _steps(self, first, qs, vs):
         """(steps, how it ended, last |dq|) of the compiled loop."""
         counts, s = np.zeros(3, np.int64), self.settings
-        settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind
+        settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind, self.model.velocity_rows
         with self.table.at_work(self.system) as (functions, workspace):
             ended = loop.stretch(functions, workspace, first, *settings, self.now, self.rows, self.marks, counts, qs, vs)
         self.counts.add(counts[0], counts[1])
-        self.table.raise_left()
+        self.table.raise_error()
         if counts[2]:
             self.system.read()
             self.counts.add(factors=counts[2])
@@ -281,7 +287,7 @@ class Steps:
         """Call a function of the loop for ends at times t."""
         first = self.table.prepare_ends(t, self._side(t[-1]))
         ended = function(self.table.functions, self.table.workspace, first, *map(np.ascontiguousarray, arrays))
-        self.table.raise_left()
+        self.table.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t[0])
 

@@ -2,7 +2,7 @@
 
 Newton's method on dq of the end. The derivative of the residual is `S/2`, `S = (4/h^2) M + (2/h) C + K` at the middle, a step matrix, except
 for what is not symmetric and for the Jacobian of phi, which is that at the end and not at the middle. Newton's method converges with both, to
-the root of the exact residual.
+the root of the exact residual. A velocity row psi is a row with phi = 0 at the end; its equation is `psi = 0` in the middle, `W dq = -h psi`.
 
 It starts from extrapolated a and lam, each by the polynomial that would have been nearest in the last step, and ends after one correction if
 the contraction measured in earlier steps leaves less than the tolerance.
@@ -93,7 +93,7 @@ def correct(now, rows):
 
 
 @part
-def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
+def newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts):
     """Newton's method from the predicted end. Returns how it ended and the last |dq|."""
     before = 0.0
     places = address(now[Q1]), address(rows[LAM]), address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
@@ -103,6 +103,12 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
         counts[0] += 1
         if ended != DONE:
             return ended, before
+        if velocity_rows.shape[0]:
+            ended = call(f[table.RATE], w, instant - 1, address(now[QM]), address(now[VM]), places[5], 0, 0, 0)
+            if ended != DONE:
+                return ended, before
+            for i in range(velocity_rows.shape[0]):
+                rows[PHI, velocity_rows[i]] = h * rows[DLAM, velocity_rows[i]]
         for i in range(now.shape[1]):
             now[R, i] *= 2.0
         ended = call(f[table.SOLVE], w, instant, places[0], places[1], places[2], places[3], places[4], places[5])
@@ -158,7 +164,7 @@ def end_step(f, w, instant, h, kind, now, rows, marks, q, v):
 
 
 @entry
-def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, counts, qs, vs):
+def stretch(f, w, first, c, h, tolerance, most, extent, kind, velocity_rows, now, rows, marks, counts, qs, vs):
     """Take steps until the frames are full or a factor is needed: (steps, how it ended, last |dq|).
 
     f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h; counts (3,):
@@ -168,7 +174,7 @@ def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, 
     for k in range(qs.shape[0]):
         instant = 2 * (first + k) + 1
         predict(h, now, rows, marks)
-        ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
+        ended, moved = newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts)
         if f[table.FACTOR] and ended in (REFACTOR, NOT_FINITE):
             marks[ORDER] = marks[ORDER_LAM] = 0.0
             marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
@@ -178,7 +184,7 @@ def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, 
             ended = call(f[table.FACTOR], w, instant - 1, places[0], places[1], places[2], places[3], places[4], 0)
             counts[2] += 1
             if ended == DONE:
-                ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
+                ended, moved = newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts)
         if ended == DONE:
             ended = end_step(f, w, instant, h, kind, now, rows, marks, qs[k], vs[k])
         if ended != DONE:

@@ -19,6 +19,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import NO_ENERGY, NOISE, take_midpoint_forces
 from polyida.assembly.projection import constrain
+from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
@@ -32,7 +33,7 @@ from polyida.system import dense as small
 from polyida.system import scene as of_scene
 from polyida.system.dense import END, ENDED, INNER, vector
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, rows
+from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: nearer ones have more round-off
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them on each side
@@ -55,7 +56,7 @@ def potential(w, x, d, s):
     """V at x + s d."""
     for i in range(w.q.shape[0]):
         w.q[i] = x[i] + s * d[i]
-    small.ask(w, small.POTENTIAL, INNER, w.x)
+    small.evaluate(w, small.POTENTIAL, INNER, w.x)
     return w.x[0]
 
 
@@ -63,14 +64,14 @@ def potential(w, x, d, s):
 def own_middle(w, instant, states, lam, r, phi, e, f):
     """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    small.take(w, instant - 1, states + 16 * n, states + 24 * n)
-    small.take_forces(w, states + 32 * n, lam)
+    small.set_state(w, instant - 1, states + 16 * n, states + 24 * n)
+    small.set_a_lam(w, states + 32 * n, lam)
     residual, constraints = vector(r, n), vector(phi, m)
-    small.take_rows(w)
+    small.evaluate_rows(w)
     small.equilibrium(w, residual)
     x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
     for i in range(n):
-        d[i] = x1[i] - x0[i]
+        d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
     first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
     for k in range(4):
         work += (8.0, -8.0, -1.0, 1.0)[k] * potential(w, x, d, (1.0, -1.0, 2.0, -2.0)[k] * STEP) / (12.0 * STEP)
@@ -87,8 +88,8 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
         for i in range(n):
             residual[i] += bracket / size * metric[i]
     if m:
-        small.take(w, instant, states + 8 * n, states + 24 * n)
-        ended = small.ask(w, small.PHI, END, w.phi)
+        small.set_state(w, instant, states + 8 * n, states + 24 * n)
+        ended = small.evaluate(w, small.PHI, END, w.phi)
         for k in range(m):
             constraints[k] = w.phi[k]
     return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
@@ -128,6 +129,23 @@ def discrete_derivative(potential, x0, x1, metric, slope=None):
     return bracket / size * metric
 
 
+def midpoint_force(own, t, x0, x1, v, half):
+    """Force of an OwnForce at the middle of a step by the discrete gradient, (sides, 2), as own_laws.take_midpoint_forces has it."""
+    middle = 0.5 * (x0 + x1)
+    force = own.forces(t, middle, v)
+    if not np.isfinite(force).all():
+        return force
+    conservative, dx, potential = own.conservative(t, middle), x1 - x0, own.energy
+    if own.placed:
+        dx[own.own_sides.stop :] = 0.0
+
+        def potential(x):
+            speeds = v - half if x is x0 else v + half if x is x1 else v
+            return own.energy(x, speeds) - own.energy(middle, speeds)
+
+    return force - discrete_derivative(potential, x0, x1, dx, None if conservative is None else -conservative)
+
+
 class MiddleTable:
     """Mixed into tables with instants of a step's middle and end. complete: True if entries of the table make v, a and lam of frames."""
 
@@ -162,7 +180,7 @@ class PythonOwn(MiddleTable, PythonTable):
         residual[:], constraints[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy()), model.phi(end, x1)
         if not (np.isfinite(residual).all() and np.isfinite(constraints).all()):
             return NOT_FINITE
-        residual += discrete_derivative(model.potential, x0, x1, model.mass(q) @ (x1 - x0))
+        residual += discrete_derivative(model.potential, x0, x1, model.mass(q) @ model.without_states(x1 - x0))
         return DONE
 
 
@@ -201,20 +219,28 @@ def middle(w, instant, states, lam, r, phi, e, f):
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
     joints.point_values(links, fields[1], points[DZ])
-    add_elements(links, w.laws, drives, fields, points, out)
+    add_elements(w, w.laws, drives, w.numbers[H], fields, points, out)
     w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
     return DONE
 
 
 @part
-def add_elements(links, laws, drives, states, points, r):
-    """Add force elements to r; without any, laws is None and nothing is compiled."""
+def add_elements(w, laws, drives, h, states, points, r):
+    """Add force elements to r, and renew their slopes; without any, laws is None and nothing is compiled."""
     if laws is not None:
+        links = w.scene.links
         joints.point_values(links, states[0], points[START])
         joints.point_values(links, states[3], points[VX])
+        joints.point_values(links, states[4], points[DX])
+        half = points[DX]
+        for p in range(half.shape[0]):
+            for k in range(2):
+                half[p, k] *= 0.5 * h
         clear(points[FORCES])
-        take_midpoint_forces(laws, drives, points[START], points[DZ], points[VX], points[FORCES])
+        take_midpoint_forces(laws, drives, points[START], points[DZ], points[VX], half, points[FORCES])
         joints.spread(links, points[FORCES], r)
+        joints.point_values(links, states[2], points[DX])
+        renew_slopes(w, laws, drives, points[DX], points[VX])
 
 
 @entry
@@ -229,6 +255,8 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
         r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
     clear(rotation)
     few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
+    kernels.hold_strains(scene.relaxation, a, r, rotation)
+    add_relaxation_middle(scene, scene.relaxation, u0, u1, um, vm, r)
     least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
@@ -279,7 +307,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     s, links, drives, out, multipliers = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
     u, speed = pairs(w, q), pairs(w, v)
     kernels.equilibrium(w.scene, drives, u, s.still, w.level, s.r, multipliers, w.rotation, w.points[DZ], w.points[FORCES])
-    of_scene.add_forces(w.scene, w.damp, w.laws, drives, u, speed, s.r)
+    of_scene.add_forces(w.scene, w.damp, w.laws, drives, u, speed, 1.0, s.r)
     for i in range(out.shape[0]):
         s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
     clear(out)
@@ -288,13 +316,13 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 
 class EnergyTable(SceneTable):
-    """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate."""
+    """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     entries = {number: of_scene.FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
 
     def __init__(self, model):
-        super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven), False)
-        self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not model.bodies
+        super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0), False)
+        self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not (model.bodies or model.strains)
         if self.complete:
             self.entries = self.entries | {KINETIC: kinetic, ACCELERATION: acceleration}
             self.w["solid"] = Solid(*model.once(masses), *np.zeros((2, model.n_nodes, 2)))
@@ -341,22 +369,16 @@ class PythonScene(MiddleTable, PythonTable):
             residual += model.uneven_mass @ a
         if model.uneven_drag is not None:
             residual += model.uneven_drag @ vm
-        for own in model.own_forces.each:
-            x0, x1 = own.places(u0), own.places(u1)
-            middle = 0.5 * (x0 + x1)
-            force = own.forces(t, middle, own.velocities(vm))
-            if np.isfinite(force).all():
-                conservative = own.conservative(t, middle)
-                slope = None if conservative is None else -conservative
-                force = force - discrete_derivative(own.energy, x0, x1, x1 - x0, slope)
-            residual -= own.A.T @ force.ravel()
+        for own in model.own_forces:
+            places, speeds = (own.places(u0), own.places(u1)), own.velocities(vm)
+            residual -= own.A.T @ midpoint_force(own, t, *places, speeds, own.velocities(0.5 * self.h * a)).ravel()
         self._array(r, model.n)[:], constraints[:] = residual, model.phi(end, u1)
         return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
 
 
 def masses(model):
     """Masses of the bodies of a scene without plates, and their inverses."""
-    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in model.few]
+    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.few, *model.states.values())]
     compacts = []
     for matrices in (each, [np.linalg.inv(mass) for mass in each]):
         flat = np.concatenate([mass.ravel() for mass in matrices])

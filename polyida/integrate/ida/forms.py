@@ -13,6 +13,9 @@ Unknowns y = (q, v, multipliers); equations
 | baumgarte | phi'' + 2 w phi' + w^2 phi | no | lam |
 | index3 | phi | no | lam |
 
+A velocity row psi is a row with phi = 0, phi' = psi and B = W. The forms with mu have psi(t, q, q')/cj in place of phi, so that mu keeps the
+form of the others, cj as in newton.py; index3 has no equation for it.
+
 Sources: Gear, Gupta, Leimkuhler 1985 (ggl2); Gear 1988 and Anantharaman, Hiller 1991 (ggl1); Baumgarte 1972.
 """
 
@@ -77,10 +80,16 @@ class System:
         q[:], v[:], a[:], lam[:], yp[: self.model.n] = state.q, state.v, state.a, state.lam, state.v
         return y, yp
 
-    def tolerances(self, atol_q, atol_v):
-        """Absolute tolerances of y, (size,), from those of q and v."""
-        n, atol = self.model.n, np.full(self.size, UNTESTED)
+    def tolerances(self, atol_q, atol_v, speed=0.0):
+        """Absolute tolerances of y, (size,), from those of q and v; integrals of first-order states are not tested.
+
+        speed: of the model, which those of v are for; 0 if they are given for each entry.
+        """
+        n, states, atol = self.model.n, self.model.state_columns, np.full(self.size, UNTESTED)
         atol[:n], atol[n : 2 * n] = atol_q, atol_v
+        atol[self.model.hidden] = UNTESTED
+        if speed:
+            atol[n + states] *= self.model.state_speed / speed
         return atol
 
     def clamp(self, t):

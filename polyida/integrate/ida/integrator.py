@@ -17,12 +17,13 @@ from polyida.integrate.ida.forms import FORMS, AcceptedStates, System
 from polyida.integrate.ida.newton import Correction
 from polyida.integrate.ida.tables import SCALINGS
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run, typical_sizes
-from polyida.integrate.start import far_side
+from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
 from polyida.model.differences import beside
+from polyida.model.guarded import guard
 from polyida.system import INSTANTS
-from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
 AIM, LENGTHS, FLEXIBLE_LENGTHS = (
@@ -71,9 +72,6 @@ class IDA(Integrator):
         S = K + cj C + cj^2 M and a border. "whole": one matrix of (q, v, multipliers).
     scaling : {"characteristic", "none"}
         Scaling of the whole matrix; the other two do not depend on it.
-    nonholonomic : bool
-        True if the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, are not the derivative of phi; with form "index2" or
-        "index1" only. Otherwise a run rejects a phi_rate or phi_bias that is not the derivative of phi.
 
     Raises
     ------
@@ -102,7 +100,6 @@ class IDA(Integrator):
     baumgarte_rate: float = 10.0
     linear: str = "auto"
     scaling: str = "characteristic"
-    nonholonomic: bool = False
     trusted = True
 
     def __post_init__(self):
@@ -113,10 +110,8 @@ class IDA(Integrator):
             _check("atol", self.atol, entries is not None and entries.ndim == 1, "must be a number, a pair or a list of numbers")
             object.__setattr__(self, "atol", tuple(entries.tolist()))
         entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
-        on_velocity, not_negative = self.form in ("index1", "index2"), "must be a finite number, not negative"
-        allowed = "must be True or False, and True with form index1 or index2 alone"
-        for name, good, wanted in (
-            ("nonholonomic", is_flag(self.nonholonomic) and (on_velocity or not self.nonholonomic), allowed),
+        not_negative = "must be a finite number, not negative"
+        for name, good, expected in (
             ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
             ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1"),
@@ -127,7 +122,7 @@ class IDA(Integrator):
             ("baumgarte_rate", is_number(self.baumgarte_rate) and self.baumgarte_rate >= 0, not_negative),
             ("atol", len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries), "must be positive"),
         ):
-            _check(name, getattr(self, name), good, wanted)
+            _check(name, getattr(self, name), good, expected)
 
     def relative(self, model: Model, sizes: NDArray) -> float:
         """rtol, or its default in a run of these sizes, (length, speed, time, lengths)."""
@@ -146,8 +141,8 @@ class IDA(Integrator):
             return rtol, self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
             return rtol, *self.atol
-        wanted = f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}"
-        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, wanted)
+        expected = f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}"
+        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, expected)
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def relative_tolerance(self) -> float | None:
@@ -162,6 +157,13 @@ class IDA(Integrator):
             strict = f"rtol {rtol:.1e} and " if rtol != float(memory["rtol"]) else ""
             words.append(f"{strict}atol {of_q:.1e} of q, {of_v:.1e} of v")
         return ", ".join(words)
+
+    def require(self, model: Model) -> None:
+        """Raise InputError for velocity rows in form "index3"."""
+        known = guard(model, "IDA")
+        if known.velocity_rows.size and self.form == "index3":
+            name = known.constraint_name(int(known.velocity_rows[0]))
+            raise InputError(f'IDA: form "index3" has no equation for the velocity row {name}; use form "ggl2", the default')
 
     def order(self, model: Model) -> int:
         """The largest BDF order used on this model."""
@@ -193,6 +195,8 @@ class IDA(Integrator):
             if at_kink(model, begin):
                 limits = (beside(begin, 1), math.inf)
                 state = far_side(model, state, limits[0])
+            else:
+                state = behind_samples(model, state)
             if at_kink(model, end):
                 limits = (limits[0], beside(end, -1))
             for stretch in run.piece(state, begin, stop_times(model, state, begin, end, *cells), limits):
@@ -200,9 +204,9 @@ class IDA(Integrator):
             state = stretch.last
 
 
-def _check(name, value, good, wanted):
+def _check(name, value, good, expected):
     if not good:
-        raise InputError(f"IDA: {name} {value} {wanted}")
+        raise InputError(f"IDA: {name} {value} {expected}")
 
 
 class _Run:
@@ -224,7 +228,7 @@ class _Run:
         self.solver = Solver(
             self._residual,
             rtol=rtol,
-            atol=self.system.tolerances(*atol),
+            atol=self.system.tolerances(*atol, 0.0 if settings.atol else sizes[1]),
             max_order=settings.order(model),
             max_step=float(settings.max_step),
             first_step=float(settings.first_step),
@@ -340,9 +344,9 @@ class _ErrorLines:
                 sys.stdout = self.stream
 
     def write(self, text):
-        found = ERROR_LINE.search(text)
-        if found:
-            self.printed.message, self.printed.line_ends = " ".join(found[1].split()), True
+        match = ERROR_LINE.search(text)
+        if match:
+            self.printed.message, self.printed.line_ends = " ".join(match[1].split()), True
         elif text == "\n" and getattr(self.printed, "line_ends", False):
             self.printed.line_ends = False
         else:

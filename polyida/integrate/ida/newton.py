@@ -37,7 +37,7 @@ from polyida.jit import entry, pack, part, typed
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import unguarded, writes
-from polyida.system import BIAS, CLOSE, MATRICES, OFF, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
+from polyida.system import BIAS, CONSTRAINTS, INERTIA, MATRICES, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
 from polyida.system.dense import finite
 
 # constants of compiled code
@@ -56,11 +56,12 @@ class Iterate(NamedTuple):
     """An iterate of a form with k blocks of m constraint rows, and its correction.
 
     levels (k, 3): weights of phi, phi' and phi'' in each block; c (3,): cj as SELECT takes it; q, v, a, lam, mu: the iterate; first, r (n,),
-    rows (2, m): F; phi, derivative (m,), vector, force (n,), rates (2, m): workspace; dq, multipliers (2, m): the correction.
+    rows (2, m): F; velocity_rows: their numbers; phi, derivative (m,), vector, force (n,), rates (2, m): workspace; dq, multipliers (2, m): the correction.
     """
 
     levels: np.ndarray
     flags: np.ndarray
+    velocity_rows: np.ndarray
     c: np.ndarray
     q: np.ndarray
     v: np.ndarray
@@ -100,6 +101,12 @@ def equations(functions, model, z, y, yp):
     if ended == DONE and m and has_order(z, 1):
         ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.v), address(z.derivative), 1, 0, 0)
         add_derivative(z, 1)
+    if ended == DONE and z.velocity_rows.shape[0] and z.levels.shape[0] == 2:
+        for i in range(n):
+            z.vector[i] = yp[i]
+        ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.vector), address(z.derivative), 0, 0, 0)
+        for i in range(z.velocity_rows.shape[0]):
+            z.rows[0, z.velocity_rows[i]] = z.derivative[z.velocity_rows[i]]
     if ended == DONE and m and has_order(z, 2):
         ended = call(functions[BIAS], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.derivative), 0, 0)
         add_derivative(z, 2)
@@ -136,18 +143,20 @@ def correction(functions, model, z, cj, anew, fresh, out):
         z.vector[i] = cj * z.first[i]
     if ended == DONE:
         places = address(z.first), address(z.vector), address(z.force), address(z.q), address(z.rates)
-        ended = call(functions[OFF], model, INSTANT, places[0], places[1], places[2], 0, places[3], places[4])
+        ended = call(functions[INERTIA], model, INSTANT, places[0], places[1], places[2], 0, places[3], places[4])
     for i in range(n):
         z.r[i] += z.force[i]
+    for i in range(z.velocity_rows.shape[0] if tied else 0):
+        z.rows[0, z.velocity_rows[i]] /= cj
     for block in range(z.levels.shape[0]):
         for k in range(m):
             z.rows[block, k] += z.rates[block, k]
     if ended == DONE:
         ended = solve(functions, model, z)
-    if ended == DONE and z.flags[BENDS] and functions[CLOSE]:
+    if ended == DONE and z.flags[BENDS] and functions[CONSTRAINTS]:
         for i in range(n):
             z.vector[i] = z.q[i] + z.dq[i]
-        ended = call(functions[CLOSE], model, INSTANT, address(z.vector), 0, 0, address(z.derivative), address(z.phi), 0)
+        ended = call(functions[CONSTRAINTS], model, INSTANT, address(z.vector), 0, 0, address(z.derivative), address(z.phi), 0)
         for k in range(m):
             z.rows[0, k] += z.derivative[k]
         if ended == DONE:
@@ -221,10 +230,12 @@ class Correction:
 
     def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
         self.system, self.counts, self.predicted, self.cj = system, counts, Predicted(system.model.n, order), math.nan
+        self.predicted.vector[system.model.hidden] = 0.0
         self.table, self.renews = table_of(system, linear, scaling)
         n, m, bends = system.model.n, system.model.m, system.rows_vary and system.holds_phi and self.renews
         shapes = (3,), (n,), (n,), (n,), (m,), (m,), (n,), (n,), (2, m), (m,), (m,), (n,), (n,), (2, m), (n,), (2, m)
-        self.iterate = Iterate(system.levels, np.array([system.form.integrated, bends], np.int64), *map(np.zeros, shapes))
+        flags = np.array([system.form.integrated, bends], np.int64)
+        self.iterate = Iterate(system.levels, flags, system.model.velocity_rows, *map(np.zeros, shapes))
         self.equations, self.correction = typed(equations), typed(correction)
         model = unguarded(system.model)
         self.objects = writes(model, "rejection_reason") and not (model.is_scene and self.table.single)
@@ -233,7 +244,7 @@ class Correction:
         """IDA starts anew from y at t."""
         n = self.system.model.n
         self.predicted.begin(t, y[:n])
-        self.table.hold_constant(t, y[:n].copy())
+        self.table.evaluate_constants(t, y[:n].copy())
         self.tried = math.nan
 
     def accept(self, t, y):
@@ -272,7 +283,7 @@ class Correction:
 
     def _recoverable(self, ended, t):
         """False if a smaller step may help. Otherwise raises."""
-        self.table.raise_left()
+        self.table.raise_error()
         if ended in (NOT_FINITE, INVERTED, HALF_TURN):
             return False
         raise StepFailure(*REASONS[ended], t)

@@ -4,22 +4,26 @@ import numpy as np
 
 from polyida import system as of
 from polyida.assembly import joints
-from polyida.assembly.stabilised_border import massive, stabilised_workspace
+from polyida.assembly.stabilised_border import mass_columns, stabilised_workspace
 from polyida.errors import DONE
 from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau.tables import scene as stages
-from polyida.integrate.radau.tables.scene import SceneStages, Solver, rows
+from polyida.integrate.radau.tables.scene import DV, SceneStages, Solver, pairs, rows
 from polyida.jit import entry
 
 
 @entry
 def rate(w, instant, q, v, out, known, e, f):
-    """phi_q v + phi_t at the q of the last residual."""
-    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], w.vz, w.spare, rows(w, out), w.spare)
+    """phi_q v + phi_t at the q of the last residual; known: with its v."""
+    vz = w.vz
+    if not known:
+        vz = w.points[DV]
+        joints.point_values(w.scene.links, pairs(w, v), vz)
+    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], vz, w.spare, rows(w, out), w.spare)
     return DONE
 
 
-FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.OFF, of.REAL)} | {of.RATE: rate}
+FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.INERTIA, of.REAL)} | {of.RATE: rate}
 
 
 class SceneForm(SceneStages):
@@ -41,11 +45,11 @@ class SceneForm(SceneStages):
         step.factor(*at, c * c, c)
         damping = model.force_v(*at[:2], np.zeros(model.n)) / c if model.damped else None
         in_place = before is not None and before.factored is step.corotated
-        columns = massive(model, step.corotated, damping, before.massive if in_place else None)
+        columns = mass_columns(model, step.corotated, damping, before.mass_columns if in_place else None)
         counts.backend = step.backend
         counts.solves += 2 * step.solves
         if in_place:
             before.c[0] = c
             return
         self.solver = Solver(np.array([c]), step.corotated, step.workspace, columns, stabilised_workspace(model))
-        self.take(self.solver, None)
+        self.set_solvers(self.solver, None)

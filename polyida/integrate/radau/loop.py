@@ -11,6 +11,7 @@ from polyida.integrate.radau.step import (
     ERROR,
     LAST,
     MARKS,
+    PLACES,
     SHARES,
     UNKNOWN,
     A,
@@ -25,7 +26,7 @@ from polyida.integrate.radau.step import (
 )
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.linear.lu import KEPT as SLOTS
+from polyida.linear.lu import FACTORS as SLOTS
 from polyida.system import MATRICES, PREPARE, SELECT
 
 NEVER = 1e9  # LEAST of a factor that has solved no step; finite, since files need finite numbers
@@ -220,7 +221,7 @@ def clamp(p, t):
 @part
 def allowed_error(p, y):
     """atol + rtol |q| at the state of y."""
-    return p.atol + p.rtol * np.sqrt(mean_square(y.past[SHARES], y.past[Q]))
+    return p.atol + p.rtol * np.sqrt(mean_square(y.past[PLACES], y.past[Q]))
 
 
 @part
@@ -269,7 +270,7 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
     slots.table[PRICE, slot] += max(0.0, iterations - slots.table[LEAST, slot])
     ended, error = project_end(f, w, first, p, t, h, y, x, z), 0.0
     if ended == DONE and p.estimates_error:
-        ended, error = local_error(f, w, first, t, h, y, x, z, counts)
+        ended, error = local_error(f, w, first, p, t, h, y, x, z, counts)
     return ended, error
 
 

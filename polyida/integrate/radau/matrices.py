@@ -114,13 +114,13 @@ class Matrices:
             counts.factorizations += len(self.bare)
             self._hold(rows.B, rows.both[: self.model.m])
         counts.solves += len(self.modes) * len(rows.both)
-        self.seen = (None,)
+        self.last = (None,)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):
             columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T
             self.borders.append(Border(self._free(k, columns)))
 
-    def off(self, v, a):
+    def inertia(self, v, a):
         """C v + M a."""
         force = self.M @ a
         return force if self.C is None else force + self.C @ v
@@ -128,9 +128,9 @@ class Matrices:
     def corrections(self, k, r, r3, r4):
         """(dq, dlam, dmu) of mode k from its residuals. Raises SingularSystem."""
         m = len(self.rows.B)
-        if self.seen[0] != k or not np.array_equal(r, self.seen[1]):  # IDA asks for a second correction, with other rows
-            self.seen = k, r, -self._free(k, r)
-        dq, w = self.borders[k].solve(self.seen[2], self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
+        if self.last[0] != k or not np.array_equal(r, self.last[1]):  # IDA asks for a second correction, with other rows
+            self.last = k, r, -self._free(k, r)
+        dq, w = self.borders[k].solve(self.last[2], self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
         return dq, w[:m] - self.added * r3, w[m:]
 
     def _free(self, k, b):

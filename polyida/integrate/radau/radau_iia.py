@@ -9,7 +9,7 @@ from polyida.errors import InputError
 from polyida.integrate.discontinuities import PARTS, at_kink, pieces, run_interval, sampling
 from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
-from polyida.integrate.start import far_side
+from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
@@ -181,6 +181,8 @@ class RadauIIA(Integrator):
             if at_kink(model, begin):
                 engine.limits = (beside(begin, 1), engine.limits[1])
                 state = restarted(far_side(model, state, engine.limits[0]))
+            elif (behind := behind_samples(model, state)) is not state:
+                state = restarted(behind)
             if self.h:
                 piece = fixed_steps(engine, self, model, state, begin, end, min(self.h, most), counts)
             else:

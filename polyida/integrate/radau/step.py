@@ -14,6 +14,9 @@ c = l/h, l its eigenvalue, solve
     |  c B + H         B G^T   |  |dmu |     |r4|     phi' = B v + phi_t           H = d phi'/dq
 
 v follows q and mu, dv = c dq + G^T dmu; B, H and G are those of the middle stage.
+
+A velocity row psi is a row with phi = 0, phi' = psi and B = W. Its equation in place of phi is `psi(t, q, q') = 0`, so that mu keeps the
+form of the others: r3 is psi(t, q, q')/c.
 """
 
 from typing import NamedTuple
@@ -24,7 +27,7 @@ from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.system import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
+from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, INERTIA, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
 STALLED = 0.9  # contraction above which corrections below ROUND times the size are round-off
 ROUND = 1e-11
@@ -35,7 +38,7 @@ MAX_EXTRAPOLATION = 4.0  # steps over the last one: longer steps start from q_0 
 NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if this is computed from positions
 MAX_PROJECTIONS = 3  # of q onto phi = 0
 AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
-Q, V, A, SHARES = range(4)  # rows of Memory.past
+Q, V, A, SHARES, PLACES = range(5)  # rows of Memory.past; PLACES: shares in |q|, without the integrals of states
 CONTRACTION, AGE, LAST, ERROR, AHEAD = range(5)  # of Memory.marks
 MARKS = 5
 UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no prediction error is known; its largest value
@@ -52,7 +55,7 @@ class Method(NamedTuple):
     phi' = 0; estimates_error: True if the local error is computed; has_guess: True if the trial stages hold initial values. low, high: limits
     of the model's times. renewal: iterations that cost as much as a new factor: a factor is made anew when its excess iterations exceed
     this. extent: size of the model, m; least: round-off of q = 0. tolerance: Newton's tolerance; 0: `share` times (atol + rtol |q|), or if share
-    is 0 by the error of the step before and the model's length.
+    is 0 by the error of the step before and the model's length. velocity_rows: their numbers among the rows.
     """
 
     tied: bool
@@ -71,6 +74,7 @@ class Method(NamedTuple):
     rtol: float
     atol: float
     length: float
+    velocity_rows: np.ndarray
 
 
 @pack
@@ -95,7 +99,7 @@ class CompiledTableau(NamedTuple):
 class Memory(NamedTuple):
     """Quantities that a step takes from the step before.
 
-    past (4, n): q, v, v' of the last stage, shares of the coordinates in the mass. lam (m,): of the last stage. stages_v (s, n), stages_lam
+    past (5, n): q, v, v' of the last stage, shares of the coordinates in the mass and in |q|. lam (m,): of the last stage. stages_v (s, n), stages_lam
     (s, m): of the last step. miss_e (s, n), miss_lam, mu (s, m): prediction errors of the last step: its e and lam minus the extrapolation from
     the step before, and its mu, which is predicted as zero. phi_start (2, m): phi and phi' at the start of the step, for increments. marks:
     CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration; LAST, length of the step before, s, 0 if
@@ -133,7 +137,7 @@ class Trial(NamedTuple):
 @pack
 class Scratch(NamedTuple):
     """Workspace of a step: times (s + 6,), h, t, times of the instants and the argument of SELECT; q, v, a, lam of one state; r (s, n); rows
-    (2, s, m), phi and phi'; and of each mode right-hand sides, rows, dq and multipliers.
+    (2, s, m), phi and phi'; psi (s, m), phi' for v = q'; rates (2, 2, m); and of each mode right-hand sides, rows, dq and multipliers.
     """
 
     times: np.ndarray
@@ -142,11 +146,13 @@ class Scratch(NamedTuple):
     a: np.ndarray
     lam: np.ndarray
     spare: np.ndarray
-    off: np.ndarray
+    inertia: np.ndarray
     r: np.ndarray
     rows: np.ndarray
+    psi: np.ndarray
+    rates: np.ndarray
     weights: np.ndarray
-    seen: np.ndarray
+    progress: np.ndarray
     right: np.ndarray
     dq: np.ndarray
     closing: np.ndarray
@@ -169,10 +175,10 @@ def compiled_tableau(tableau):
 def empty(stages, n, m, tied):
     """(Memory, Trial, Scratch) for n coordinates and m constraints."""
     each, closing, tie = (stages, n), (stages, m), (stages, m if tied else 0)
-    memory = Memory(*map(np.zeros, ((4, n), (m,), each, closing, each, closing, tie, (2, m), (MARKS,))))
+    memory = Memory(*map(np.zeros, ((5, n), (m,), each, closing, each, closing, tie, (2, m), (MARKS,))))
     memory.marks[AHEAD] = UNKNOWN_MISS
     trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
-    shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), (2, stages, stages), (3,)
+    shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), closing, (2, 2, m), (2, stages, stages), (3,)
     modal = (n,), (n,), (2, m), (2, m)
     return memory, trial, Scratch(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
 
@@ -189,10 +195,10 @@ def mean_square(shares, x):
 @part
 def largest(x):
     """max |x|."""
-    found = 0.0
+    size = 0.0
     for i in range(x.shape[0]):
-        found = max(found, abs(x[i]))
-    return found
+        size = max(size, abs(x[i]))
+    return size
 
 
 @part
@@ -230,7 +236,7 @@ def predict(t, h, y, x, z):
     for k in range(stages):
         for i in range(x.mu.shape[1]):
             x.mu[k, i] = 0.0
-    z.seen[EXTENDED] = 0.0
+    z.progress[EXTENDED] = 0.0
     if last == 0.0 or h > MAX_EXTRAPOLATION * last:
         for k in range(stages):
             for i in range(x.e.shape[1]):
@@ -264,7 +270,7 @@ def predict(t, h, y, x, z):
 @part
 def add_prediction_error(y, x, z):
     """Store the extrapolated stages in start_e and start_lam, and add the expected prediction error for a step of the same length."""
-    z.seen[EXTENDED], ahead = 1.0, max(y.marks[AHEAD], 0.0)
+    z.progress[EXTENDED], ahead = 1.0, max(y.marks[AHEAD], 0.0)
     for k in range(x.e.shape[0]):
         for i in range(x.e.shape[1]):
             x.start_e[k, i] = x.e[k, i]
@@ -279,7 +285,7 @@ def add_prediction_error(y, x, z):
 @fast
 def store_prediction_error(y, x, z):
     """Store the prediction error of the step, and its expected ratio for the next step of the same length."""
-    if z.seen[EXTENDED] == 0.0:
+    if z.progress[EXTENDED] == 0.0:
         y.marks[AHEAD] = UNKNOWN_MISS
         return
     known, both, before = y.marks[AHEAD] != UNKNOWN_MISS, 0.0, 0.0
@@ -306,9 +312,19 @@ def stage_state(t, h, y, x, z, k):
 
 
 @part
-def stage_velocities(f, w, first, t, h, y, x, z):
-    """v and v' of the stages from e and mu."""
+def stage_velocities(f, w, first, p, t, h, y, x, z):
+    """v and v' of the stages from e and mu, and psi."""
     stage_rates(t.W, h, x.e, x.dv)
+    for k in range(x.e.shape[0] if p.velocity_rows.shape[0] else 0):
+        stage_state(t, h, y, x, z, k)
+        if p.by_increments:
+            ended = phi_by_increments(f, w, first, y, x, z, k)
+        else:
+            ended = call(f[RATE], w, first + 1 + k, address(z.q), address(z.v), address(z.rows[PHI_RATE, k]), 0, 0, 0)
+        if ended != DONE:
+            return ended
+        for i in range(z.psi.shape[1]):
+            z.psi[k, i] = z.rows[PHI_RATE, k, i]
     if x.mu.shape[1]:
         for k in range(x.e.shape[0]):
             stage_state(t, h, y, x, z, k)
@@ -325,13 +341,13 @@ def phi_by_increments(f, w, first, y, x, z, k):
     phi, rate = z.rows[PHI, k], z.rows[PHI_RATE, k]
     for i in range(phi.shape[0]):
         phi[i], rate[i] = y.phi_start[PHI, i], y.phi_start[PHI_RATE, i]
-    return call(f[CLOSE], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
+    return call(f[CONSTRAINTS], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
 
 
 @part
 def residuals(f, w, first, p, t, h, y, x, z):
     """r, phi and phi' of all stages."""
-    ended = stage_velocities(f, w, first, t, h, y, x, z)
+    ended = stage_velocities(f, w, first, p, t, h, y, x, z)
     for k in range(x.e.shape[0]):
         if ended != DONE:
             return ended
@@ -342,12 +358,14 @@ def residuals(f, w, first, p, t, h, y, x, z):
             ended = phi_by_increments(f, w, first, y, x, z, k)
         elif ended == DONE and p.tied:
             ended = call(f[RATE], w, first + 1 + k, state[0], state[1], address(z.rows[PHI_RATE, k]), 1, 0, 0)
+        for i in range(p.velocity_rows.shape[0]):
+            z.rows[PHI, k, p.velocity_rows[i]] = z.psi[k, p.velocity_rows[i]]
     return ended
 
 
 @fast
-def into_modes(t, z):
-    """Transform the residuals of the stages to the modes."""
+def into_modes(p, t, h, z):
+    """Transform the residuals of the stages to the modes. Velocity rows are divided by c."""
     stages, real = z.r.shape[0], t.real_row.shape[0] > 0
     for i in range(z.right.shape[0]):
         one, pair = 0.0, 0.0j
@@ -364,6 +382,11 @@ def into_modes(t, z):
                     one += t.real_row[k] * z.rows[g, k, e]
                 pair += t.pair_row[k] * z.rows[g, k, e]
             z.closing[g, e], z.closing_pair[g, e] = one, pair
+    for i in range(p.velocity_rows.shape[0]):
+        e = p.velocity_rows[i]
+        z.closing_pair[PHI, e] *= h / complex(t.values[1], t.values[2])
+        if real:
+            z.closing[PHI, e] *= h / t.values[0]
 
 
 @fast
@@ -394,8 +417,8 @@ def solve_real(f, w, middle, lam, z):
 @part
 def solve_pair(f, w, middle, lam, z):
     """Correction of the complex mode. Returns a status."""
-    given = address(z.right_pair), address(z.closing_pair), address(lam), address(z.dq_pair), address(z.multipliers_pair)
-    return call(f[PAIR], w, middle, given[0], given[1], given[2], given[3], given[4], 0)
+    arguments = address(z.right_pair), address(z.closing_pair), address(lam), address(z.dq_pair), address(z.multipliers_pair)
+    return call(f[PAIR], w, middle, arguments[0], arguments[1], arguments[2], arguments[3], arguments[4], 0)
 
 
 @part
@@ -408,7 +431,7 @@ def iterate(f, w, first, p, t, h, y, x, z):
     middle, lam = first + 1 + stages // 2, x.lam[stages // 2]
     if f[TURN]:
         call(f[TURN], w, first, address(z.r), 0, 0, 0, 0, 0)
-    into_modes(t, z)
+    into_modes(p, t, h, z)
     if t.real_row.shape[0]:
         ended = solve_real(f, w, middle, lam, z)
     if ended == DONE:
@@ -446,7 +469,7 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
         if iteration > 1:
             contraction = moved / last
             worst = max(worst, contraction) if moved > noise or worst == 0.0 else worst
-        z.seen[MOVED], z.seen[SPEED] = moved, contraction
+        z.progress[MOVED], z.progress[SPEED] = moved, contraction
         left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
         spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > STALLED
         rounded = iteration > 1 and moved <= noise
@@ -465,7 +488,7 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
 @part
 def solve_stages(f, w, first, p, t, h, y, x, z, allowed, counts):
     """Solve the stages of a step from y: (status, iterations)."""
-    ended = call(f[HOLD], w, first, address(y.past[Q]), address(y.past[V]), address(z.times), 0, 0, 0)
+    ended = call(f[BEGIN], w, first, address(y.past[Q]), address(y.past[V]), address(z.times), 0, 0, 0)
     if ended != DONE:
         return ended, 0
     if not p.has_guess:
@@ -482,32 +505,32 @@ def solve_stages(f, w, first, p, t, h, y, x, z, allowed, counts):
 @part
 def project_end(f, w, first, p, t, h, y, x, z):
     """Update v and v' after the last correction, and project q and v of the step's end onto phi = 0 and phi' = 0 in the metric of M."""
-    ended = stage_velocities(f, w, first, t, h, y, x, z)
+    ended = stage_velocities(f, w, first, p, t, h, y, x, z)
     if not x.lam.shape[1] or ended != DONE:
         return ended
     k = x.e.shape[0] - 1
     size, at = p.extent + largest(y.past[Q]), first + 1 + k
-    phi, rate, made = z.rows[PHI, k], z.rows[PHI_RATE, k], False
+    phi, rate, has_rows = z.rows[PHI, k], z.rows[PHI_RATE, k], False
     stage_state(t, h, y, x, z, k)
     ended = phi_by_increments(f, w, first, y, x, z, k)
     for _ in range(MAX_PROJECTIONS):
         worst = largest(phi)
         if ended != DONE or worst <= ROUND_OFF * size:
             break
-        if not made:
+        if not has_rows:
             ended = call(f[RATE], w, at, address(z.q), address(z.v), address(z.spare), 0, 0, 0)
         if ended == DONE:
             ended = call(f[PROJECT], w, at, address(phi), address(x.e[k]), 0, 0, 0, 0)
         if ended != DONE:
             break
         stage_state(t, h, y, x, z, k)
-        made = worst <= AGAIN * size
+        has_rows = worst <= AGAIN * size
         ended = phi_by_increments(f, w, first, y, x, z, k)
     if ended != DONE or not p.moves_v:
         return ended
-    if not (p.by_increments and made):
-        given = z.spare if p.by_increments else rate
-        ended = call(f[RATE], w, at, address(z.q), address(z.v), address(given), 0, 0, 0)
+    if not (p.by_increments and has_rows):
+        rates = z.spare if p.by_increments else rate
+        ended = call(f[RATE], w, at, address(z.q), address(z.v), address(rates), 0, 0, 0)
     if ended == DONE and largest(rate) > 0.0:
         ended = call(f[PROJECT], w, at, address(rate), address(x.dv[k]), 0, 0, 0, 0)
         if ended == DONE and p.by_increments:
@@ -516,11 +539,11 @@ def project_end(f, w, first, p, t, h, y, x, z):
 
 
 @part
-def local_error(f, w, first, t, h, y, x, z, counts):
+def local_error(f, w, first, p, t, h, y, x, z, counts):
     """(status, local error of q at the step's end: the norm of its difference to a method of order s).
 
     It is the difference of v_0, and of v' at the end of the last step, to the stages' polynomial, filtered by a solve with the step matrix, so
-    that unresolved stiff modes do not count.
+    that unresolved stiff modes do not count. The solve removes what phi does not permit; psi permits an error along W, (v + v'/c)/c.
     """
     count, n = x.e.shape
     middle, lam, real = first + 1 + count // 2, x.lam[count // 2], t.real_row.shape[0] > 0
@@ -529,20 +552,31 @@ def local_error(f, w, first, t, h, y, x, z, counts):
         for k in range(count):
             v += t.start[k] * x.e[k, i] / h
             a += t.start[k] * x.dv[k, i] / h
-        z.off[0, i], z.off[1, i] = -v, -a
-    ended = call(f[OFF], w, middle, address(z.off[0]), address(z.off[1]), address(z.off[2]), address(z.off[3]), address(y.past[Q]), 0)
+        z.inertia[0, i], z.inertia[1, i] = -v, -a
+    work, q, rates = z.inertia, address(y.past[Q]), address(z.rates[0]) if p.velocity_rows.shape[0] else 0
+    ended = call(f[INERTIA], w, middle, address(work[0]), address(work[1]), address(work[2]), address(work[3]), q, rates)
+    if ended == DONE and p.velocity_rows.shape[0]:
+        ended = call(f[INERTIA], w, middle, address(work[1]), address(work[1]), address(z.a), 0, q, address(z.rates[1]))
     if ended != DONE:
         return ended, 0.0
     counts[SOLVES] += 1
     total, c = 0.0, complex(t.values[1], t.values[2]) / h
     for i in range(n):
         if real:
-            z.right[i] = z.off[2, i] + t.values[0] / h * z.off[3, i]
+            z.right[i] = work[2, i] + t.values[0] / h * work[3, i]
         else:
-            z.right_pair[i] = z.off[2, i] + c * z.off[3, i]
+            z.right_pair[i] = work[2, i] + c * work[3, i]
     for g in range(2):
         for e in range(z.closing.shape[1]):
             z.closing[g, e], z.closing_pair[g, e] = 0.0, 0.0
+    for k in range(p.velocity_rows.shape[0]):
+        e = p.velocity_rows[k]
+        if real:
+            z.closing[PHI_RATE, e] = z.rates[0, 1, e] + z.rates[1, 1, e] * h / t.values[0]
+            z.closing[PHI, e] = z.closing[PHI_RATE, e] * h / t.values[0]
+        else:
+            z.closing_pair[PHI_RATE, e] = z.rates[0, 1, e] + z.rates[1, 1, e] / c
+            z.closing_pair[PHI, e] = z.closing_pair[PHI_RATE, e] / c
     ended = solve_real(f, w, middle, lam, z) if real else solve_pair(f, w, middle, lam, z)
     for i in range(n):
         dq = z.dq[i] if real else z.dq_pair[i].real

@@ -40,6 +40,7 @@ from polyida.integrate.radau.step import (
     FACTORS,
     LAST,
     MOVED,
+    PLACES,
     SHARES,
     SPEED,
     UNKNOWN,
@@ -112,11 +113,12 @@ class Steps:
     def begin(self, state):
         """Restore the memory of a state and nothing else: the norm's weights, Newton's contraction, the factors."""
         memory, model, table = state.memory, self.model, self.slots.table
-        given = memory.get("radau_shares")
-        self.memory.past[SHARES] = weights(model, state.q) if given is None else given
+        shares = memory.get("radau_shares")
+        self.memory.past[SHARES] = self.memory.past[PLACES] = weights(model, state.q) if shares is None else shares
+        self.memory.past[PLACES, model.hidden] = 0.0
         if self.tied:
             self.table.set_lift(lift(model, self.shares))
-        self.table.hold_constant(state.t, state.q)
+        self.table.evaluate_constants(state.t, state.q)
         table[:], self.state, self.factor_states = 0.0, None, None
         self.memory.marks[[CONTRACTION, AGE]] = memory.get("newton", UNKNOWN)
         if "newton" in memory:
@@ -168,6 +170,7 @@ class Steps:
             rtol=rtol,
             atol=atol,
             length=float(sizes[0]),
+            velocity_rows=model.velocity_rows,
         )
 
     def step(self, state, h, t):
@@ -182,10 +185,10 @@ class Steps:
         while grid.done < grid.count:
             ends = grid.times(grid.done, min(grid.done + self.longest, grid.count))[1:]
             control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, new_control(state.t))
-            for made in self._stretches(state, control, ends, partial(_grid_memory, grid)):
-                self.counts.steps += len(made)
-                yield made
-                state = made.last
+            for states in self._stretches(state, control, ends, partial(_grid_memory, grid)):
+                self.counts.steps += len(states)
+                yield states
+                state = states.last
             grid = grid._replace(done=grid.done + len(ends))
 
     def take_adaptive(self, state, control, position_memory):
@@ -194,10 +197,10 @@ class Steps:
         position_memory: function (steps before the stretch, number k in it, level) -> further memory of state k.
         """
         while state.t < control.end:
-            for made in self._stretches(state, control, np.zeros(0), position_memory):
-                self.counts.steps += len(made)
-                yield made
-                state = made.last
+            for states in self._stretches(state, control, np.zeros(0), position_memory):
+                self.counts.steps += len(states)
+                yield states
+                state = states.last
 
     def _stretches(self, state, control, ends, position_memory=_no_memory):
         """Yield one stretch, or several between which factors are made. Raises StepFailure."""
@@ -221,7 +224,7 @@ class Steps:
                 self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
                 memory = self._common_memory(), partial(position_memory, taken), self._lazy_motion()
                 counts_at = partial(self.counts_at, before, o.counts)
-                made = StretchStates(
+                states = StretchStates(
                     StretchData(
                         o,
                         begin,
@@ -234,12 +237,12 @@ class Steps:
                     ),
                     range(accepted),
                 )
-                self.state = state = made.last
-                yield made
+                self.state = state = states.last
+                yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
             self.state = self.state or state
             taken, count, first = taken + accepted, count - accepted, first + accepted * (self.settings.stages + 1) * self.table.prepared
-            self.table.raise_left()
+            self.table.raise_error()
             if ended in (loop.MAKE, loop.RESTORE):
                 fresh = ended == loop.MAKE
                 self.make(control, fresh)
@@ -291,7 +294,7 @@ class Steps:
         if ended in (loop.STEP_TOO_SHORT, loop.TOO_MANY_STEPS):
             return StepFailure({loop.STEP_TOO_SHORT: "stuck", loop.TOO_MANY_STEPS: "too many steps"}[ended], "", float(control.now[TIME]))
         if ended == REFACTOR:
-            seen = {"last |dq|": float(self.scratch.seen[MOVED]), "contraction": float(self.scratch.seen[SPEED])}
+            seen = {"last |dq|": float(self.scratch.progress[MOVED]), "contraction": float(self.scratch.progress[SPEED])}
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
 
 
@@ -318,9 +321,9 @@ def fixed_steps(engine, settings, model, state, begin, end, most, counts):
     while grid.done < grid.count:
         done = grid.done
         try:
-            for made in engine.take_fixed(state, grid):
-                done, state = done + len(made), made.last
-                yield made
+            for states in engine.take_fixed(state, grid):
+                done, state = done + len(states), states.last
+                yield states
             return
         except StepFailure as failure:
             counts.rejected, grid = counts.rejected + 1, grid._replace(done=done)
@@ -367,9 +370,9 @@ def adaptive_steps(engine, settings, model, state, begin, end, most, counts, con
     position_memory = lambda taken, k, level: {"ladder": np.array([first, level]), "radau_piece": np.array([end, most])}  # noqa: E731
     while state.t < end:
         try:
-            for made in engine.take_adaptive(state, control, position_memory):
-                failures, controller[1], state = [], now[LEVEL], made.last
-                yield made
+            for states in engine.take_adaptive(state, control, position_memory):
+                failures, controller[1], state = [], now[LEVEL], states.last
+                yield states
         except StepFailure as failure:
             rejected = int(now[FAILED]) - len(failures)
             failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected

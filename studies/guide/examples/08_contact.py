@@ -14,7 +14,7 @@ scene = pi.Scene(gravity=(0.0, -9.81))
 bar = scene.add(pi.RigidBody.bar(0.4, 0.5, origin=(0.0, 0.5), angle=0.5, velocity=(0.6, 0.0), spin=3.0, name="bar"))
 floor = pi.ground.at((0.0, 0.0))
 for end in ("left", "right"):
-    scene.add(pi.Contact(bar.at(end), floor, stiffness=2e5, damping=0.2, name=f"{end} end"))
+    scene.add(pi.PenaltyContact(bar.at(end), floor, stiffness=2e5, damping=0.2, name=f"{end} end"))
 run = pi.solve(scene.build(), 1.2, pi.RadauIIA(rtol=1e-6), output=np.linspace(0.0, 1.2, 601))
 print(run.summary())
 

@@ -11,33 +11,33 @@ from polyida.errors import DONE, NO_MATRIX, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
-from polyida.linear.lu import KEPT as SLOTS
+from polyida.linear.lu import FACTORS as SLOTS
 from polyida.model.differences import NEAR
 from polyida.system import c_address, dense
 from polyida.system.dense import (
-    BENT,
     END,
     FORCE,
     FORCE_V,
-    HELD,
     INNER,
     MASS,
     MASS_VARIES,
     PHI_Q,
+    ROWS_CURRENT,
+    ROWS_VARY,
     TANGENT,
     VELOCITY,
     add_slope,
     add_slopes,
-    ask,
+    evaluate,
+    evaluate_rows,
     finite,
     reach,
-    take,
-    take_forces,
-    take_rows,
+    set_a_lam,
+    set_state,
     vector,
 )
 
-CHOSEN, MADE, TIED = range(
+CHOSEN, FACTORED, TIED = range(
     3
 )  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether a derivative of phi is a row
 
@@ -77,9 +77,9 @@ def workspace(d, stages, levels):
     """A DenseStages around a Dense."""
     n, m = len(d.q), len(d.lam)
     size = n + len(levels) * m
-    kept, few = [np.zeros((SLOTS, n, n)) for _ in range(3)], [np.zeros((m, n)) for _ in range(5)]
+    matrices, row_blocks = [np.zeros((SLOTS, n, n)) for _ in range(3)], [np.zeros((m, n)) for _ in range(5)]
     return DenseStages(
-        d, *kept, np.array([0, 0, int(levels[:, 1:].any())]), np.zeros(3), levels, np.ones(n), np.zeros((stages, m, n)), *few, np.zeros(2),
+        d, *matrices, np.array([0, 0, int(levels[:, 1:].any())]), np.zeros(3), levels, np.ones(n), np.zeros((stages, m, n)), *row_blocks, np.zeros(2),
         np.zeros((2, size), np.int64), np.zeros((size, size)), np.zeros(size), np.zeros((size, size), complex), np.zeros(size, complex),
     )  # fmt: skip
 
@@ -101,9 +101,9 @@ def copy(source, target):
 @entry
 def prepare(w, first, times, b, c, d, e, f):
     """Store the times of a step."""
-    given = vector(times, 3 + w.rows.shape[0])
+    values = vector(times, 3 + w.rows.shape[0])
     for i in range(1 + w.rows.shape[0]):
-        w.dense.times[first + i, INNER] = w.dense.times[first + i, END] = given[2 + i]
+        w.dense.times[first + i, INNER] = w.dense.times[first + i, END] = values[2 + i]
     return DONE
 
 
@@ -112,54 +112,54 @@ def reaction(w, instant, q, mu, dv, known, e, f):
     """dv += D^-1 B^T mu. B at q is stored for the residual there; known: B of the middle stage is used."""
     n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
     if not known:
-        take(w.dense, instant, q, address(w.dense.v))
-        ended, B = take_rows(w.dense), w.dense.B
+        set_state(w.dense, instant, q, address(w.dense.v))
+        ended, B = evaluate_rows(w.dense), w.dense.B
         copy(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
-    given, moved = vector(mu, m), vector(dv, n)
+    multipliers, moved = vector(mu, m), vector(dv, n)
     for i in range(n):
         total = 0.0
         for e in range(m):
-            total += B[e, i] * given[e]
+            total += B[e, i] * multipliers[e]
         moved[i] += w.D[i] * total
     return ended
 
 
 @part
-def hold_rows(w, instant):
+def restore_rows(w, instant):
     """Use the stored B of a stage in the next call."""
     if w.state[TIED]:
         copy(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
-        w.dense.flags[HELD] = 1
+        w.dense.flags[ROWS_CURRENT] = 1
 
 
 @entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi."""
-    hold_rows(w, instant)
+    restore_rows(w, instant)
     ended = dense.residual(w.dense, instant, q, v, a, lam, r, phi)
-    w.dense.flags[HELD] = 0
+    w.dense.flags[ROWS_CURRENT] = 0
     return ended
 
 
 @entry
-def hold(w, instant, q, v, c, d, e, f):
+def begin(w, instant, q, v, c, d, e, f):
     """No effect: phi is computed from positions."""
     return DONE
 
 
 @entry
-def close(w, instant, q, dd, dv, phi, rate, f):
+def constraints(w, instant, q, dd, dv, phi, rate, f):
     """phi at a state."""
-    return dense.close(w.dense, instant, q, dd, dv, phi, rate, f)
+    return dense.constraints(w.dense, instant, q, dd, dv, phi, rate, f)
 
 
 @entry
-def rate(w, instant, q, v, found, known, e, f):
+def rate(w, instant, q, v, out, known, e, f):
     """phi_q v + phi_t; known: with B of the last REACTION of this stage."""
     if known:
-        hold_rows(w, instant)
-    ended = dense.rate(w.dense, instant, q, v, found, 0, 0, 0)
-    w.dense.flags[HELD] = 0
+        restore_rows(w, instant)
+    ended = dense.rate(w.dense, instant, q, v, out, 0, 0, 0)
+    w.dense.flags[ROWS_CURRENT] = 0
     return ended
 
 
@@ -188,7 +188,7 @@ def bend(w, q, a):
             d.q[i] += 0.5 * s * s * towards[i]
         d.t[INNER] = t + s
         if ended == DONE:
-            ended = ask(d, PHI_Q, INNER, d.B)
+            ended = evaluate(d, PHI_Q, INNER, d.B)
         for k in range(w.H.shape[0]):
             for i in range(w.H.shape[1]):
                 change = d.B[k, i] - w.B[k, i]
@@ -254,22 +254,22 @@ def factored(w, c, number, A):
 def rows(w, instant, q, v, a, known, e, f):
     """B, G, H and N of the middle stage, and the factors with them."""
     m, own = w.B.shape[0], w.dense
-    if w.state[MADE] and not (m and own.flags[BENT]):
+    if w.state[FACTORED] and not (m and own.flags[ROWS_VARY]):
         return DONE
     if m:
-        take(own, instant, q, v)
-        own.flags[HELD] = known
-        ended = take_rows(own)
-        own.flags[HELD] = 0
+        set_state(own, instant, q, v)
+        own.flags[ROWS_CURRENT] = known
+        ended = evaluate_rows(own)
+        own.flags[ROWS_CURRENT] = 0
         copy(own.B, w.B)
-        if ended == DONE and w.state[TIED] and own.flags[BENT]:
+        if ended == DONE and w.state[TIED] and own.flags[ROWS_VARY]:
             ended = bend(w, q, a)
         for k in range(m):
             for i in range(w.B.shape[1]):
                 w.G[k, i] = w.B[k, i] * w.D[i]
         if ended != DONE:
             return ended
-    w.state[MADE] = 1
+    w.state[FACTORED] = 1
     if w.c[0] != 0.0 and not factored(w, w.c[0], 0, w.real):
         return SINGULAR
     return DONE if w.c[2] == 0.0 or factored(w, complex(w.c[1], w.c[2]), 1, w.pair) else SINGULAR
@@ -297,8 +297,8 @@ def corrected(w, A, number, c, x, r, closing, dq, multipliers):
 def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     n, m = w.K.shape[1], w.B.shape[0]
-    given = vector(r, n), vector(closing, 2 * m), vector(dq, n), vector(multipliers, 2 * m)
-    corrected(w, w.real, 0, w.c[0], w.x, given[0], given[1], given[2], given[3])
+    vectors = vector(r, n), vector(closing, 2 * m), vector(dq, n), vector(multipliers, 2 * m)
+    corrected(w, w.real, 0, w.c[0], w.x, vectors[0], vectors[1], vectors[2], vectors[3])
     return DONE
 
 
@@ -306,29 +306,29 @@ def real(w, instant, r, closing, lam, dq, multipliers, f):
 def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     n, m = w.K.shape[1], w.B.shape[0]
-    given = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
-    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, given[0], given[1], given[2], given[3])
+    vectors = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
+    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, vectors[0], vectors[1], vectors[2], vectors[3])
     return DONE
 
 
 @entry
-def bias(w, instant, q, v, a, found, e, f):
+def bias(w, instant, q, v, a, out, e, f):
     """The second derivative of phi."""
     own, n = w.dense, w.K.shape[1]
-    take(own, instant, q, v)
-    ended, given, value = dense.bias(own), vector(a, n), vector(found, w.B.shape[0])
-    hold_rows(w, instant)
-    own.flags[HELD] = 0
+    set_state(own, instant, q, v)
+    ended, acceleration, value = dense.bias(own), vector(a, n), vector(out, w.B.shape[0])
+    restore_rows(w, instant)
+    own.flags[ROWS_CURRENT] = 0
     for k in range(w.B.shape[0]):
         value[k] = own.phi_bias[k]
         for i in range(n):
-            value[k] += own.B[k, i] * given[i]
+            value[k] += own.B[k, i] * acceleration[i]
     return ended
 
 
 @entry
-def off(w, instant, v, a, r, p, q, rows):
-    """r = C v + M a, p = M v, rows = the blocks of rows times v."""
+def inertia(w, instant, v, a, r, p, q, rows):
+    """r = C v + M a, p = M v, rows = the blocks of rows times v; B v in place of a second block that is not there."""
     k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
     slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n if p else 0)
     for i in range(n):
@@ -339,13 +339,14 @@ def off(w, instant, v, a, r, p, q, rows):
         momentum[i] = 0.0
         for j in range(n):
             momentum[i] += w.M[k, i, j] * slow[j]
-    for level in range(w.levels.shape[0] if rows else 0):
-        of_H, given = 2.0 * w.levels[level, 2], vector(rows + 8 * level * m, m)
-        of_B = w.levels[level, 1] + w.c[0] * w.levels[level, 2]
+    for level in range(2 if rows else 0):
+        of_H, of_B, out = 0.0, 1.0, vector(rows + 8 * level * m, m)
+        if level < w.levels.shape[0]:
+            of_H, of_B = 2.0 * w.levels[level, 2], w.levels[level, 1] + w.c[0] * w.levels[level, 2]
         for e in range(m):
-            given[e] = 0.0
+            out[e] = 0.0
             for i in range(n):
-                given[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * slow[i]
+                out[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * slow[i]
     return DONE
 
 
@@ -360,19 +361,19 @@ def factor(w, instant, q, v, a, lam, slot, f):
     """Evaluate K, C and M at a state."""
     d, n = w.dense, w.K.shape[1]
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
-    take(d, instant, q, v)
-    take_forces(d, a, lam)
+    set_state(d, instant, q, v)
+    set_a_lam(d, a, lam)
     if d.flags[VELOCITY]:
         lu.clear(d.S)
         add_slope(d, FORCE_V, FORCE, d.v, 1.0)
         copy(d.S, C)
     if d.flags[MASS_VARIES]:
-        ask(d, MASS, INNER, d.M)
+        evaluate(d, MASS, INNER, d.M)
     copy(d.M, M)
     d.c[0] = d.c[1] = 0.0
-    ended = ask(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
+    ended = evaluate(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
     copy(d.S, K)
-    w.state[MADE] = 0
+    w.state[FACTORED] = 0
     good = finite(K.reshape(n * n)) and finite(C.reshape(n * n)) and finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX
 
@@ -380,14 +381,13 @@ def factor(w, instant, q, v, a, lam, slot, f):
 @entry
 def select(w, slot, c, b, d, e, f, g):
     """Use the matrices of a slot."""
-    given = vector(c, 3)
+    new = vector(c, 3)
     same = w.state[CHOSEN] == slot
     for i in range(3):
-        value = given[i]
-        same = same and w.c[i] == value
-        w.c[i] = value
+        same = same and w.c[i] == new[i]
+        w.c[i] = new[i]
     if not same:
-        w.state[CHOSEN], w.state[MADE] = slot, 0
+        w.state[CHOSEN], w.state[FACTORED] = slot, 0
     return DONE
 
 
@@ -396,8 +396,8 @@ def addresses():
     """{number of the entry: address} of all functions, valid for every DenseStages."""
     example = workspace(dense.example(), 3, np.eye(1, 3))
     functions = {
-        of.PREPARE: prepare, of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project,
-        of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.OFF: off, of.ACCELERATION: acceleration, of.MATRICES: factor,
+        of.PREPARE: prepare, of.BEGIN: begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project,
+        of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia, of.ACCELERATION: acceleration, of.MATRICES: factor,
         of.SELECT: select, of.BIAS: bias,
     }  # fmt: skip
     return {number: c_address(function, typeof(example)) for number, function in functions.items()}

@@ -48,17 +48,17 @@ class PythonStages(Stages, PythonTable):
         """No entry: _fill_stages sets them."""
 
     def _fill_stages(self):
-        entries = {of.PREPARE: self._prepare, of.HOLD: self._hold, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
-        entries |= {of.CLOSE: self._close, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept, of.ROWS: self._rows}
-        entries |= {of.REAL: self._real, of.PAIR: self._pair, of.OFF: self._off, of.ACCELERATION: self._acceleration}
-        for number, function in (entries | {of.SELECT: self._select}).items():
+        entries = {of.PREPARE: self._prepare, of.BEGIN: self._begin, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
+        entries |= {of.CONSTRAINTS: self._constraints, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept}
+        entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
+        for number, function in (entries | {of.ROWS: self._rows, of.SELECT: self._select}).items():
             self.functions[number] = self._address(function)
 
     def set_lift(self, lift):
         """Set the diagonal of D^-1."""
         self.lift = lift
 
-    def hold_constant(self, t, q):
+    def evaluate_constants(self, t, q):
         """No effect: every call evaluates the model."""
 
     def make(self, slot, h, made_at, counts):
@@ -85,7 +85,7 @@ class PythonStages(Stages, PythonTable):
     def _state(self, instant, q):
         return self._at(instant)[0], self._array(q, self.model.n).copy()
 
-    def _hold(self, instant, q, v, *_):
+    def _begin(self, instant, q, v, *_):
         self.increments, model = None, self.model
         if model.has_constraint_increments:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
@@ -103,20 +103,20 @@ class PythonStages(Stages, PythonTable):
         dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
     def _rate(self, instant, q, v, rate, known, *_):
-        model, self.closed = self.model, self._state(instant, q)
+        model, self.rate_state = self.model, self._state(instant, q)
         v = self._array(v, model.n).copy()
         if known:
-            found = self.B[self._stage(instant)] @ v + model.phi_t(*self.closed)
+            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
         else:
-            found, self.system = model.phi_rate(*self.closed, v), None
-        self._array(rate, model.m)[:] = found
+            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
+        self._array(rate, model.m)[:] = rates
 
     def _project(self, instant, rows, x, *_):
         model, x = self.model, self._array(x, self.model.n)
         try:
-            self.system = self.system or model.mass_system(*self.closed)
-            x += self.system.solve(np.zeros(model.n), self._array(rows, model.m).copy())[0]
-        except (InputError, np.linalg.LinAlgError) as error:
+            self.saddle = self.saddle or model.mass_system(*self.rate_state)
+            x += self.saddle.solve(np.zeros(model.n), self._array(rows, model.m).copy())[0]
+        except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
             self.reason = str(error)
             return SINGULAR
         return DONE
@@ -139,11 +139,11 @@ class PythonStages(Stages, PythonTable):
             return SINGULAR
         return DONE
 
-    def _real(self, instant, *given):
-        return self._correct(0, float, *given)
+    def _real(self, instant, *arguments):
+        return self._correct(0, float, *arguments)
 
-    def _pair(self, instant, *given):
-        return self._correct(len(self.tableau.modes) - 1, complex, *given)
+    def _pair(self, instant, *arguments):
+        return self._correct(len(self.tableau.modes) - 1, complex, *arguments)
 
     def _correct(self, mode, kind, r, closing, lam, dq, multipliers, _):
         n, m = self.model.n, self.model.m
@@ -154,27 +154,28 @@ class PythonStages(Stages, PythonTable):
 
         def solve():
             tied = m if self.tied else 0
-            found = self.factored.corrections(mode, r.copy(), closing[:m].copy(), closing[m : m + tied].copy())
-            dq[:], multipliers[:m], multipliers[m : m + tied] = found
+            corrections = self.factored.corrections(mode, r.copy(), closing[:m].copy(), closing[m : m + tied].copy())
+            dq[:], multipliers[:m], multipliers[m : m + tied] = corrections
 
         return self._tried(solve)
 
-    def _off(self, instant, v, a, r, p, q, rows):
+    def _inertia(self, instant, v, a, r, p, q, rows):
         n, m = self.model.n, self.model.m
         v, a, matrices = self._array(v, n).copy(), self._array(a, n).copy(), self.factored
-        self._array(r, n)[:] = matrices.off(v, a)
+        self._array(r, n)[:] = matrices.inertia(v, a)
         if p:
             self._array(p, n)[:] = matrices.M @ v
         if rows:
-            self._array(rows, len(matrices.rows.both) if m else 0)[:] = matrices.rows.on_v @ v
+            blocks = [matrices.rows.on_v @ v, matrices.rows.B @ v] if m else [np.zeros(0)]
+            self._array(rows, 2 * m)[:] = np.concatenate(blocks)[: 2 * m]
 
     def _acceleration(self, instant, q, v, a, lam, *_):
         model = self.model
         try:
-            found = consistent_acceleration(model, *self._state(instant, q), self._array(v, model.n).copy())
+            accelerations = consistent_acceleration(model, *self._state(instant, q), self._array(v, model.n).copy())
         except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
             return SINGULAR
-        self._array(a, model.n)[:], self._array(lam, model.m)[:] = found
+        self._array(a, model.n)[:], self._array(lam, model.m)[:] = accelerations
         return DONE
 
     def _select(self, slot, *_):
@@ -198,16 +199,16 @@ class DenseStages(Stages, DenseTable):
     def set_lift(self, lift):
         """Set the diagonal of D^-1."""
         self.stages.D[:] = lift
-        self.made = False
+        self.has_constants = False
 
     def make(self, slot, h, made_at, counts):
         """Compute K, C and M of a slot."""
         w, n = self.stages, self.model.n
-        self.hold_constant(float(made_at[0]), made_at[1 : 1 + n])
+        self.evaluate_constants(float(made_at[0]), made_at[1 : 1 + n])
         self.times[0] = made_at[0]
         q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([n] * 3)))
         ended = small.factor(w, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, 0)
-        self.raise_left()
+        self.raise_error()
         if ended != DONE:
             raise SingularSystem(REASONS[ended][1])
 

@@ -16,10 +16,11 @@ from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.increments import Moves, moves, stage_tables, take_step
-from polyida.assembly.own_laws import Laws
+from polyida.assembly.own_laws import Laws, take_damping_forces
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
-from polyida.assembly.stabilised_border import StabilisedWorkspace, massive, stabilised_border, stabilised_workspace
+from polyida.assembly.relaxation import eliminate, recover
+from polyida.assembly.stabilised_border import StabilisedWorkspace, mass_columns, stabilised_border, stabilised_workspace
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
@@ -39,12 +40,12 @@ FEW = 40  # nodes of a scene whose M^-1 is a full matrix
 
 @pack
 class Solver(NamedTuple):
-    """Factor and workspace of a mode for kernels; c (1,): c of the mode; massive, border: of the border with mu, or None."""
+    """Factor and workspace of a mode for kernels; c (1,): c of the mode; mass_columns, border: of the border with mu, or None."""
 
     c: np.ndarray
     factored: corotated.Corotated
     workspace: corotated.SolveWorkspace
-    massive: corotated.Corotated | None
+    mass_columns: corotated.Corotated | None
     border: StabilisedWorkspace | None
 
 
@@ -53,8 +54,8 @@ class SceneWork(NamedTuple):
     """The workspace of a scene and s stages: its arrays, the factors of the modes (None without one) and scratch.
 
     damp, laws, tie: None if the scene has none. moves: profiles with formulas. drives, gains (instants, profiles, 3): values of the profiles at
-    each instant, and their changes since the start of the step. rotation (s, nodes, 2): rotations of the nodes; turn (s, nodes, 2): from those
-    of a stage to the middle one. points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle stage; c: of the tableau;
+    each instant, and their changes since the start of the step. rotation (s, ., 2): rotations of the pairs without relaxed strains; turn (s, nodes, 2): from those
+    of a stage to the middle one. points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle stage; u (nodes, 2): its displacements if plates relax, else (0, 2); c: of the tableau;
     h (1,); still (nodes, 2), level (m,): zeros; inverse (nodes, nodes): M^-1, complex, or (0, 0); anew (2,): 1 if the border of the real or
     complex mode must be computed at the next solve.
     """
@@ -73,6 +74,7 @@ class SceneWork(NamedTuple):
     points: np.ndarray
     forces: np.ndarray
     vz: np.ndarray
+    u: np.ndarray
     dz: np.ndarray
     level: np.ndarray
     spare: np.ndarray
@@ -111,13 +113,13 @@ def stage(w, instant):
 @entry
 def prepare(w, first, times, b, c, d, e, f):
     """Evaluate loads and motors for a step."""
-    given = carray(pointer(times), (3 + w.c.shape[0],))
-    take_step(w.moves, given[0], given[1], given[2], given[3:], w.c, w.drives[first:], w.gains[first:])
+    values = carray(pointer(times), (3 + w.c.shape[0],))
+    take_step(w.moves, values[0], values[1], values[2], values[3:], w.c, w.drives[first:], w.gains[first:])
     return DONE
 
 
 @entry
-def hold(w, first, q, v, times, d, e, f):
+def begin(w, first, q, v, times, d, e, f):
     """Store h, and positions and velocities of the points at the start of the step."""
     w.h[0] = carray(pointer(times), (1,))[0]
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
@@ -145,25 +147,27 @@ def residual(w, instant, q, v, a, lam, r, phi):
         return INVERTED if det <= 0.0 else NOT_FINITE
     if not cosine > 0.0:
         return HALF_TURN
-    add_forces(s, w.damp, w.laws, drives, u, speed, out)
+    add_forces(s, w.damp, w.laws, drives, u, speed, 1.0, out)
     if k == w.c.shape[0] // 2:
+        for i in range(w.u.shape[0]):
+            w.u[i, 0], w.u[i, 1] = u[i, 0], u[i, 1]
         joints.point_values(s.links, speed, w.vz)
     return DONE
 
 
 @entry
-def close(w, instant, q, dd, dv, phi, rate, f):
+def constraints(w, instant, q, dd, dv, phi, rate, f):
     """phi and phi' from those at the start of the step and the increments of q and v."""
     s, k, points = w.scene.links, stage(w, instant), w.points
     joints.point_values(s, pairs(w, dd), points[DX])
     joints.point_values(s, pairs(w, dv), points[DV])
-    begin, gains, given = w.drives[instant - 1 - k], w.gains[instant], (rows(w, phi), rows(w, rate))
-    joints.joint_change(s, begin, gains, w.c[k] * w.h[0], points[START], points[VX], points[DX], points[DV], given[0], given[1])
+    drives, gains, values = w.drives[instant - 1 - k], w.gains[instant], (rows(w, phi), rows(w, rate))
+    joints.joint_change(s, drives, gains, w.c[k] * w.h[0], points[START], points[VX], points[DX], points[DV], values[0], values[1])
     return DONE
 
 
 @entry
-def rate(w, instant, q, v, found, known, e, f):
+def rate(w, instant, q, v, out, known, e, f):
     """Compute the slopes of the rows for `project`; phi_rate itself comes from increments."""
     s, dz = w.scene.links, w.dz[stage(w, instant)]
     joints.point_values(s, pairs(w, q), dz)
@@ -179,15 +183,15 @@ def take_slopes(s, t, drives, dz):
 
 
 @entry
-def project(w, instant, wanted, x, anew, d, e, f):
+def project(w, instant, changes, x, anew, d, e, f):
     """Change x by the least M-norm, so that B x falls by rows."""
-    return DONE if moved(w.scene.links, w.tie, rows(w, wanted), pairs(w, x)) else SINGULAR
+    return DONE if moved(w.scene.links, w.tie, rows(w, changes), pairs(w, x)) else SINGULAR
 
 
 @part
-def moved(s, t, wanted, x):
+def moved(s, t, changes, x):
     """Apply the projection with the slopes in t. False if it is singular; True without rows (t is None)."""
-    return True if t is None else project_rows(s, t, wanted, x)
+    return True if t is None else project_rows(s, t, changes, x)
 
 
 @entry
@@ -203,7 +207,7 @@ def turn(w, first, r, back, c, d, e, f):
     r = carray(pointer(r), w.turn.shape)
     for k in range(r.shape[0]):
         if back:
-            turn_back(w.turn[k], r[k])
+            turn_back(w.turn[k, : w.rotation.shape[1]], r[k])
         else:
             turn_to(w.rotation[k], w.rotation[r.shape[0] // 2], w.turn[k], r[k])
     return DONE
@@ -212,7 +216,7 @@ def turn(w, first, r, back, c, d, e, f):
 @fast
 def turn_to(own, middle, turn, r):
     """Rotate r (nodes, 2) from the frames `own` to the frames `middle`; turn (nodes, 2) becomes cosine and sine."""
-    for i in range(r.shape[0]):
+    for i in range(own.shape[0]):
         mx, my, x, y = middle[i, 0], middle[i, 1], own[i, 0], own[i, 1]
         size = 1.0 / np.sqrt((mx * mx + my * my) * (x * x + y * y))
         c, n = (mx * x + my * y) * size, (my * x - mx * y) * size
@@ -224,7 +228,7 @@ def turn_to(own, middle, turn, r):
 @fast
 def turn_back(turn, dq):
     """Rotate dq by the inverse of turn."""
-    for i in range(dq.shape[0]):
+    for i in range(turn.shape[0]):
         p, q, c, n = dq[i, 0], dq[i, 1], turn[i, 0], turn[i, 1]
         dq[i, 0], dq[i, 1] = c * p + n * q, c * q - n * p
 
@@ -234,22 +238,24 @@ def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
     """Solve for dq and multipliers of one mode, rows and curvature being those of the middle stage. Returns a status; DONE if mode is None."""
     if mode is None:
         return DONE
-    return solve_border(w, instant, number, mode, mode.massive, mode.border, r, closing, lam, dq, multipliers)
+    return solve_border(w, instant, number, mode, mode.mass_columns, mode.border, r, closing, lam, dq, multipliers)
 
 
 @part
-def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq, multipliers):
-    """Solve for dq and multipliers of one mode, with the border of lam alone if `massive` is None, else of lam and mu. Returns a status.
+def solve_border(w, instant, number, mode, mass_columns, border, r, closing, lam, dq, multipliers):
+    """Solve for dq and multipliers of one mode, with the border of lam alone if `mass_columns` is None, else of lam and mu. Returns a status.
 
     number: 0 for the real mode, 1 for the complex one. r, closing: right-hand sides of the equations of motion and of the rows.
-    `massive` is an argument of its own, so that numba leaves out the branch that does not apply.
+    `mass_columns` is an argument of its own, so that numba leaves out the branch that does not apply.
     """
     k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
     c, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
-    if massive is None:
-        good = corotated.solve(s, c, workspace, drives, rotation, dz, lam, r, closing[0], c_v * c_v, dq, multipliers[0])
+    right = eliminate(w.scene, w.scene.relaxation, workspace.elimination, w.u, r)
+    if mass_columns is None:
+        good = corotated.solve(s, c, workspace, drives, rotation, dz, lam, right, closing[0], c_v * c_v, dq, multipliers[0])
+        recover(w.scene, w.scene.relaxation, workspace.elimination, w.u, dq)
         return DONE if good else SINGULAR
-    corotated.solve_plates(s, c, workspace, rotation, r, dq)
+    corotated.solve_plates(s, c, workspace, rotation, right, dq)
     for i in range(dq.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     for f in range(2):
@@ -258,7 +264,7 @@ def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq,
     good = stabilised_border(
         s,
         c,
-        massive,
+        mass_columns,
         workspace,
         border,
         drives,
@@ -274,6 +280,7 @@ def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq,
         multipliers[1],
     )
     w.anew[number] = 0
+    recover(w.scene, w.scene.relaxation, workspace.elimination, w.u, dq)
     return DONE if good else SINGULAR
 
 
@@ -281,16 +288,17 @@ def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq,
 def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     shape = (2, w.level.shape[0])
-    given = pairs(w, r), carray(pointer(closing), shape), rows(w, lam), pairs(w, dq), carray(pointer(multipliers), shape)
-    return solve_mode(w, instant, 0, w.real, given[0], given[1], given[2], given[3], given[4])
+    arguments = pairs(w, r), carray(pointer(closing), shape), rows(w, lam), pairs(w, dq), carray(pointer(multipliers), shape)
+    return solve_mode(w, instant, 0, w.real, arguments[0], arguments[1], arguments[2], arguments[3], arguments[4])
 
 
 @entry
 def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     shape = (2, w.level.shape[0])
-    given = complex_pairs(w, r), carray(complex_pointer(closing), shape), complex_pairs(w, dq), carray(complex_pointer(multipliers), shape)
-    return solve_mode(w, instant, 1, w.pair, given[0], given[1], rows(w, lam), given[2], given[3])
+    right, correction = complex_pairs(w, r), complex_pairs(w, dq)
+    right_rows, changes = carray(complex_pointer(closing), shape), carray(complex_pointer(multipliers), shape)
+    return solve_mode(w, instant, 1, w.pair, right, right_rows, rows(w, lam), correction, changes)
 
 
 @part
@@ -305,13 +313,24 @@ def momentum(w, b, r):
     joints.spread(s, w.forces, r)
 
 
+@part
+def add_law_damping(w, laws, drives, dz, v, r):
+    """r += C v of the force elements, at the places dz of the points and the velocities of the last residual; nothing if laws is None."""
+    if laws is not None:
+        joints.point_values(w.scene.links, v, w.points[DX])
+        clear(w.forces)
+        take_damping_forces(laws, drives, dz, w.vz, w.points[DX], w.forces)
+        joints.spread(w.scene.links, w.forces, r)
+
+
 @entry
-def off(w, instant, v, a, r, p, q, rates):
+def inertia(w, instant, v, a, r, p, q, rates):
     """r = C v + M a, p = M v, C at q; rates (2, m) = (0, B v), B of the stage's last residual."""
     slow, force = pairs(w, v), pairs(w, r)
     clear(force)
     momentum(w, pairs(w, a), force)
-    add_forces(w.scene, w.damp, None, w.drives[instant], pairs(w, q), slow, force)
+    add_forces(w.scene, w.damp, None, w.drives[instant], pairs(w, q), slow, 0.0, force)
+    add_law_damping(w, w.laws, w.drives[instant], w.dz[stage(w, instant)], slow, force)
     if p:
         impulse = pairs(w, p)
         clear(impulse)
@@ -336,14 +355,14 @@ def row_rates(s, t, drives, dz, vz, rates):
 @entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam of the equations of motion."""
-    k, drives, u, speed, found = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]
-    kernels.equilibrium(w.scene, drives, u, w.still, w.level, found, w.spare, w.rotation[k], w.dz[k], w.forces)
-    add_forces(w.scene, w.damp, w.laws, drives, u, speed, found)
+    k, drives, u, speed, forces = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]
+    kernels.equilibrium(w.scene, drives, u, w.still, w.level, forces, w.spare, w.rotation[k], w.dz[k], w.forces)
+    add_forces(w.scene, w.damp, w.laws, drives, u, speed, 1.0, forces)
     out = pairs(w, a)
     for i in range(out.shape[0]):
         total = 0.0j
         for j in range(out.shape[0]):
-            total -= w.inverse[i, j] * complex(found[j, 0], found[j, 1])
+            total -= w.inverse[i, j] * complex(forces[j, 0], forces[j, 1])
         w.r[i, 0], w.r[i, 1] = total.real, total.imag
     if not constrain(w.scene.links, w.tie, drives, w.dz[k], speed, w.r, rows(w, lam)):
         return SINGULAR
@@ -353,16 +372,16 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 
 FUNCTIONS = {
-    of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
-    of.TURN: turn, of.REAL: real, of.PAIR: pair, of.OFF: off,
+    of.BEGIN: begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
+    of.TURN: turn, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia,
 }  # fmt: skip
 
 
 def inverse_mass(model):
     """M^-1 of a scene, (nodes, nodes), complex."""
     real = np.stack([np.eye(model.n_nodes), np.zeros((model.n_nodes, model.n_nodes))], axis=1)
-    found = model.mass_inverse(real.reshape(model.n, model.n_nodes)).reshape(model.n_nodes, 2, model.n_nodes)
-    return np.ascontiguousarray(found[:, 0] + 1j * found[:, 1])
+    inverse = model.mass_inverse(real.reshape(model.n, model.n_nodes)).reshape(model.n_nodes, 2, model.n_nodes)
+    return np.ascontiguousarray(inverse[:, 0] + 1j * inverse[:, 1])
 
 
 class SceneStages:
@@ -383,11 +402,12 @@ class SceneStages:
             "moves": numbers,
             "drives": np.zeros(instants),
             "gains": np.zeros(instants),
-            "rotation": np.zeros((s, *nodes)),
+            "rotation": np.zeros((s, model.n_factored, 2)),
             "turn": np.zeros((s, *nodes)),
             "points": np.zeros((4, *points)),
             "forces": np.zeros(points),
             "vz": np.zeros(points),
+            "u": np.zeros((model.n_nodes if model.strains else 0, 2)),
             "dz": np.zeros((s, *points)),
             "level": np.zeros(model.m),
             "spare": np.zeros(model.m),
@@ -405,7 +425,7 @@ class SceneStages:
     def set_lift(self, lift):
         """No effect: D = 1."""
 
-    def hold_constant(self, t, q):
+    def evaluate_constants(self, t, q):
         """No effect."""
 
     def begin(self, engine, state, control, ends):
@@ -447,9 +467,9 @@ class SceneStages:
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
             known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
         counts.backend = known.backend
-        self.take(known.real, known.pair)
+        self.set_solvers(known.real, known.pair)
 
-    def take(self, real, pair):
+    def set_solvers(self, real, pair):
         """Use these Solvers of the modes, or None; functions are compiled for the type of the workspace."""
         self.work = SceneWork(real=real, pair=pair, **self.w)
         self.workspace, kind = self.work.address, typeof(self.work)
@@ -468,7 +488,7 @@ class SceneStages:
         stages = ((engine.clamp(t + step), q + (step * v + e)) for step, e in zip(steps, engine.trial.e))
         return status, next(filter(None, (self.model.rejection_reason(*at) for at in stages)), None) or reason
 
-    def raise_left(self):
+    def raise_error(self):
         """Raise the exception of a profile."""
         error, self.raised = self.raised, None
         if error is not None:
@@ -481,7 +501,7 @@ class SceneMatrices:
     def __init__(self, model, modes, h, made_at, tied):
         self.h, self.made_at, self.real = h, made_at, None
         at = (float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3)))
-        parts = symmetric_parts(model, at[1].reshape(-1, 2))
+        parts = symmetric_parts(model, *at[1:3])
         for mode in modes:
             c, step = mode.value / h, model.step_matrix()
             step.factor(*at, c * c, c, parts)
@@ -494,4 +514,4 @@ def _border(model, step, c, at, tied):
         return None, None
     t, q, v = at[:3]
     damping = model.force_v(t, q, np.zeros_like(v)) / c if model.damped else None
-    return massive(model, step.corotated, damping), stabilised_workspace(model, type(c))
+    return mass_columns(model, step.corotated, damping), stabilised_workspace(model, type(c))

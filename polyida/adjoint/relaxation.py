@@ -1,0 +1,179 @@
+"""The adjoint of viscoelastic plates: products with the matrices of relaxation, its transposed elimination, and slopes in Prony series.
+
+In the notation of assembly/relaxation.py, r_u and r_x the residuals of nodes and relaxed strains, with `E' = B u'`:
+
+    dr_u/du = geometric stiffness of the stress -D : sum g x,   dr_u/dv_x = -unit g B^T D,
+    dr_x/du = -mass / (tau unit) B,                             dr_x/dv_x = mass / tau
+
+With `S = c_m M + c_v C + K` and c = c_m/c_v the solution of `S^T w = right` is that of the nodes' matrix, D -> kappa D, which is symmetric:
+
+    right_u += B^T sum right_x / (unit c_v (1 + c tau)),   w_x = tau / (mass c_v (1 + c tau)) (right_x + c_v unit g D B w_u)
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.adjoint.parameter import CachedByMultipliers, PartParameter
+from polyida.assembly import compact
+from polyida.assembly.arrays import cells
+from polyida.assembly.factors import CellContributions
+from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, relax_body, strains_of, take_pull
+from polyida.body.body import Body
+from polyida.body.plate import Plate
+from polyida.element.relaxation import relaxation_products
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES
+
+
+@part
+def multiply_body(scene, b, u, w, pull, back, f, out):
+    """`relaxation_products` of body b."""
+    s = scene.plates
+    few = s.body_node.shape[0] - 1
+    if b >= few:
+        compact.relaxation_products(scene.compact, b - few, u, w, pull, back, f, out)
+    else:
+        relaxation_products(*cells(s, s.body_operator[b]), s.body_node[b], s.body_c1[b], s.body_nu[b], u, w, pull, back, f, out)
+
+
+@part
+def add_products(scene, x, u, v, w, rotation, stiff, heavy, slowing):
+    """Add K^T w, M w and C^T w of relaxation, and set the frames of the strains; nothing if x, the scene's Relaxation, is None."""
+    if x is not None:
+        for i in range(x.first, w.shape[0]):
+            for k in range(2):
+                heavy[i, k] += x.mass * w[i, k]
+        for i in range(x.first, rotation.shape[0]):
+            rotation[i, 0] = 1.0
+        speeds, own, slow = v.reshape(-1), w.reshape(-1), slowing.reshape(-1)
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count, first = strains_of(x, b), 2 * x.first + x.start[b]
+            pull, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
+            take_pull(x, b, speeds, pull)
+            for k in range(x.terms[b], x.terms[b + 1]):
+                at = first + (k - x.terms[b]) * count
+                add_scaled(back, -x.mass / (x.time[k] * x.unit), own[at : at + count])
+            multiply_body(scene, b, u, w, pull, back, stiff, pushed)
+            for k in range(x.terms[b], x.terms[b + 1]):
+                at = first + (k - x.terms[b]) * count
+                add_scaled(slow[at : at + count], x.mass / x.time[k], own[at : at + count])
+                add_scaled(slow[at : at + count], -x.unit * x.share[k], pushed)
+
+
+@part
+def eliminate_transposed(scene, x, e, u, r):
+    """Add the residuals of the strains to those of the nodes in r (nodes, 2), at displacements u; nothing if e, the Elimination, is None."""
+    if e is not None:
+        residuals, none = r.reshape(-1), np.zeros((x.first, 2))
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+            pull, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
+            for k in range(x.terms[b], x.terms[b + 1]):
+                at = 2 * x.first + x.start[b] + (k - x.terms[b]) * count
+                add_scaled(sums, 1.0 / (x.unit * e.rates[1] * (1.0 + e.rates[0] * x.time[k])), residuals[at : at + count])
+            for p in range(e.parts.shape[0]):
+                e.force[:], back[:] = 0.0, 0.0
+                add_real(back, 1.0, sums, p)
+                multiply_body(scene, b, u, none, pull, back, e.force, pushed)
+                for i in range(first, end):
+                    for j in range(2):
+                        r[i, j] += e.parts[p] * e.force[i, j]
+
+
+@part
+def recover_transposed(scene, x, e, u, r, dw):
+    """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = r`, from that of the nodes; nothing if e is None."""
+    if e is not None:
+        residuals, changes, none = r.reshape(-1), dw.reshape(-1), np.zeros((x.first, 2))
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+            zero, pushed = np.zeros(count), np.empty(count)
+            for p in range(e.parts.shape[0]):
+                for i in range(first, end):
+                    for j in range(2):
+                        e.force[i, j] = dw[i, j].real if p == 0 else dw[i, j].imag
+                multiply_body(scene, b, u, e.force, zero, zero, none, pushed)
+                for k in range(x.terms[b], x.terms[b + 1]):
+                    at = 2 * x.first + x.start[b] + (k - x.terms[b]) * count
+                    factor = x.time[k] / (x.mass * e.rates[1] * (1.0 + e.rates[0] * x.time[k]))
+                    if p == 0:
+                        changes[at : at + count] = 0.0
+                        add_scaled(changes[at : at + count], factor, residuals[at : at + count])
+                    add_scaled(changes[at : at + count], e.parts[p] * factor * e.rates[1] * x.unit * x.share[k], pushed)
+
+
+@entry
+def sum_works(scene, q, v, w, by_share, by_time, by_strain):
+    """Add over frames (nodes, 2) the slopes of w . r in g and tau of all terms, and `-(B w) : D : g x` of each strain."""
+    x = scene.relaxation
+    none = np.zeros((x.first, 2))
+    for frame in range(q.shape[0]):
+        u, speeds, own = q[frame], v[frame].reshape(-1), w[frame].reshape(-1)
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count, at = strains_of(x, b), 2 * x.first + x.start[b]
+            zero, pushed, strain = np.zeros(count), np.empty(count), np.empty(count)
+            multiply_body(scene, b, u, w[frame], zero, zero, none, pushed)
+            relax_body(scene, b, u, None, zero, none, strain)
+            for k in range(x.terms[b], x.terms[b + 1]):
+                rate = x.mass / x.time[k] ** 2
+                for j in range(count):
+                    work = pushed[j] * x.unit * speeds[at + j]
+                    by_share[k] -= work
+                    by_strain[x.start[b] + j] -= x.share[k] * work
+                    by_time[k] -= rate * (speeds[at + j] - strain[j] / x.unit) * own[at + j]
+                at += count
+
+
+def relaxation_works(model, work):
+    """({body: slopes of w . r in its (g, tau), (terms, 2)}, {full plate: works of the forces of relaxation at factor 1, (cells,)})."""
+    x, contributions = model.arrays.relaxation, model.once(CellContributions, of_shape=True)
+    by_share, by_time, by_strain = np.zeros(len(x.share)), np.zeros(len(x.share)), np.zeros(x.start[-1])
+    states = (np.ascontiguousarray(each, float).reshape(-1, model.n_nodes, 2) for each in (work.q, work.v, work.w))
+    sum_works(model.arrays, *states, by_share, by_time, by_strain)
+    slopes, cell_works, first = {}, {}, 0
+    for b, body in enumerate((*model.bodies, *model.few)):
+        terms = slice(x.terms[b], x.terms[b + 1])
+        slopes[body.name] = np.stack([by_share[terms], by_time[terms]], axis=1)
+        if b < len(model.bodies):
+            weights, factors = len(body.operator.weights), body.factors[0]
+            if body.name in model.strains:
+                points = by_strain[x.start[b] : x.start[b] + 3 * weights].reshape(-1, 3, LANES).sum(axis=1).ravel()
+                of_cells = contributions.weight_cells[first : first + weights] - contributions.first[b]
+                cell_works[body.name] = np.bincount(of_cells, points, len(factors)) / factors
+            first += weights
+    return slopes, cell_works
+
+
+@dataclass(frozen=True, eq=False)
+class PronySeries(PartParameter):
+    """The terms (g, tau) of a viscoelastic plate, (terms, 2). works: `relaxation_works` of AdjointMultipliers."""
+
+    works: Callable
+
+    def slope(self, work):
+        """Works of the forces by unit g, and of the rates by unit tau."""
+        return self.works(work)[0][self.part]
+
+
+def series_parameters(model, works):
+    """Yield the Prony series of the plates of a scene."""
+    for name in model.strains:
+        part = model.parts[name]
+        path = ("material", "prony") if isinstance(part, Plate) else ("plate", "material", "prony")
+        if isinstance(part, Plate) or (isinstance(part, Body) and part.plate is not None):
+            yield PronySeries(f"{name}.prony", np.array(model.strains[name].terms), model, name, path, works)
+
+
+def cached_works(model):
+    """`relaxation_works`, cached for the last AdjointMultipliers."""
+    return CachedByMultipliers(relaxation_works, model)

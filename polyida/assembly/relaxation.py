@@ -1,0 +1,375 @@
+"""Viscoelastic plates of a scene: the relaxed strains x as states, of full plates at the points of the elements, of reduced ones in y (compact.py).
+
+Of each term (g, tau) of a plate's Prony series `x' = (E - x) / tau`, E Green's strain, and the stress is `S = D : (E - sum g x)`. As all
+states they are velocities of coordinates of mass `mass`, `x = unit v`, behind all others: `mass (a - (E - x) / (tau unit)) = 0`.
+
+With `dv = c_v dq` and c = c_m/c_v these coordinates are eliminated from a step's system. Their residuals r become the strains
+`e = unit tau r / (mass (1 + c tau))`, and with B = dE/dq
+
+    r of the nodes += B^T D sum g e,   D -> kappa D, kappa = 1 - sum g / (1 + c tau),   unit c_v dq = B dq / (1 + c tau) - e
+
+so that the pattern and the frames of the plates' factor stay as they are. E of a reduced plate is y - y_0, and D its form: since Green's
+strain is linear in y, the same relaxation as of the full plate in the span of its fields.
+
+Bodies are numbered as in Relaxation: full plates, then bodies of few coordinates.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly import compact
+from polyida.assembly.arrays import cells
+from polyida.element import kernels
+from polyida.element.relaxation import change_of_strain, relax, strain_square
+from polyida.jit import entry, fast, pack, part
+from polyida.jit.intrinsics import LANES
+from polyida.linear.dense import put
+from polyida.validation import pairs_of
+
+
+@part
+def strains_of(x, b):
+    """Number of strains of body b in each of its terms; 0 without any."""
+    return (x.start[b + 1] - x.start[b]) // max(1, x.terms[b + 1] - x.terms[b])
+
+
+@part
+def relax_body(scene, b, u, half, pull, f, strain):
+    """`relax` of body b."""
+    s = scene.plates
+    o = s.body_node.shape[0] - 1
+    if b >= o:
+        compact.relax(scene.compact, b - o, u, half, pull, f, strain)
+    else:
+        relax(*cells(s, s.body_operator[b]), s.body_node[b], s.body_c1[b], s.body_nu[b], u, half, pull, f, strain)
+
+
+@part
+def change_strain(scene, b, u, w, strain):
+    """`change_of_strain` of body b."""
+    s = scene.plates
+    o = s.body_node.shape[0] - 1
+    if b >= o:
+        compact.change_of_strain(scene.compact, b - o, u, w, strain)
+    else:
+        layout, corners, gradients, _ = cells(s, s.body_operator[b])
+        change_of_strain(layout, corners, gradients, s.body_node[b], u, w, strain)
+
+
+@part
+def square(scene, b, e):
+    """Integral of e : D : e over body b, J."""
+    s = scene.plates
+    o = s.body_node.shape[0] - 1
+    if b >= o:
+        return compact.strain_square(scene.compact, b - o, e)
+    first = s.body_operator[b]
+    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[b], s.body_nu[b], e)
+
+
+@part
+def pairs_of_body(scene, b):
+    """(first pair, end) of q that move body b."""
+    s, c = scene.plates, scene.compact
+    o = s.body_node.shape[0] - 1
+    return (c.pair[b - o], c.pair[b - o + 1]) if b >= o else (s.body_node[b], s.body_node[b + 1])
+
+
+@part
+def take_pull(x, b, v, pull):
+    """pull = sum g x of body b, from the velocities v (numbers,)."""
+    at, count = 2 * x.first + x.start[b], pull.shape[0]
+    pull[:] = 0.0
+    for k in range(x.terms[b], x.terms[b + 1]):
+        add_real(pull, x.share[k] * x.unit, v[at : at + count], 0)
+        at += count
+
+
+@fast
+def add_real(out, factor, numbers, p):
+    """out += factor times the real parts of numbers, or if p = 1 the imaginary ones. A loop over whole arrays becomes one over vectors."""
+    for j in range(out.shape[0]):
+        out[j] += factor * (numbers[j].real if p == 0 else numbers[j].imag)
+
+
+@fast
+def add_scaled(out, factor, numbers):
+    """out += factor numbers."""
+    for j in range(out.shape[0]):
+        out[j] += factor * numbers[j]
+
+
+@part
+def add_relaxation(scene, x, u, half, v, still, r):
+    """Add the forces of relaxation to r (nodes, 2), without inertia; nothing if x, the scene's Relaxation, is None.
+
+    half: as of `relax`. still: factor of the strain in the states' equations, 0 for the part that is linear in v.
+    """
+    if x is not None:
+        speeds, forces = v.reshape(-1), r.reshape(-1)
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count = strains_of(x, b)
+            pull, strain = np.empty(count), np.empty(count)
+            take_pull(x, b, speeds, pull)
+            relax_body(scene, b, u, half, pull, r, strain)
+            at = 2 * x.first + x.start[b]
+            for k in range(x.terms[b], x.terms[b + 1]):
+                rate, own = x.mass / x.time[k], forces[at : at + count]
+                add_scaled(own, rate, speeds[at : at + count])
+                add_scaled(own, -still * rate / x.unit, strain)
+                at += count
+
+
+@part
+def add_relaxation_middle(scene, x, u0, u1, um, vm, r):
+    """The same in the middle of a step, with the mean strain of its ends."""
+    if x is not None:
+        half = np.empty((x.first, 2))
+        for i in range(x.first):
+            half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
+        add_relaxation(scene, x, um, half, vm, 1.0, r)
+
+
+@entry
+def add_relaxing_forces(scene, u, v, still, r):
+    """`add_relaxation` for Python."""
+    add_relaxation(scene, scene.relaxation, u, None, v, still, r)
+
+
+@entry
+def add_relaxed_blocks(scene, u, v, changes, c_q, blocks):
+    """Add c_q times what relaxation adds to K; changes (bodies,): kappa - 1."""
+    s, x, speeds = scene.plates, scene.relaxation, v.reshape(-1)
+    few = s.body_node.shape[0] - 1
+    for b in range(changes.shape[0]):
+        if x.terms[b] < x.terms[b + 1]:
+            pull = np.empty(strains_of(x, b))
+            take_pull(x, b, speeds, pull)
+            if b >= few:
+                compact.relaxed_blocks(scene.compact, b - few, u, pull, changes[b], c_q, blocks)
+                continue
+            o = s.body_operator[b]
+            pairs = s.pairs[s.at[o, 4] : s.at[o + 1, 4]]
+            place = pairs, s.body_node[b], s.body_block[b], s.body_c1[b], s.body_nu[b]
+            kernels.relaxed_tangent(*cells(s, o), *place, u, c_q, pull, changes[b], blocks)
+
+
+@pack
+class Elimination(NamedTuple):
+    """Workspace of the solves of a factor. rates: c and c_v; parts: 1, and i if they are complex; strains: the e; r, force: on the nodes."""
+
+    rates: np.ndarray
+    parts: np.ndarray
+    strains: np.ndarray
+    r: np.ndarray
+    force: np.ndarray
+
+
+def elimination(model, dtype):
+    """The Elimination of a scene; None without relaxation."""
+    x = model.arrays.relaxation
+    if x is None:
+        return None
+    parts = np.array([1.0, 1j] if np.dtype(dtype).kind == "c" else [1.0])
+    return Elimination(np.zeros(2, dtype), parts, np.zeros(x.start[-1], dtype), np.zeros((x.first, 2), dtype), np.zeros((x.first, 2)))
+
+
+@entry
+def eliminate(scene, x, w, u, r):
+    """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself if w is None."""
+    if w is None:
+        return r
+    for i in range(x.first):
+        w.r[i, 0], w.r[i, 1] = r[i, 0], r[i, 1]
+    residuals = r.reshape(-1)[2 * x.first :]
+    for b in range(x.start.shape[0] - 1):
+        if x.terms[b] == x.terms[b + 1]:
+            continue
+        count, at, (first, end) = strains_of(x, b), x.start[b], pairs_of_body(scene, b)
+        pull, strain = np.empty(count), np.empty(count)
+        for k in range(x.terms[b], x.terms[b + 1]):
+            factor = x.unit * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
+            put(factor, residuals[at : at + count], w.strains[at : at + count])
+            at += count
+        for p in range(w.parts.shape[0]):
+            pull[:], w.force[:], at = 0.0, 0.0, x.start[b]
+            for k in range(x.terms[b], x.terms[b + 1]):
+                add_real(pull, x.share[k], w.strains[at : at + count], p)
+                at += count
+            relax_body(scene, b, u, None, pull, w.force, strain)
+            for i in range(first, end):
+                w.r[i, 0] -= w.parts[p] * w.force[i, 0]
+                w.r[i, 1] -= w.parts[p] * w.force[i, 1]
+    return w.r
+
+
+@entry
+def recover(scene, x, w, u, dq):
+    """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2); nothing if w is None."""
+    if w is not None:
+        changes, c_v = dq.reshape(-1)[2 * x.first :], w.rates[1]
+        for b in range(x.start.shape[0] - 1):
+            if x.terms[b] == x.terms[b + 1]:
+                continue
+            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+            strain = np.empty(count)
+            for p in range(w.parts.shape[0]):
+                for i in range(first, end):
+                    for k in range(2):
+                        w.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
+                change_strain(scene, b, u, w.force, strain)
+                at = x.start[b]
+                for k in range(x.terms[b], x.terms[b + 1]):
+                    own = changes[at : at + count]
+                    if p == 0:
+                        put(-1.0 / (x.unit * c_v), w.strains[at : at + count], own)
+                    add_scaled(own, w.parts[p] / (x.unit * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
+                    at += count
+
+
+@entry
+def relaxation_energies(scene, u, v):
+    """(energy of relaxation beyond that of the strain E alone, J, the power that each body dissipates (bodies,), W).
+
+    W = sum of E : D : E / 2 over the points with `g_0 E : D : E + sum g (E - x) : D : (E - x)` in place of E : D : E; the power is
+    `sum g (E - x) : D : (E - x) / tau`.
+    """
+    x, speeds = scene.relaxation, v.reshape(-1)
+    total, powers, none = 0.0, np.zeros(x.start.shape[0] - 1), np.zeros((x.first, 2))
+    for b in range(powers.shape[0]):
+        if x.terms[b] < x.terms[b + 1]:
+            count, at = strains_of(x, b), 2 * x.first + x.start[b]
+            strain, pull = np.empty(count), np.zeros(count)
+            relax_body(scene, b, u, None, pull, none, strain)
+            for k in range(x.terms[b], x.terms[b + 1]):
+                for j in range(count):
+                    pull[j] = strain[j] - x.unit * speeds[at + j]
+                size = square(scene, b, pull)
+                total += 0.5 * x.share[k] * (size - square(scene, b, strain))
+                powers[b] += x.share[k] * size / x.time[k]
+                at += count
+    return total, powers
+
+
+def stiffness_changes(model, c):
+    """kappa - 1 of each body, (bodies,); c real or complex."""
+    x = model.arrays.relaxation
+    each = x.share / (1.0 + c * x.time)
+    return np.array([-each[a:b].sum() for a, b in zip(x.terms, x.terms[1:])])
+
+
+def relaxed_velocities(model, q):
+    """The velocities (n,) of a model at rest whose strains have relaxed, x = E."""
+    x, r = model.arrays.relaxation, np.zeros((model.n_nodes, 2))
+    add_relaxing_forces(model.arrays, q.reshape(-1, 2), np.zeros_like(r), 1.0, r)
+    v, residuals, at = np.zeros(model.n), r.ravel(), 2 * x.first
+    for placed in model.strains.values():
+        for _, time in placed.terms:
+            end = at + placed.padded
+            v[at:end] = -time / x.mass * residuals[at:end]
+            at = end
+    return v
+
+
+def slopes(model, q, v, c_v, c_q):
+    """`c_v dr/dv + c_q dr/dq` of relaxation outside the blocks of the bodies, (n, n), sparse."""
+    x, parts = model.arrays.relaxation, []
+
+    for b, body in enumerate((*model.bodies, *model.few)):
+        if x.terms[b] == x.terms[b + 1]:
+            continue
+        at, first, last = 2 * x.first + x.start[b], 2 * body.pairs.start, 2 * body.pairs.stop
+        B, pulled = (_strain_slopes if b < len(model.bodies) else _form_slopes)(model, b, q[first:last])
+        B, pulled = B.tocoo(), pulled.tocoo()
+        for k in range(x.terms[b], x.terms[b + 1]):
+            rate, states = x.mass / x.time[k], at + np.arange(model.strains[body.name].padded)
+            parts.append((pulled.row + first, pulled.col + at, -c_v * x.unit * x.share[k] * pulled.data))
+            parts.append((B.row + at, B.col + first, -c_q * rate / x.unit * B.data))
+            parts.append((states, states, np.full(len(states), c_v * rate)))
+            at += len(states)
+    return _sparse(parts, (model.n, model.n)).tocsc()
+
+
+def _sparse(pieces, shape):
+    from scipy.sparse import coo_array
+
+    rows, columns, values = (np.concatenate(each) for each in zip(*pieces))
+    return coo_array((values, (rows, columns)), shape=shape).tocsr()
+
+
+def _strain_slopes(model, b, q):
+    """(B, B^T D) of full plate b at its q, sparse."""
+    plates, body = model.arrays.plates, model.bodies[b]
+    weights, gradients = body.operator.weights, model.once(gradient_operators, of_shape=True)[body.name]
+    point = np.arange(len(weights))
+    f11, f12, f21, f22 = ((gradients @ q).reshape(-1, 4) + (1.0, 0.0, 0.0, 1.0)).T
+    e11 = 3 * LANES * (point // LANES) + point % LANES
+    e12, e22, h = e11 + LANES, e11 + 2 * LANES, 4 * point
+    changes = [(e11, h, f11), (e11, h + 2, f21), (e22, h + 1, f12), (e22, h + 3, f22)]
+    changes += [(e12, h + k, 0.5 * f) for k, f in enumerate((f12, f11, f22, f21))]
+    B = _sparse(changes, (3 * len(weights), 4 * len(weights))) @ gradients
+    w, nu = plates.body_c1[b] * weights, plates.body_nu[b]
+    moduli = [(e11, e11, w), (e22, e22, w), (e11, e22, nu * w), (e22, e11, nu * w), (e12, e12, 2.0 * (1.0 - nu) * w)]
+    return B, B.T @ _sparse(moduli, (3 * len(weights),) * 2)
+
+
+def _form_slopes(model, b, q):
+    """The same of a reduced plate."""
+    from scipy.sparse import csr_array
+
+    placed = model.few[b - len(model.bodies)]
+    form, z = placed.form[0], pairs_of(placed.rest) + q.reshape(-1, 2)
+    slopes = np.zeros((len(form), len(q) - 2))
+    compact.add_y_jacobian(len(z) - 1, z[1:], 1.0, slopes)
+    B = np.hstack([np.zeros((len(form), 2)), slopes])
+    return csr_array(B), csr_array(B.T @ form)
+
+
+def gradient_operators(model):
+    """{plate: H of its points as a linear function of its nodes' displacements, (4 weights, 2 nodes), sparse} of viscoelastic plates, reduced ones too."""
+    from scipy.sparse import coo_array
+
+    operators = {}
+    for body in model.drawn:
+        if body.name not in model.strains:
+            continue
+        o, rows, columns, values = body.operator, [], [], []
+        for m, points, corners, gradients, weights, _ in o.layout:
+            nodes = o.corners[corners : corners + m * LANES].reshape(m, LANES)
+            own = o.gradients[gradients : gradients + 2 * points * (m - 1) * LANES].reshape(points, m - 1, 2, LANES)
+            G = np.concatenate([own, -own.sum(axis=1, keepdims=True)], axis=1)
+            at = (weights + LANES * np.arange(points))[:, None, None, None] + np.arange(LANES)
+            for a in range(2):  # H_ak = sum of u_a G_k
+                for k in range(2):
+                    rows.append(np.broadcast_to(4 * at[:, :, 0] + 2 * a + k, (points, m, LANES)).ravel())
+                    columns.append(np.broadcast_to(2 * nodes + a, (points, m, LANES)).ravel())
+                    values.append(G[:, :, k].ravel())
+        shape = 4 * len(o.weights), 2 * o.n_nodes
+        operators[body.name] = coo_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape).tocsr()
+    return operators
+
+
+def fields_at_points(model):
+    """{reduced plate: derivatives of its fields in x and y at the points, (points, 2, fields), complex} of viscoelastic ones."""
+    gradients, result = model.once(gradient_operators, of_shape=True), {}
+    for placed in model.few:
+        if placed.name in gradients:
+            fields = placed.body.shapes()[:, 1:]
+            real = gradients[placed.name] @ np.stack([fields.real, fields.imag], axis=1).reshape(-1, fields.shape[1])
+            result[placed.name] = np.tensordot([1.0, 1j], real.reshape(-1, 2, 2, fields.shape[1]), (0, 1))
+    return result
+
+
+def pull_at_points(fields, pull):
+    """The strains at the points (3 weights,) of a reduced plate that a change `pull` of its y means; fields: of `fields_at_points`."""
+    count = fields.shape[2]
+    products, upper = np.zeros((count, count), complex), np.triu_indices(count)
+    products[upper] = pull[: len(upper[0])]
+    products[np.triu_indices(count, 1)] += 1j * pull[len(upper[0]) :]
+    products += np.triu(products, 1).conj().T
+    e = 0.5 * np.einsum("pki,ij,plj->klp", fields.conj(), products, fields, optimize=True).real
+    strains = np.stack([e[0, 0], 0.5 * (e[0, 1] + e[1, 0]), e[1, 1]])
+    return strains.reshape(3, -1, LANES).transpose(1, 0, 2).ravel()

@@ -1,0 +1,160 @@
+"""Numba kernels of the relaxation of a viscoelastic body: its strains at the points of the elements, and the stress that relaxes.
+
+    S = D : (E - pull),   pull = sum_k g_k x_k,   x_k' = (E - x_k) / tau_k
+
+Strains of the points, pull and x_k, are flat arrays (3 weights,): (11, 12, 22) of the LANES cells of one point, point after point in the order of
+the weights. Other arguments as in kernels.py; h, d: gradients of a state and of a direction, as in material.py.
+"""
+
+from polyida.element.cell_products import _two_gradients, first_half, symmetric_part, times
+from polyida.element.kernels import _add_means, _differences, _gradient, _scatter_balanced, _workspace
+from polyida.element.material import add_cauchy_of, add_times, carried, determinant, second_piola, strain, two_state_strain
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, load, load2, load3, store, traced, zeros2, zeros3
+
+
+@traced(4)
+def relaxed_piola(h, pull, w, spherical, deviatoric):
+    """w F (D : pull)."""
+    return carried(h, second_piola(pull, spherical * w, deviatoric * w))
+
+
+@traced(3)
+def strain_of(h):
+    """E."""
+    return strain(h)
+
+
+@traced(3)
+def mean_strain(h, d):
+    """Mean of E at H - d and H + d."""
+    return two_state_strain(h, d, 0.0, 1.0)
+
+
+@traced(3)
+def strain_change(h, d):
+    """Change of E along d."""
+    return symmetric_part(h, d)
+
+
+@traced(3)
+def less_relaxed_cauchy(state, h, pull, w, spherical, deviatoric):
+    """state - w (sigma_xx, sigma_yy, sigma_xy) with sigma = F (D : pull) F^T / det F."""
+    return add_cauchy_of(state, h, relaxed_piola(h, pull, -1.0 * w / determinant(h), spherical, deviatoric))
+
+
+@traced(7)
+def relaxation_change(h, d, pull, back, w, spherical, deviatoric):
+    """D S of S = -w D : pull, plus (dE/dF)^T back; then w D : (change of E along d), with both shear terms in the second."""
+    ball, shear = spherical * w, deviatoric * w
+    turned = times(d, second_piola(pull, -1.0 * ball, -1.0 * shear))
+    held = carried(h, (back[0], 0.5 * back[1], back[2]))
+    s11, s12, s22 = second_piola(symmetric_part(h, d), ball, shear)
+    return (*(a + b for a, b in zip(turned, held)), s11, s12 + s12, s22)
+
+
+@traced(3)
+def last_three(change):
+    """Behind the matrix."""
+    return change[4:]
+
+
+@entry
+def relax(layout, corners, gradients, weights, node_offset, c1, nu, u, half, pull, f, out):
+    """Add the force of the stress -D : pull to f (N, 2), and store the strain at u in out.
+
+    half: None; or half the change of u in a step (N, 2): the strain is then the mean of those at u - half and u + half.
+    """
+    work = _workspace(layout, 6, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size = 2 * m * LANES
+        force = work[2 * size :]
+        _differences(u, corners, first, node_offset, m, work)
+        _directions(half, corners, first, node_offset, m, work[size:])
+        for k in range(0, size, 2 * LANES):
+            store(force, k, zeros2())
+        for p in range(layout[b, 1]):
+            g, at = layout[b, 3] + p * size, layout[b, 4] + p * LANES
+            h = _gradient(gradients, g, work, m)
+            store(out, 3 * at, _strain(half, h, gradients, g, work[size:], m))
+            stress = relaxed_piola(h, load3(pull, 3 * at), load(weights, at), -c1 * nu, -c1 * (1.0 - nu))
+            for k in range(0, size, 2 * LANES):
+                store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+
+
+@part
+def _directions(half, corners, first, node_offset, m, out):
+    """Store the differences of `half`, unless it is None. Its own function: numba drops a branch only if an argument is None."""
+    if half is not None:
+        _differences(half, corners, first, node_offset, m, out)
+
+
+@part
+def _strain(half, h, gradients, start, directions, m):
+    """The strain that `relax` stores."""
+    if half is None:
+        return strain_of(h)
+    return mean_strain(h, _gradient(gradients, start, directions, m))
+
+
+@entry
+def change_of_strain(layout, corners, gradients, node_offset, u, w, out):
+    """Store the change of the strain at u along w (N, 2) in out."""
+    work = _workspace(layout, 4, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size = 2 * m * LANES
+        _differences(u, corners, first, node_offset, m, work)
+        _differences(w, corners, first, node_offset, m, work[size:])
+        for p in range(layout[b, 1]):
+            h, d = _two_gradients(gradients, layout[b, 3] + p * size, work, m)
+            store(out, 3 * (layout[b, 4] + p * LANES), strain_change(h, d))
+
+
+@entry
+def relaxation_products(layout, corners, gradients, weights, node_offset, c1, nu, u, w, pull, back, f, out):
+    """Add the change of the force of the stress -D : pull along w (N, 2), and B^T back, to f, and store D B w in out, B = dE/du."""
+    work = _workspace(layout, 6, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size = 2 * m * LANES
+        force = work[2 * size :]
+        _differences(u, corners, first, node_offset, m, work)
+        _differences(w, corners, first, node_offset, m, work[size:])
+        for k in range(0, size, 2 * LANES):
+            store(force, k, zeros2())
+        for p in range(layout[b, 1]):
+            g, at = layout[b, 3] + p * size, layout[b, 4] + p * LANES
+            h, d = _two_gradients(gradients, g, work, m)
+            change = relaxation_change(h, d, load3(pull, 3 * at), load3(back, 3 * at), load(weights, at), c1 * nu, c1 * (1.0 - nu))
+            store(out, 3 * at, last_three(change))
+            for k in range(0, size, 2 * LANES):
+                store(force, k, add_times(load2(force, k), first_half(change), load2(gradients, g + k)))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+
+
+@entry
+def relax_stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, pull, out):
+    """Add the Cauchy stress of -D : pull to out (cells, 3), as of kernels.stress."""
+    work = _workspace(layout, 2, 0)
+    for b in range(layout.shape[0]):
+        m = layout[b, 0] - 1
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
+        state = zeros3()
+        for p in range(layout[b, 1]):
+            at, h = layout[b, 4] + p * LANES, _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
+            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(weights, at), c * nu, c * (1.0 - nu))
+        _add_means(state, lane_cells, b * LANES, areas, out)
+
+
+@entry
+def strain_square(weights, c1, nu, e):
+    """Integral of e : D : e over a body, J, of a strain e at its points."""
+    total = 0.0
+    for i in range(weights.shape[0]):
+        at = 3 * LANES * (i // LANES) + i % LANES
+        e11, e12, e22 = e[at], e[at + LANES], e[at + 2 * LANES]
+        total += weights[i] * c1 * (nu * (e11 + e22) ** 2 + (1.0 - nu) * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12))
+    return total

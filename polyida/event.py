@@ -1,0 +1,311 @@
+"""Events that change a run, what they do, and the table of those that happened, `run.events`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.body.rigid_body import PointMass
+from polyida.errors import InputError
+from polyida.force.force_element import ForceElement
+from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.joint.attachment import labelled, require_attachment
+from polyida.joint.joint import Joint
+from polyida.model import Model
+from polyida.results.motion import reaction_of
+from polyida.validation import is_number, is_one_of, is_whole, named_keywords, number, read_only, settle, vector2
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from polyida.integrate.state import State
+
+DIRECTIONS = ("both", "rising", "falling")
+ADDABLE = (Joint, ForceElement, PointMass, PointLoad, EdgeTraction)
+FORMS = '"stop", parts, pi.Remove, pi.Impulse, pi.Impact, a model, or a function of the state'
+
+
+class Moment:
+    """A state of a run as functions of events see it: `t`, s, `q`, `v`, `a` (n,), `lam` (m,), first-order states `x` (k,), and points by name.
+
+    lam has an entry for each row of phi of the run, 0 for rows that do not act.
+    """
+
+    def __init__(self, model: Any, state: State, mode: Any) -> None:
+        self._model, self._mode, self.t, self._lam = model, mode, state.t, state.lam
+        self.q, self.v, self.a, self.lam = (read_only(x) for x in (state.q, state.v, state.a, state.lam))
+        if model.k and not model.is_scene:
+            self.q, self.v, self.a = (x[: model.n - model.k] for x in (self.q, self.v, self.a))
+        self._all = state
+
+    @property
+    def x(self) -> NDArray:
+        """First-order states, (k,)."""
+        return self._model.states_of(self._all.v)
+
+    def position(self, name: object) -> NDArray:
+        """Return the place, (2,), m, of a mass, load or joint, by name or itself, or of an attachment."""
+        return self._model.position(name, self._all.q[None])[0]
+
+    def velocity(self, name: object) -> NDArray:
+        """Return the velocity, (2,), m/s, of the same."""
+        if not self._model.is_scene:
+            raise InputError(f"velocity({name!r:.60}): the model is no scene's; read v")
+        return self._model.velocity(name, self._all.v)
+
+    def reaction(self, name: str) -> NDArray:
+        """Return the reaction of a joint, as `run.reaction`; 0 while it does not act."""
+        lam = self._all.lam[None][:, self._mode.columns]
+        return reaction_of(self._mode, name, np.array([self.t]), self._all.q[None], lam)[0]
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Event:
+    """Change a run where a function of the state changes its sign: `pi.solve(model, t_end, integrator, events=[pi.Event(...)])`.
+
+    The time is located on the motion within the step; two changes of sign within one step are found too. A start at a zero does not count. A
+    function that jumps because of another event at the same time counts. Events at one time act in the order of the list.
+
+    Parameters
+    ----------
+    when : function of a state -> float
+        The state has `t`, `q`, `v`, `a`, `lam`, `x`, and of a scene `position(name)`, `velocity(name)` and `reaction(name)`:
+        `when=lambda s: s.position("tip")[0]`.
+    then : what happens, or a list
+        A joint, force element, load or point mass: it is added. A joint takes from the present places of the bodies what others take from the
+        drawing: plain `ground` is the present place of its other side, angles stay as they are. Places must fit, to 1e-6 of the scene's size.
+        Velocities jump by the plastic impact law, the least change in the metric of M. `pi.Remove`: parts are removed. `pi.Impulse`,
+        `pi.Impact`: velocities jump. A function of the state: it returns new velocities (n,), a `pi.State`, whose q and v count, a model, or
+        None. A `pi.Model` of the same n: own models only. "stop": the run ends with status "stopped".
+    name : str, optional
+        By default "event" and its number in the list.
+    direction : "both", "rising" or "falling"
+        The changes of sign that count.
+    most : int
+        So many times it may happen; then the run stops with its name.
+
+    Raises
+    ------
+    InputError
+        For a wrong type or value, and bodies in `then`: the number of coordinates does not change.
+    """
+
+    when: Callable[[Moment], float]
+    then: Any = "stop"
+    name: str | None = None
+    direction: str = "both"
+    most: int = 1000
+
+    def __post_init__(self):
+        label = labelled("Event", self.name)
+        if not callable(self.when):
+            raise InputError(f"{label}: when = {self.when!r:.60} must be a function of a state that gives a number")
+        if not is_one_of(self.direction, DIRECTIONS):
+            raise InputError(f"{label}: direction = {self.direction!r:.60} must be one of {', '.join(map(repr, DIRECTIONS))}")
+        if not is_whole(self.most):
+            raise InputError(f"{label}: most = {self.most!r:.60} must be a whole number of at least 1")
+        then = tuple(self.then) if isinstance(self.then, (list, tuple)) else (self.then,)
+        for one in then:
+            if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or callable(one)):
+                advice = "; bodies must be in the scene from the start" if hasattr(one, "mesh") or hasattr(one, "coordinates") else ""
+                raise InputError(f"{label}: then = {one!r:.60} must be {FORMS}, or a list of these{advice}")
+        settle(self, then=then)
+
+    @property
+    def added(self) -> tuple:
+        """The parts that it may add."""
+        rests = [part for one in self.then if isinstance(one, Impact) for part in one.rest]
+        return (*(one for one in self.then if isinstance(one, ADDABLE)), *rests)
+
+
+@named_keywords
+class Remove:
+    """Remove parts at an event: joints, force elements, loads or point masses. States of a removed element keep their values.
+
+    Parameters
+    ----------
+    *parts : str or part
+        By name or themselves.
+    """
+
+    def __init__(self, *parts: Any) -> None:
+        if not parts or not all(isinstance(part, (str, *ADDABLE)) for part in parts):
+            raise InputError(f"Remove: {parts!r:.80} must be names of parts, or parts, at least one")
+        self.parts = parts
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Impulse:
+    """Apply an impulse to a point at an event. Joints react with impulses of their own.
+
+    Parameters
+    ----------
+    at : Attachment
+    impulse : (2,) float, N s
+
+    Raises
+    ------
+    InputError
+        For another type.
+    """
+
+    at: Any
+    impulse: ArrayLike
+
+    def __post_init__(self):
+        require_attachment("Impulse", self.at)
+        settle(self, impulse=vector2("Impulse", "impulse", self.impulse))
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Impact:
+    """Reverse the rate of the event's function g(t, q) by Newton's law, `g'+ = -e g'-`, with an impulse along dg/dq. Joints stay closed.
+
+    dg/dq is found by differences, so that g must not depend on velocities.
+
+    Parameters
+    ----------
+    restitution : float
+        0 <= e <= 1.
+    least_speed : float
+        Below this rate |g'|, m/s if g is a distance, the impact is plastic.
+    rest : parts
+        Added then, to hold what came to rest. Without them the run stops there, since nothing else keeps g from changing its sign.
+
+    Raises
+    ------
+    InputError
+        For other values.
+    """
+
+    restitution: float = 0.0
+    least_speed: float = 1e-3
+    rest: Any = ()
+
+    def __post_init__(self):
+        number("Impact", "least_speed", self.least_speed, "m/s", 0.0)
+        if not (is_number(self.restitution) and 0.0 <= self.restitution <= 1.0):
+            raise InputError(f"Impact: restitution = {self.restitution!r:.60} must be a number from 0 to 1")
+        rest = tuple(self.rest) if isinstance(self.rest, (list, tuple)) else (self.rest,)
+        if not all(isinstance(part, ADDABLE) for part in rest):
+            raise InputError(f"Impact: rest = {self.rest!r:.80} must be joints, forces, loads or masses, or a list of them")
+        settle(self, rest=rest)
+
+
+@dataclass(frozen=True, eq=False)
+class Happened:
+    """An event that happened.
+
+    Parameters
+    ----------
+    t : float, s
+    name : str
+        Of the event.
+    impulse : float, N s
+        The largest of `impulses`, without moments; for a model of a user the largest multiplier, in its own unit.
+    energy_lost : float, J
+        By the event, negative if it gave energy; nan if the model has no potential.
+    frame : int
+        Index of the first frame after it.
+    impulses : dict
+        {name: (fx, fy, m)} of the joints that it added, on their side b, N s and N m s; of "impulse" and "impact" what they applied.
+    absent : tuple of str
+        Parts that do not act after it.
+    held : dict
+        {name: (1 + n,)}, time and q, of the joints that it added.
+    model : int
+        Number of the model after it, for models of users: 0 is the first, then those that the events name, in their order.
+    """
+
+    t: float
+    name: str
+    impulse: float
+    energy_lost: float
+    frame: int
+    impulses: dict[str, tuple] = field(default_factory=dict)
+    absent: tuple[str, ...] = field(default=(), repr=False)
+    held: dict[str, NDArray] = field(default_factory=dict, repr=False)
+    model: int = field(default=0, repr=False)
+
+
+class Events(Sequence):
+    """The events of a run, in the order in which they happened: a sequence of Happened.
+
+    Parameters
+    ----------
+    happened : list of Happened
+    first : tuple of str
+        Names of the parts that do not act at the start.
+    models : list of Model
+        Of a user, in the order of their numbers.
+    given : bool
+        True if `solve` got events; without, there are impacts of time stepping alone.
+    """
+
+    def __init__(self, happened: Any = (), first: Any = (), models: Any = (), given: bool = False) -> None:
+        self.happened, self.first, self.models, self.given = list(happened), tuple(first), list(models), given
+
+    def __len__(self):
+        return len(self.happened)
+
+    def __getitem__(self, k: Any) -> Any:
+        return self.happened[k]
+
+    def __iter__(self) -> Iterator[Happened]:
+        return iter(self.happened)
+
+    @property
+    def t(self) -> NDArray:
+        """Their times, (events,), s."""
+        return np.array([one.t for one in self.happened])
+
+    def __repr__(self):
+        rows = [f"{one.t:14.9g} s  {one.name:20} {one.impulse:12.5g} N s {one.energy_lost:12.5g} J" for one in self.happened]
+        rows = [*rows[:10], *([f"... {len(rows) - 20} more ..."] if len(rows) > 20 else []), *rows[max(10, len(rows) - 10) :]]
+        return "\n".join([f"<Events: {len(self)}; time, name, impulse, energy lost>", *rows])
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with the columns t, s, name, impulse, N s, energy_lost, J."""
+        from pandas import DataFrame
+
+        columns = ("t", "name", "impulse", "energy_lost")
+        return DataFrame({name: [getattr(one, name) for one in self.happened] for name in columns})
+
+    def summary(self) -> str:
+        """Return how often each event happened, in words; empty without events."""
+        names = [one.name for one in self.happened]
+        return ", ".join(f"{name!r} {names.count(name)} times" if names.count(name) > 1 else f"{name!r}" for name in dict.fromkeys(names))
+
+    def modes(self, model: Any, upto: int | None = None) -> list[Any]:
+        """Return the models before the first event, after it, after the second ... up to number `upto`."""
+        if not model.is_scene:
+            return [self.models[k] for k in (0, *(one.model for one in self.happened[:upto]))]
+        since: dict[str, NDArray] = {}
+        result = [model.mode(frozenset(self.first), since)]
+        for one in self.happened[:upto]:
+            since = {name: q for name, q in {**since, **one.held}.items() if name not in one.absent}
+            result.append(model.mode(frozenset(one.absent), since))
+        return result
+
+    def pieces(self, model: Any, frames: int) -> Iterator[tuple[int, int, Any]]:
+        """Yield (first frame, last frame + 1, model) of the parts of a run between events; some may have no frame."""
+        ends = [0, *(min(one.frame, frames) for one in self.happened), frames]
+        yield from zip(ends, ends[1:], self.modes(model))
+
+    def to_data(self) -> list:
+        """Return plain data for files."""
+        return [[self.given, *self.first], *(asdict(one) for one in self.happened)]
+
+    @classmethod
+    def from_data(cls, data: list) -> Events:
+        """Return the Events of `to_data`."""
+        (given, *first), *rest = data or [(False,)]
+        happened = [Happened(**one | {"held": {name: np.array(at, float) for name, at in one["held"].items()}}) for one in rest]
+        return cls(happened, first, given=given)

@@ -1,0 +1,334 @@
+"""Parts with states: sampled controllers, PID control, linear control, a DC motor, a Maxwell element."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polyida.body.body import require_whole
+from polyida.errors import InputError
+from polyida.force.force_element import ForceElement
+from polyida.force.loads import RotationElement, as_forces, measured
+from polyida.force.springs import elongation
+from polyida.jit.user_functions import compiled
+from polyida.joint.attachment import Attachment, require_places, require_sides
+from polyida.profile import as_profile, constant
+from polyida.validation import floats, is_number, named_keywords, number, positive, settle
+
+
+class Controller(ForceElement, part=False):
+    """A force element whose outputs u are held between samples (zero-order hold): base class of a user's frozen dataclass.
+
+    The class has a field `name` and a field or attribute `period`, s, and writes `sides()`, `sample(t, x, v, s, u)` and
+    `forces(t, x, v, s, u)`; with states also `rates(t, x, v, s, u)`. It samples at t = 0, period, 2 period, ... Steps of
+    all integrators end at the samples. An output that acts on rates only, as a voltage, costs less than one that makes forces jump.
+    `run.states(name)` has the states, then the outputs; at the time of a sample those before it.
+
+    `@polyida.compiled` above the class lets numba compile `forces` and `rates`; `sample` stays Python.
+
+    Attributes
+    ----------
+    period : float, s
+    outputs : tuple of str
+        Names of the outputs.
+    """
+
+    period = 0.0
+    outputs: tuple[str, ...] = ("u",)
+
+    def require(self) -> None:
+        """Raise InputError unless the period and the outputs are right."""
+        require_whole(self, Controller, ("sample",))
+        if not (is_number(self.period) and self.period > 0):
+            raise InputError(f"{self.label}: period = {self.period!r} must be a positive time in s")
+        names = self.outputs
+        if not (isinstance(names, tuple) and names and all(isinstance(name, str) and name for name in names)):
+            raise InputError(f"{self.label}: outputs = {names!r:.80} must be a tuple of names, one at least")
+
+    def sample(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray, u: np.ndarray) -> ArrayLike:
+        """Return new outputs, (outputs,), from time, places and velocities of the sides, states and the outputs so far."""
+        raise NotImplementedError
+
+
+def pid_torque(self, t, x, v, s):
+    """(torque without limit, torque, error, filtered rate) of a PID."""
+    angle, rate = measured(self, x, v)
+    error = self.target(t) - angle
+    if self.filter > 0.0:
+        rate = (angle - s[1]) / self.filter
+    whole = self.kp * error + s[0] - self.kd * rate
+    return whole, min(max(whole, -self.limit), self.limit), error, rate
+
+
+@compiled
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class PID(RotationElement):
+    """A continuous PID controller of an angle: the torque `u = kp e + I - kd angle'` on a direction, e = target - angle, `I' = ki e`.
+
+    The derivative is that of the angle, so that a jump of the target gives no impulse; with `filter` it is `(angle - z)/filter`,
+    `z' = (angle - z)/filter`. A torque above `limit` is cut off, and `I' = ki e + (ki/kp) (cut u - u)` then stops the integral from growing.
+    States: "integral", I, N m, and "filtered", z, rad.
+
+    Parameters
+    ----------
+    at : Attachment
+        With a direction; the angle is its rotation since rest, between -pi and pi.
+    kp : float, N m/rad
+    ki : float, N m/(rad s)
+    kd : float, N m s/rad
+    target : float, Profile or function of time, rad
+    against : Attachment, optional
+        Of another body: the angle is relative to it, and -u acts on it. Default: the ground.
+    filter : float, s, >= 0
+        Time constant of the derivative.
+    limit : float, N m, > 0
+        Largest torque.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an attachment without a direction, two attachments of one body, or a wrong number.
+    """
+
+    at: Attachment
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    target: Any = constant(0.0)
+    against: Attachment | None = None
+    filter: float = 0.0
+    limit: float = 1e30
+    name: str | None = None
+    states = ("integral", "filtered")
+
+    def __post_init__(self):
+        self.require_rotation()
+        units = {"kp": "N m/rad", "ki": "N m/(rad s)", "kd": "N m s/rad"}
+        settle(
+            self,
+            target=as_profile(self.target, self.label),
+            filter=number(self.label, "filter", self.filter, "s", 0.0),
+            limit=positive(self.label, "limit", self.limit, "N m"),
+            **{key: number(self.label, key, getattr(self, key), unit) for key, unit in units.items()},
+        )
+
+    def sizes(self) -> list[float]:
+        """Return the torque of an error of 1 rad, and 1 rad."""
+        return [abs(self.kp) or 1.0, 1.0]
+
+    def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return (I', z')."""
+        whole, torque, error, rate = pid_torque(self, t, x, v, s)
+        back = self.ki / self.kp * (torque - whole) if self.kp != 0.0 else 0.0
+        return np.array([self.ki * error + back, rate if self.filter > 0.0 else 0.0])
+
+    def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states
+        """Return `u i d / |d|^2`, and the opposite for a second direction, (sides, 2), J."""
+        return as_forces(x, pid_torque(self, t, x, v, s)[1])
+
+
+@compiled
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class LinearController(RotationElement):
+    """A linear controller of an angle: `x' = A x + B e`, torque `u = C x + D e` on a direction, e = target - angle.
+
+    A controller designed with scipy.signal or python-control goes in by its matrices: `LinearController(at, K.A, K.B, K.C, K.D)`.
+
+    Parameters
+    ----------
+    at : Attachment
+        With a direction; the angle is its rotation since rest, between -pi and pi.
+    A : (k, k) float, 1/s
+    B : (k, 1) float
+    C : (1, k) float
+    D : (1, 1) float, N m/rad
+    target : float, Profile or function of time, rad
+    against : Attachment, optional
+        Of another body: the angle is relative to it, and -u acts on it. Default: the ground.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an attachment without a direction, two attachments of one body, or matrices of wrong shapes.
+    """
+
+    at: Attachment
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    target: Any = constant(0.0)
+    against: Attachment | None = None
+    name: str | None = None
+
+    def __post_init__(self):
+        self.require_rotation()
+        A = floats(self.A)
+        k = 0 if A is None or A.ndim != 2 else len(A)
+        matrices = {}
+        for name, shape in {"A": (k, k), "B": (k, 1), "C": (1, k), "D": (1, 1)}.items():
+            matrix = floats(getattr(self, name))
+            if not k or matrix is None or matrix.size != np.prod(shape):
+                raise InputError(
+                    f"{self.label}: {name} = {getattr(self, name)!r:.80} must be finite numbers of shape {shape if k else '(k, k)'}"
+                )
+            matrices[name] = matrix.reshape(shape)
+        settle(self, target=as_profile(self.target, self.label), **matrices)
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]  # their number depends on A
+        """Names of the states, "x_0" to "x_k"."""
+        return tuple(f"x_{k}" for k in range(len(self.A)))
+
+    def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return A s + B e."""
+        error = self.target(t) - measured(self, x, v)[0]
+        rates = np.empty(s.shape[0])
+        for i in range(s.shape[0]):
+            rates[i] = self.B[i, 0] * error
+            for j in range(s.shape[0]):
+                rates[i] += self.A[i, j] * s[j]
+        return rates
+
+    def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states
+        """Return `u i d / |d|^2`, and the opposite for a second direction, (sides, 2), J."""
+        torque = self.D[0, 0] * (self.target(t) - measured(self, x, v)[0])
+        for j in range(s.shape[0]):
+            torque += self.C[0, j] * s[j]
+        return as_forces(x, torque)
+
+
+@compiled
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class DCMotor(RotationElement):
+    """A DC motor with gear: `L i' = volts - R i - k n angle'`, torque `k n i` on a direction. State: "current", i, A; algebraic for L = 0.
+
+    Parameters
+    ----------
+    at : Attachment
+        With a direction.
+    volts : float, Profile or function of time, V
+    k : float, N m/A
+        Torque constant; V s/rad as the constant of the counter voltage.
+    L : float, H, >= 0
+    R : float, Ohm, >= 0
+        > 0 for L = 0.
+    gear : float
+        n, the motor's rotation over that of the direction.
+    against : Attachment, optional
+        Of another body, on which the opposite torque acts. Default: the ground.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an attachment without a direction, two attachments of one body, or a wrong number.
+    """
+
+    at: Attachment
+    volts: Any
+    k: float
+    L: float
+    R: float
+    gear: float = 1.0
+    against: Attachment | None = None
+    name: str | None = None
+
+    def __post_init__(self):
+        self.require_rotation()
+        settle(
+            self,
+            volts=as_profile(self.volts, self.label),
+            k=number(self.label, "k", self.k, "N m/A"),
+            L=number(self.label, "L", self.L, "H", 0.0),
+            R=(number(self.label, "R", self.R, "Ohm", 0.0) if self.L else positive(self.label, "R", self.R, "Ohm")),
+            gear=number(self.label, "gear", self.gear, "rad/rad"),
+        )
+
+    @property
+    def states(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the states."""
+        return ("current",) if self.L else ()
+
+    @property
+    def algebraic(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the algebraic states."""
+        return () if self.L else ("current",)
+
+    def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return i', or the voltage that is zero for L = 0."""
+        volts = self.volts(t) - self.R * s[0] - self.k * self.gear * measured(self, x, v)[1]
+        return np.array([volts / self.L if self.L > 0.0 else volts])
+
+    def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states
+        """Return the torque as forces on the directions, (sides, 2), J."""
+        return as_forces(x, self.k * self.gear * s[0])
+
+
+@compiled
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Maxwell(ForceElement):
+    """A spring in series with a damper between two points: tension `N = k (e - s)`, `s' = N/c`, e = l - l0. State: "damper", s, m.
+
+    Energy `k (e - s)^2 / 2`, dissipation `N^2 / c`. At l = 0 the line has no direction and the force is zero.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+    stiffness : float, N/m, k > 0
+    damping : float, N s/m, c > 0
+        The relaxation time is c/k.
+    length : float, m, l0 >= 0
+        Length without tension at the start. Default: the distance in the drawing.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a wrong number, or sides that are no points of two bodies or of a body and the ground.
+    """
+
+    a: Any
+    b: Any
+    stiffness: float
+    damping: float
+    length: float | None = None
+    name: str | None = None
+    states = ("damper",)
+    dissipates = True
+
+    def __post_init__(self):
+        require_sides(self.label, self.a, self.b)
+        require_places(self.label, self.a, self.b)
+        length = np.linalg.norm(self.b.point - self.a.point) if self.length is None else self.length
+        settle(
+            self,
+            stiffness=positive(self.label, "stiffness", self.stiffness, "N/m"),
+            damping=positive(self.label, "damping", self.damping, "N s/m"),
+            length=number(self.label, "length", length, "m", 0.0),
+        )
+
+    def sides(self) -> tuple:
+        """Return its two points."""
+        return self.a, self.b
+
+    def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return s'."""
+        return np.array([self.stiffness / self.damping * (elongation(self, x)[0] - s[0])])
+
+    def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states
+        """Return `u N` on a and `-u N` on b, (2, 2), N."""
+        e, ux, uy = elongation(self, x)
+        pull = self.stiffness * (e - s[0])
+        return np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
+
+    def energy(self, x: np.ndarray, s: np.ndarray) -> float:  # type: ignore[override]  # of an element with states
+        """Return `k (e - s)^2 / 2`, J."""
+        return 0.5 * self.stiffness * (elongation(self, x)[0] - s[0]) ** 2

@@ -1,0 +1,148 @@
+"""The cone problem of rows with laws: pressures p = -lam and rates u = G p + b that satisfy the laws of contact and friction.
+
+```
+contact:   p = max(0, p - rho u)
+friction:  p = clip(p - rho u, -c(p), c(p)),   c(p) = c_0 + mu |l_0 + L p|,   rho = 1/G_ii
+slip:      p = -sign c(p), if the direction of slip is known
+```
+Semismooth Newton on these equations (Alart, Curnier 1991), an active-set method. If sets repeat, projected Gauss-Seidel sweeps go on, and
+Newton from there. Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.jit import entry, pack, part
+from polyida.linear.dense import solve_small
+
+CONTACT, FRICTION = 0, 1
+OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rate > 0
+NEWTON, SWEEPS, ROUNDS = 30, 400, 3
+EXACT = 1e-13  # of the largest pressure: error of p
+GOOD = 1e-8  # the same that is accepted if no iteration is better
+REGULAR = 1e-9  # of G_ii, added to the matrix of Newton's method, not to the equations
+
+
+@pack
+class Cone(NamedTuple):
+    """Rows with laws. kind: CONTACT or FRICTION. c, mu: of friction. start: first pressing entry of each row. l, L: |l + L p| of the entries.
+
+    sign: 0, or the sign of the rate of a row that slips.
+    """
+
+    kind: np.ndarray
+    c: np.ndarray
+    mu: np.ndarray
+    sign: np.ndarray
+    start: np.ndarray
+    l: np.ndarray  # noqa: E741
+    L: np.ndarray
+
+
+@part
+def bound(x, p, i, slope):
+    """c(p) of friction row i; fills its slope (k,)."""
+    slope[:] = 0.0
+    square = 0.0
+    for e in range(x.start[i], x.start[i + 1]):
+        value = x.l[e]
+        for j in range(p.shape[0]):
+            value += x.L[e, j] * p[j]
+        square += value * value
+        for j in range(p.shape[0]):
+            slope[j] += value * x.L[e, j]
+    norm = np.sqrt(square)
+    for j in range(p.shape[0]):
+        slope[j] *= x.mu[i] / norm if norm > 0.0 else 0.0
+    return x.c[i] + x.mu[i] * norm
+
+
+@part
+def status_of(x, p, u, rho, i, limit):
+    """The status of row i."""
+    at = p[i] - rho * u
+    if x.kind[i] == CONTACT:
+        return CLOSED if at > 0.0 else OPEN
+    if x.sign[i] != 0.0:
+        return SLIPS_UP if x.sign[i] > 0.0 else SLIPS_DOWN
+    return SLIPS_DOWN if at > limit else SLIPS_UP if at < -limit else STICKS
+
+
+@part
+def newton(G, b, x, p, status, matrix, right, slope):
+    """Iterations until p no longer changes. Returns (the largest error of p over the largest p, iterations)."""
+    k, best = p.shape[0], np.inf
+    for iteration in range(NEWTON):
+        error, size, same = 0.0, 0.0, iteration > 0
+        for i in range(k):
+            u, scale = b[i], abs(b[i])
+            for j in range(k):
+                u += G[i, j] * p[j]
+                scale = max(scale, abs(G[i, j] * p[j]))
+            rho = 1.0 / G[i, i]
+            limit = bound(x, p, i, slope) if x.kind[i] == FRICTION else 0.0
+            now = status_of(x, p, u, rho, i, limit)
+            same = same and now == status[i]
+            status[i] = now
+            if now in (CLOSED, STICKS):
+                for j in range(k):
+                    matrix[i, j] = G[i, j] * rho
+                matrix[i, i] += REGULAR
+                right[i] = -u * rho
+            elif now == OPEN:
+                matrix[i, :] = 0.0
+                matrix[i, i] = 1.0
+                right[i] = -p[i]
+            else:
+                way = 1.0 if now == SLIPS_UP else -1.0  # p = -way c(p)
+                for j in range(k):
+                    matrix[i, j] = way * slope[j]
+                matrix[i, i] += 1.0
+                right[i] = -p[i] - way * limit
+            error, size = max(error, abs(right[i])), max(size, abs(p[i]), rho * scale, limit if now >= SLIPS_UP else 0.0)
+        best = error / size if size > 0.0 else 0.0
+        if best <= EXACT or (same and best <= 100.0 * EXACT):
+            return best, iteration
+        if not best < np.inf or not solve_small(matrix, right):
+            return np.inf, iteration
+        for i in range(k):
+            p[i] += right[i]
+    return best, NEWTON
+
+
+@part
+def sweep(G, b, x, p, slope):
+    """One projected Gauss-Seidel sweep."""
+    k = p.shape[0]
+    for i in range(k):
+        u = b[i]
+        for j in range(k):
+            u += G[i, j] * p[j]
+        at = p[i] - u / G[i, i]
+        if x.kind[i] == CONTACT:
+            p[i] = max(0.0, at)
+        else:
+            limit = bound(x, p, i, slope)
+            if x.sign[i] != 0.0:
+                p[i] = -x.sign[i] * limit
+            else:
+                p[i] = min(max(at, -limit), limit)
+
+
+@entry
+def solve_cone(G, b, x, p, status):
+    """Change p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution."""
+    k = p.shape[0]
+    matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
+    error, count = newton(G, b, x, p, status, matrix, right, slope)
+    for _ in range(ROUNDS):
+        total += count
+        if error <= GOOD:
+            return total
+        if not error < np.inf:
+            p[:] = 0.0
+        for _ in range(SWEEPS):
+            sweep(G, b, x, p, slope)
+        error, count = newton(G, b, x, p, status, matrix, right, slope)
+    return total + count if error <= GOOD else -1

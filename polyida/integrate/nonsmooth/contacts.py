@@ -1,0 +1,216 @@
+"""Rows with laws of a model at a state: forces, accelerations, impacts and positions that satisfy the laws, each by a cone problem.
+
+Rows without a law are equations of `base`, a model of its own; its bordered systems give the columns `X = S^-1 B^T` of the rows with laws, and
+the change Y of the equations' multipliers. Rates are u = G p + b with `G = B X`, p = -lam.
+"""
+
+import numpy as np
+
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.nonsmooth.cone import CONTACT, FRICTION, Cone, solve_cone
+from polyida.integrate.state import State
+from polyida.linear.lu import dense
+
+TOUCH = 1e-9  # of the model's extent: a smaller gap is closed
+OPENED = 1e-6  # of the model's extent: deeper penetration at the start is a mistake
+ROUND_OFF = 1e-12  # of the model's extent: penetration that is left
+ROUNDS = 20
+FIXED = 1e-13  # of the mobility: a row that the equations hold
+MOVES = 1e-9  # of the accelerations: round-off of that of a row
+LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
+
+
+class Contacts:
+    """The rows with laws of a model. rows: their numbers; equations: those of the other rows; base: the model with these alone."""
+
+    def __init__(self, model):
+        self.model, laws = model, model.row_laws
+        self.rows = np.array([law.row for law in laws], np.int64)
+        self.equations = np.setdiff1d(np.arange(model.m), self.rows)
+        self.base = model.with_rows(self.equations)
+        self.names = [law.name for law in laws]
+        self.contact = np.array([law.is_contact for law in laws], bool)
+        self.restitution = np.array([law.restitution or 0.0 for law in laws])
+        self.mu, self.constant = (np.array([getattr(law, key) for law in laws], float) for key in ("mu", "constant"))
+        masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
+        self.inertia = float(masses.max()) or 1.0
+        place = {int(row): k for k, row in enumerate(self.rows)}
+        of_equations = {int(row): k for k, row in enumerate(self.equations)}
+        self.on_laws = [[place[row] for row in law.on if row in place] for law in laws]
+        self.on_equations = [[of_equations[row] for row in law.on if row in of_equations] for law in laws]
+
+    def active(self, closed):
+        """True for the rows that can carry a force: closed contacts, and friction whose pressing contacts are closed."""
+        pressed = [bool(c) or bool(eq) or any(closed[on]) for c, eq, on in zip(self.constant, self.on_equations, self.on_laws)]
+        return np.where(self.contact, closed, np.array(pressed, bool))
+
+    def slopes(self, t, q):
+        """phi_q of the rows with laws, (k, n), dense."""
+        if self.model.is_scene and self.model.small:
+            return self.model.small_phi_q(t, q)[self.rows]
+        return dense(self.model.phi_q(t, q)[self.rows])
+
+    def mobility(self, B):
+        """Squares of the rows B over the largest mass, (k,)."""
+        return np.sum(B * B, axis=1) / self.inertia
+
+    def gaps(self, t, q):
+        """phi of the rows with laws, (k,), 0 for friction."""
+        return np.where(self.contact, self.model.phi(t, q)[self.rows], 0.0)
+
+    def columns(self, solve, B):
+        """(X (n, k), Y (equations, k)) of rows B (k, n): changes of q and lam for unit pressures, by solve(r, phi)."""
+        none = np.zeros(len(self.equations))
+        solved = [solve(-row, none) for row in B]
+        X, Y = (np.array(part).T for part in zip(*solved)) if solved else ((), ())
+        return (X, Y) if solved else (np.zeros((self.model.n, 0)), np.zeros((len(self.equations), 0)))
+
+    def solve(self, t, active, G, b, p, lam, Y, mobility, scale=1.0, sign=None):
+        """(p, status) of the active rows, each (k,) of all rows with laws.
+
+        G, b, p, Y: of the active rows, p a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. scale:
+        of the friction's constant. sign: 0, or that of the rate of rows that slip. Raises StepFailure.
+        """
+        free = G.diagonal() > FIXED * mobility
+        G, b, p, Y = G[np.ix_(free, free)], b[free], p[free], Y[:, free]  # the equations hold the other rows: they carry no force
+        rows, start, l, L = np.flatnonzero(active)[free], [0], [], []  # noqa: E741
+        unit = np.eye(len(rows))
+        number = {int(row): k for k, row in enumerate(rows)}
+        for i in rows:
+            for on in self.on_laws[i]:
+                if on in number:
+                    l.append(0.0), L.append(unit[number[on]])
+            for on in self.on_equations[i]:
+                l.append(lam[on]), L.append(Y[on])
+            start.append(len(l))
+        kind = np.where(self.contact[rows], CONTACT, FRICTION)
+        signs = np.zeros(len(rows)) if sign is None else sign[rows]
+        pressing = np.array(start), np.array(l, float), np.reshape(np.array(L, float), (-1, len(rows)))
+        cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, *pressing)
+        result, status = np.array(p, float), np.zeros(len(rows), np.int64)
+        G = np.array(G)
+        np.fill_diagonal(G, np.maximum(np.abs(np.diag(G)), LEAST))
+        if len(rows) and solve_cone(G, np.ascontiguousarray(b), cone, result, status) < 0:
+            names = ", ".join(dict.fromkeys(self.names[i] for i in rows))
+            raise StepFailure("contact", f"no forces satisfy the laws of contact and friction of {names}", t)
+        pressures, statuses = np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
+        pressures[rows], statuses[rows] = result, status
+        return pressures, statuses
+
+    def all(self, lam, p):
+        """lam of all rows of the model."""
+        result = np.empty(self.model.m)
+        result[self.equations], result[self.rows] = lam, -p
+        return result
+
+    def at_rest(self, t, q, v):
+        """True for the contacts that are closed and do not open."""
+        size = self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
+        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (self.model.phi_rate(t, q, v)[self.rows] <= self.still(q, v))
+
+    def begin(self, state):
+        """The start of a run from a consistent State of the equations: forces of the contacts that are closed and at rest, memory of `closed`.
+
+        Raises InputError for contacts that are penetrated.
+        """
+        model, (t, q, v) = self.model, (state.t, state.q, state.v)
+        gaps, size = self.gaps(t, q), self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
+        if gaps.min(initial=0.0) < -OPENED * size:
+            name = model.constraint_name(int(self.rows[np.argmin(gaps)]))
+            raise InputError(f"the start: {name} is penetrated by {-gaps.min():.3g}; move the bodies apart, or let scene.assemble() do it")
+        closed = self.at_rest(t, q, v)
+        a, lam, p, _ = self.accelerations(t, q, v, closed)
+        return State(t, q, v, a, self.all(lam, p), {"closed": closed, "p": p, "a_alg": a})
+
+    def accelerations(self, t, q, v, closed, p=None, begins=0.0):
+        """(a, lam of the equations, p, status): consistent accelerations and forces.
+
+        closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip.
+        """
+        model, B = self.model, self.slopes(t, q)
+        force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
+        mass = self.base.mass_system(t, q)
+        a, lam = mass.solve(force, bias[self.equations])
+        active = self.active(closed)
+        if not active.any():
+            return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
+        rate = model.phi_rate(t, q, v)[self.rows]
+        sign = np.where(self.contact | (np.abs(rate) <= self.still(q, v)), begins, np.sign(rate))
+        X, Y = self.columns(mass.solve, B[active])
+        start = np.zeros(active.sum()) if p is None else p[active]
+        B, now = B[active], B[active] @ a + bias[self.rows][active]
+        passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
+        mobility = np.where(passes, -np.inf, self.mobility(B))
+        p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, sign=sign)
+        return a + X @ p[active], lam + Y @ p[active], p, status
+
+    def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
+        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact, or a step's end.
+
+        v: velocities with the impulses h p and h lam. before: rates of the rows with laws before the impact. closed: the contacts at which
+        velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
+        restitution.
+        """
+        model, rate, active, mass = self.model, self.model.phi_rate(t, q, v), self.active(closed), None
+        if rate[self.equations].any():
+            mass = self.base.mass_system(t, q)
+            v = v + mass.solve(np.zeros(model.n), rate[self.equations])[0]
+        if not active.any():
+            return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
+        B, mass = self.slopes(t, q), mass or self.base.mass_system(t, q)
+        X, Y = self.columns(mass.solve, B[active])
+        G, now = B[active] @ X, model.phi_rate(t, q, v)[self.rows][active]
+        free = now - h * (G @ p[active])
+        back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
+        back = back if plastic is None else np.where(plastic[active], 0.0, back)
+        back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
+        back = back if wanted is None else back - wanted[active]
+        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B[active]), h)
+        change = P[active] - h * p[active]
+        return v + X @ change, P, Y @ change, status
+
+    def reversals(self, state, t, q, v, before, closed, p):
+        """Rates at t of rows of friction whose slip came to an end in the step from a state to t, if it goes on in reverse; 0 elsewhere.
+
+        The force jumps within the step: a rate that begins at `before` is zero where it meets zero, and grows with its new acceleration. The
+        impulse of friction that leads to it is between those of both forces. None if there are none.
+        """
+        model = self.model
+        rate = model.phi_rate(t, q, v)[self.rows]
+        slipped = ~self.contact & self.active(closed) & (np.abs(before) > self.still(q, v)) & (rate * before <= 0.0)
+        if not slipped.any():
+            return None
+        ahead = self.slopes(state.t, state.q) @ state.a + model.phi_bias(state.t, state.q, state.v)[self.rows]
+        a = self.accelerations(t, q, v, closed, p)[0]
+        behind = self.slopes(t, q) @ a + model.phi_bias(t, q, v)[self.rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = (t - state.t) + before / ahead  # time that is left behind the reversal
+        slipped &= (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)
+        return np.where(slipped, behind * left, 0.0) if slipped.any() else None
+
+    def still(self, q, v):
+        """Rate below which a row of friction sticks."""
+        return 1e-10 * max(float(np.abs(v).max(initial=0.0)), np.sqrt(self.model.free_fall * (self.model.extent or 1.0)), 1e-6)
+
+    def place(self, t, q, pressed, size):
+        """(q, contacts that touch): q moved in the metric of M, so that the equations and the pressed contacts hold and no gap is negative.
+
+        size: of the model, m.
+        """
+        model, pushed = self.model, self.contact & pressed
+        for _ in range(ROUNDS):
+            phi = model.phi(t, q)
+            gaps = np.where(self.contact, phi[self.rows], 1.0)
+            touching = self.contact & (pressed | (gaps < ROUND_OFF * size))
+            pushed = pushed | touching
+            wrong = np.abs(phi[self.equations]).max(initial=0.0), np.abs(gaps[pressed]).max(initial=0.0), -gaps.min(initial=0.0)
+            if max(wrong) <= ROUND_OFF * size:
+                break
+            mass, B = self.base.mass_system(t, q), self.slopes(t, q)[touching]
+            shift = mass.solve(np.zeros(model.n), phi[self.equations])[0] if len(self.equations) else np.zeros(model.n)
+            if touching.any():
+                X, _ = self.columns(mass.solve, B)
+                push = np.linalg.lstsq(B @ X, -gaps[touching] - B @ shift, rcond=1e-11)[0]
+                shift = shift + X @ np.where(pressed[touching], push, np.maximum(push, 0.0))
+            q = q + shift
+        return q, pushed | (self.contact & (self.gaps(t, q) <= TOUCH * size))

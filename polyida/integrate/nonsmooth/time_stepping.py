@@ -1,0 +1,277 @@
+"""Time stepping through impacts and friction: steps of one size, which do not end at the events.
+
+A step of `NonsmoothAlpha` has three stages (in spirit Capobianco, Harsch, Eugster, Leine 2021; decoupled as Cosimo and others 2020).
+
+1. Generalized-alpha with the rows that are closed at its start: their forces satisfy the laws at the velocities of its end, like those of the
+   equations in the stabilised form.
+2. Positions: the equations and the pressed contacts are closed, and penetration is removed, in the metric of M.
+3. Velocities: impulses of impacts for all contacts that are closed now, with restitution, and friction; P is the total of a step.
+
+Where a contact closes or opens, or friction begins or ends to slip, the next step begins with consistent accelerations.
+
+A step of `MoreauJean` has impulses only: `M (v_1 - v_0) + h g_theta + phi_q^T P = 0`, laws at the velocities of its end for the contacts that are
+closed at a predicted position. It is of first order, and positions drift.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.alpha.generalized_alpha import Coefficients
+from polyida.integrate.discontinuities import Grid, at_kink, number_of_steps, pieces
+from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
+from polyida.integrate.sizes import extent, weights
+from polyida.integrate.state import Counts, Integrator, State
+from polyida.linear.lu import SingularSystem
+from polyida.model import Model
+from polyida.validation import is_number, is_whole, named_keywords
+
+SLOW, MANY = 0.3, 6  # contraction of Newton's method beyond which columns are made again, iterations beyond which S is factored again
+TURNED = 0.05  # change of the rows with laws beyond which their columns are made again
+EXACT = 1e-13  # of |q| and the model's extent: change of q that is round-off
+
+
+class TimeStepping(Integrator):
+    """What both methods share: the walk over pieces and steps, and Newton's method with a factor that is kept."""
+
+    h: float
+    tolerance: float
+    max_iterations: int
+    trusted = velocity_rows = takes_laws = True
+
+    def fixed_step(self) -> float:
+        """h."""
+        return float(self.h)
+
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one for each step. Raises StepFailure."""
+        run = _Steps(self, model, counts)
+        state = state if "closed" in state.memory else run.contacts.begin(state)
+        for begin, end, most in pieces(model, state.t, t_end, self.h):
+            if at_kink(model, begin) or model.sampled(begin, state.q, state.v) is not state.v:
+                state = run.restarted(state, begin)
+            grid = Grid(begin, end, number_of_steps(model, state, begin, end, min(self.h, most)))
+            for k in range(grid.count):
+                state = run.step(state, grid.time(k + 1), grid.h)
+                counts.steps += 1
+                yield state
+
+    def _require(self, own, good, limits):
+        """Raise InputError unless the settings are good; own: the name of the method's own one, limits: of it in words."""
+        for name, right, expected in (
+            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
+            ("tolerance", is_number(self.tolerance) and 1e-14 <= self.tolerance < 1.0, "in [1e-14, 1)"),
+            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
+            (own, good, limits),
+        ):
+            if not right:
+                raise InputError(f"{self.class_name()}: {name} = {getattr(self, name)!r} must be {expected}")
+
+
+@named_keywords
+@dataclass(frozen=True)
+class NonsmoothAlpha(TimeStepping):
+    """Generalized-alpha in three stages for models with contact and friction: no penetration, no drift.
+
+    Second order through friction and lasting contact, first order at impacts.
+
+    Parameters
+    ----------
+    h : float, s
+        Step.
+    rho_inf : float
+        Spectral radius at infinite frequency, in [0, 1). 0.3 to 0.5 while elastic waves of impacts matter.
+    tolerance : float
+        Newton's tolerance, of beta h^2 times the size of q''.
+    max_iterations : int
+        Largest number of iterations of a step.
+
+    Raises
+    ------
+    InputError
+        For a setting out of range.
+
+    Notes
+    -----
+    `run.lam` of the rows with laws is P/h, the mean force of a step with its impacts.
+
+    Capobianco, Harsch, Eugster, Leine, Int. J. Numer. Methods Eng. 122 (2021) 6497-6526; Cosimo, Galvez, Cavalieri, Cardona, Bruels, Multibody
+    Syst. Dyn. 48 (2020) 127-157.
+    """
+
+    h: float
+    rho_inf: float = 0.8
+    tolerance: float = 1e-8
+    max_iterations: int = 40
+
+    def __post_init__(self):
+        self._require("rho_inf", is_number(self.rho_inf) and 0.0 <= self.rho_inf < 1.0, "in [0, 1)")
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """alpha_m, alpha_f, beta, gamma."""
+        return Coefficients.chung_hulbert(self.rho_inf)
+
+
+@named_keywords
+@dataclass(frozen=True)
+class MoreauJean(TimeStepping):
+    """Time stepping of Moreau and Jean, of first order: `M (v_1 - v_0) + h g_theta + phi_q^T P = 0`, `q_1 = q_0 + h v_theta`.
+
+    The known yardstick: robust, with penetration and drift of the order of h.
+
+    Parameters
+    ----------
+    h : float, s
+        Step.
+    theta : float
+        Weight of the end of a step, in [1/2, 1].
+    tolerance : float
+        Newton's tolerance, of the change of q in a step.
+    max_iterations : int
+        Largest number of iterations of a step.
+
+    Raises
+    ------
+    InputError
+        For a setting out of range.
+
+    Notes
+    -----
+    Moreau, in Nonsmooth Mechanics and Applications (1988) 1-82; Jean, Comput. Methods Appl. Mech. Eng. 177 (1999) 235-257.
+    """
+
+    h: float
+    theta: float = 0.5
+    tolerance: float = 1e-10
+    max_iterations: int = 40
+
+    def __post_init__(self):
+        self._require("theta", is_number(self.theta) and 0.5 <= self.theta <= 1.0, "in [0.5, 1]")
+
+
+class _Steps:
+    """Steps of one method on one model. S is factored again if h changes or Newton's method is slow; columns are those of its factor."""
+
+    def __init__(self, settings, model, counts):
+        self.settings, self.model, self.counts, self.contacts = settings, model, counts, Contacts(model)
+        self.base, self.system, self.factored_for = self.contacts.base, None, None
+        self.impulsive = isinstance(settings, MoreauJean)
+
+    def restarted(self, state, t):
+        """The state behind a kink or a sample at its time, with consistent accelerations."""
+        v, closed = self.model.sampled(t, state.q, state.v), np.asarray(state.memory["closed"], bool)
+        a, lam, p, _ = self.contacts.accelerations(state.t, state.q, v, closed)
+        return State(state.t, state.q, v, a, self.contacts.all(lam, p), {"a_alg": a, "closed": closed, "p": p})
+
+    def step(self, state, t, h):
+        """The State after a step of h to t."""
+        return (self._moreau if self.impulsive else self._alpha)(state, t, h)
+
+    def _factor(self, h, c, *at):
+        self.system = self.system or self.base.step_matrix()
+        self.system.factor(*at, *c)
+        self.counts.add(factors=1, system=self.system)
+        self.factored_for, self.columns = (h, c), None
+
+    def _columns(self, t, q, lam, active, B, fresh):
+        """Columns of the active rows by the factor. Newton's method only needs them nearly: they are kept until the rows turn, or it is slow."""
+        same = not fresh and self.columns is not None and np.array_equal(self.columns[0], active)
+        if not (same and np.abs(B - self.columns[1]).max(initial=0.0) <= TURNED * np.abs(B).max(initial=0.0)):
+            solved = self.contacts.columns(lambda r, phi: self.system.saddle(t, q, lam, r, phi), B)
+            self.counts.solves += len(B)
+            self.columns = active, B, *solved
+        return self.columns[2:]
+
+    def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
+        """(q, v, a, lam, p) with r = 0 and the laws at the rates of the end.
+
+        start: the first guess. rates: (c_m, dv/dq, da/dq). residual: of (q, v, a, lam of all rows). back: rates after impacts are at least
+        -back. scale: of the friction's constant.
+        """
+        contacts, model, tolerance = self.contacts, self.model, self.settings.tolerance
+        (q, v, a, lam, p), (c_m, to_v, to_a) = start, rates
+        fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, weights(model, q), 0, 1.0
+        for _ in range(self.settings.max_iterations):
+            if fresh:
+                self._factor(h, (c_m, to_v), t, q, v, a, lam)
+                fresh, last, count = False, 0.0, 0
+            r, rate, B = residual(q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v, contacts.slopes(t, q)[active]
+            try:
+                dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
+                X, Y = self._columns(t, q, lam, active, B, count > 2 and fall > SLOW)
+            except SingularSystem as error:
+                raise StepFailure("singular", str(error), t) from None
+            self.counts.add(residuals=1, iterations=1)
+            old = p[active]
+            if len(B):
+                now = (rate[contacts.rows] + back / to_v)[active] + B @ dq
+                free = contacts.mobility(B) / c_m
+                p, _ = contacts.solve(t, active, B @ X, now - B @ (X @ old), old, lam + dlam - Y @ old, Y, free, scale)
+                dq, dlam = dq + X @ (p[active] - old), dlam + Y @ (p[active] - old)
+            q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
+            moved, count = float(np.sqrt(shares @ dq**2)), count + 1
+            if not np.isfinite(moved):
+                raise StepFailure("not_finite", self.model.not_finite or "the residual is not finite", t)
+            fall = moved / last if last else 1.0
+            if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= tolerance * h * h * np.sqrt(shares @ a**2)):
+                return q, v, a, lam, p
+            fresh = count >= MANY
+            last = moved
+        raise StepFailure("newton", f"Newton's method does not converge in {self.settings.max_iterations} iterations", t)
+
+    def _alpha(self, state, t, h):
+        contacts, model, memory, c = self.contacts, self.model, state.memory, self.settings.coefficients
+        q0, v0, a0, a_alg = state.q, state.v, state.a, memory["a_alg"]
+        size, closed, (to_a, to_v) = extent(model, q0), np.asarray(memory["closed"], bool), c.rates(h)
+        active = contacts.active(closed)
+        lam, p = state.lam[contacts.equations], np.where(active, memory["p"], 0.0)
+        ahead = (a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)  # for q'' = a0
+        q = q0 + h * v0 + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
+        v = v0 + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
+        residual = lambda *state: model.residual(t, *state)  # noqa: E731
+        q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, p), active, (to_a, to_v, to_a), residual, size)
+        a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)
+        q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
+        before, free = model.phi_rate(state.t, q0, v0)[contacts.rows], model.phi_rate(t, q, v)[contacts.rows]
+        v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
+        wanted = contacts.reversals(state, t, q, v, before, touching, p)
+        if wanted is not None:
+            v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
+        rate = model.phi_rate(t, q, v)[contacts.rows]
+        still = touching & (rate <= contacts.still(q, v))
+        impacts = _impacts(contacts, touching & ~closed, P, free, rate)
+        lam, p, memory = lam + change / h, P / h, {"a_alg": a_alg, "closed": still, "p": p, "status": status} | impacts
+        total = contacts.all(lam, p)
+        if (still != closed).any() or (status != state.memory.get("status", status))[~contacts.contact].any():
+            a, _, p, _ = contacts.accelerations(t, q, v, still, memory["p"])
+            memory |= {"a_alg": a, "p": p}
+        return self._accepted(t, q, v, a, total, memory)
+
+    def _moreau(self, state, t, h):
+        contacts, model, theta = self.contacts, self.model, self.settings.theta
+        q0, v0, size, force = state.q, state.v, extent(model, state.q), model.force(state.t, state.q, state.v)
+        before, to_v = model.phi_rate(state.t, q0, v0)[contacts.rows], 1.0 / (h * theta)
+        closed = contacts.contact & (contacts.gaps(state.t, q0) + 0.5 * h * before <= TOUCH * size)
+        active = contacts.active(closed)
+        lam, p = state.lam[contacts.equations] / theta, np.where(active, -state.lam[contacts.rows] / theta, 0.0)
+        back = np.where(closed, contacts.restitution * np.minimum(before, 0.0), 0.0)
+        residual = lambda q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
+        start = q0 + h * v0, v0, np.zeros(model.n), lam, p
+        q, v, a, lam, p = self._newton(t, h, start, active, (to_v * to_v, to_v, to_v / h), residual, size, back, 1.0 / theta)
+        p, approaching = theta * p, closed & (before < -contacts.still(q0, v0))
+        impacts = _impacts(contacts, approaching, h * p, before, model.phi_rate(t, q, v)[contacts.rows])
+        return self._accepted(t, q, v, a, contacts.all(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
+
+    def _accepted(self, t, q, v, a, lam, memory):
+        if objection := self.model.rejection_reason(t, q):
+            raise StepFailure("objection", objection, t)
+        return State(t, q, v, a, lam, memory)
+
+
+def _impacts(contacts, rows, P, before, after):
+    """{"impacts": (k, 3)}: number of the law, impulse and energy lost of the contacts in `rows` that were hit; empty if none was."""
+    hit = np.flatnonzero(rows & (P > 0.0))
+    return {"impacts": np.stack([hit, P[hit], -0.5 * P[hit] * (before + after)[hit]], axis=1)} if len(hit) else {}

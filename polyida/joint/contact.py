@@ -1,0 +1,148 @@
+"""Contact without stiffness: gaps that carry pressure alone, and may open."""
+
+from dataclasses import dataclass
+
+from polyida.errors import InputError
+from polyida.joint.attachment import Ground, labelled, require_directions, require_places
+from polyida.joint.formula import Row, Vector, cross, dot
+from polyida.joint.joint import FORCE, Joint
+from polyida.validation import named_keywords, number, positive, settle
+
+
+def require_contact(label, joint):
+    """Raise InputError unless restitution and friction of a joint are in [0, 1] and at least 0."""
+    number(label, "friction", joint.friction, "no unit", 0.0)
+    if number(label, "restitution", joint.restitution, "no unit", 0.0) > 1.0:
+        raise InputError(f"{label}: restitution = {joint.restitution!r} must be in [0, 1]")
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Contact(Joint):
+    """Unilateral contact without stiffness, of a point or of all nodes of a section, with a line, or with a circle from outside.
+
+    A gap for each point, `phi = d_B x (x_A - x_B) >= 0`, m, on the left of the line through b along its direction; about b with a radius R
+    `phi = (w . w - R^2) / (2 R) >= 0`, w = x_A - x_B. With `0 <= -lam`, `lam phi = 0`, and impacts with `phi' = -e phi'` of before. With
+    friction also the slip `psi` of each point, m/s, with `|nu| <= mu |lam|` (Coulomb): `psi = (d_B . (x_A - x_B))'` on the line, on the
+    circle `psi = w x w' / R - R w_B`, w_B the angular velocity of b. The line or circle moves with its body.
+
+    Reaction on b, (2,): the sum of the forces, N.
+
+    Parameters
+    ----------
+    a : Attachment or Ground
+        The point; of a section of a full plate, every node.
+    b : Attachment or Ground
+        Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
+        centre of the circle.
+    restitution : float
+        e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
+    friction : float
+        Coefficient mu >= 0 of dry friction.
+    radius : float, m, > 0, optional
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a wrong number, a line, or a circle with friction, whose side has no direction, a start in penetration, and as for Joint.
+
+    Notes
+    -----
+    `run.lam[:, model.rows[name]]` has the force of each node. `PenaltyContact` is contact by a stiffness.
+
+    Acary, Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (2008).
+    """
+
+    restitution: float = 0.0
+    friction: float = 0.0
+    radius: float | None = None
+    kind = "contact"
+    components = FORCE
+    placing = "place the bodies apart"
+
+    def __post_init__(self):
+        super().__post_init__()
+        label = labelled("Contact", self.name)
+        require_places(label, self.a, self.b)
+        require_contact(label, self)
+        if self.radius is not None:
+            settle(self, radius=positive(label, "radius", self.radius, "metres"))
+        if self.radius is None or self.friction:
+            require_directions(label, self.b)
+
+    def rows(self) -> list[Row | Vector]:
+        """The gap of each point of a, and with friction its slip."""
+        a, b, R = self.a, self.b, self.radius
+        rows: list[Row | Vector] = []
+        points = [a] if isinstance(a, Ground) or a.body.few else a.each()
+        for k, point in enumerate(points):
+            w, which = point.x - b.x, f" {k}" if len(points) > 1 else ""
+            gap = cross(b.d, w) if R is None else (dot(w, w) - R * R) / (2.0 * R)
+            rows.append(gap.named(f"gap{which}", "N").opens(self.restitution))
+            if self.friction:
+                slip = dot(b.d, w) if R is None else cross(w, w.rate) / R - R * cross(b.d, b.d.rate)
+                rows.append(slip.named(f"slip{which}", "N").rubs(self.friction, on=[rows[-1]]))
+        return rows
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Clearance(Joint):
+    """A pin of radius r on b in a hole of radius R = r + c in a: `phi = (c^2 - w . w) / (2 c) >= 0`, m, w = x_B - x_A, c the clearance.
+
+    At contact phi is the distance c - |w|. With friction the slip `psi = w x w' / c + r w_B - R w_A`, m/s, with `|nu| <= mu |lam|` (Coulomb).
+    Reaction on b, (2,): the force, N; its moment about the centre of the pin is not listed.
+
+    Parameters
+    ----------
+    a : Attachment or Ground
+        Centre of the hole.
+    b : Attachment or Ground
+        Centre of the pin.
+    gap : float, m, > 0
+        c = R - r.
+    restitution : float
+        e in [0, 1] of impacts.
+    friction : float
+        Coefficient mu >= 0. Both sides then need a direction.
+    pin_radius : float, m, > 0, optional
+        r, needed with friction.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a wrong number, friction without a radius or a direction, a start in penetration, and as for Joint.
+
+    Notes
+    -----
+    Flores, Ambrosio, Comput. Struct. 82 (2004) 1359-1369.
+    """
+
+    gap: float
+    restitution: float = 0.0
+    friction: float = 0.0
+    pin_radius: float | None = None
+    kind = "clearance"
+    components = FORCE
+    placing = "place the pin within its hole"
+
+    def __post_init__(self):
+        super().__post_init__()
+        label = labelled("Clearance", self.name)
+        require_contact(label, self)
+        settle(self, gap=positive(label, "gap", self.gap, "metres"))
+        if self.friction or self.pin_radius is not None:
+            settle(self, pin_radius=positive(label, "pin_radius", self.pin_radius, "metres"))
+        if self.friction:
+            require_directions(label, *(side for side in (self.a, self.b) if not isinstance(side, Ground)))
+
+    def rows(self) -> list[Row | Vector]:
+        """`(c^2 - w . w) / (2 c)`, and with friction the slip."""
+        c, r, w = self.gap, self.pin_radius, self.b.x - self.a.x
+        gap = ((c * c - dot(w, w)) / (2.0 * c)).named("gap", "N").opens(self.restitution)
+        if not self.friction or r is None:
+            return [gap]
+        slip = cross(w, w.rate) / c + r * cross(self.b.d, self.b.d.rate) - (r + c) * cross(self.a.d, self.a.d.rate)
+        return [gap, slip.named("slip", "N").rubs(self.friction, on=[gap])]

@@ -1,0 +1,251 @@
+"""Rows with a law in place of the equation phi = 0: unilateral contact and dry friction. And models in which only some rows are equations.
+
+| law | closing equation | at an impact, with the impulse Lam |
+|---|---|---|
+| contact | `0 <= -lam, phi >= 0, lam phi = 0` | `0 <= -Lam, rate + e rate_before >= 0`, their product 0 |
+| friction | `|lam| <= c + mu |lam_on|`; sticks: rate = 0; slips: `lam = sign(rate) (c + mu |lam_on|)` | the same with Lam |
+
+r is that of all rows. Moreau, in Nonsmooth Mechanics and Applications (1988) 1-82; Acary, Brogliato, Numerical Methods for Nonsmooth Dynamical
+Systems (2008).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.linear.lu import SingularSystem, dense
+from polyida.model import Model
+from polyida.validation import is_number, is_whole, named_keywords
+
+TAKEN = (  # attributes with defaults that a model of some rows takes from the whole one
+    "extent", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed", "named_profiles",
+    "motor_profiles", "path_profiles",
+)  # fmt: skip
+MOST = 30  # iterations for the force of friction that depends on multipliers
+
+
+@named_keywords
+@dataclass(frozen=True)
+class RowLaw:
+    """The law of a row of phi or psi, in place of the equation: contact if restitution is a number, else dry friction.
+
+    Contact: `0 <= -lam`, `phi >= 0`, `lam phi = 0`. Friction: `|lam| <= constant + mu |lam_on|`, with equality where the row slips. For
+    `row_laws` of users' models, as in `(pi.RowLaw(0, restitution=0.8), pi.RowLaw(1, mu=0.3, on=(0,)))`.
+
+    Parameters
+    ----------
+    row : int
+        Number of the row; those of psi are behind those of phi.
+    name : str
+        In messages and in `run.events`.
+    restitution : float, optional
+        e in [0, 1] of impacts: `phi' = -e phi'` of before.
+    mu : float
+        Friction coefficient, mu >= 0.
+    constant : float
+        Friction without pressure, >= 0.
+    on : tuple of int
+        Rows that press; |lam_on| is the root of the sum of their squares.
+    """
+
+    row: int
+    name: str = ""
+    restitution: float | None = None
+    mu: float = 0.0
+    constant: float = 0.0
+    on: tuple[int, ...] = ()
+
+    @property
+    def is_contact(self) -> bool:
+        """True for contact, False for friction."""
+        return self.restitution is not None
+
+
+def require_laws(name, laws, m, velocity_rows):
+    """The laws of a user's model as a tuple, with names. Raises InputError."""
+    rows = set()
+    for number, law in enumerate(laws):
+        what = f"{name}: row_laws[{number}]"
+        if not isinstance(law, RowLaw):
+            raise InputError(f"{what} = {law!r:.100} must be a polyida.RowLaw")
+        for row in (law.row, *law.on):
+            if not (is_whole(row, 0) and row < m):
+                raise InputError(f"{what}: {row!r} is no row; there are {m} rows of phi and psi, counted from 0")
+        if law.row in rows:
+            raise InputError(f"{what}: row {law.row} has two laws")
+        rows.add(law.row)
+        if law.is_contact and not (is_number(law.restitution) and 0.0 <= law.restitution <= 1.0):
+            raise InputError(f"{what}: restitution = {law.restitution!r:.60} must be a number in [0, 1]")
+        for key in ("mu", "constant"):
+            if not (is_number(getattr(law, key)) and getattr(law, key) >= 0.0):
+                raise InputError(f"{what}: {key} = {getattr(law, key)!r:.60} must be a number of at least 0")
+        if not law.is_contact and law.row not in velocity_rows:
+            raise InputError(
+                f"{what}: row {law.row} of friction must be a row of psi, its slip velocity; rows of psi are behind those of phi"
+            )
+        if law.is_contact and law.row in velocity_rows:
+            raise InputError(f"{what}: row {law.row} of contact must be a row of phi, its gap, not of psi")
+        if law.mu and not law.on:
+            raise InputError(f"{what}: mu = {law.mu:g} needs the rows that press, for example on=(0,)")
+    return tuple(replace(law, name=law.name or f"row {law.row}") for law in laws)
+
+
+def require_no_laws(part, model, why):
+    """Raise InputError, naming the parts, for a model with rows of contact or friction."""
+    if model.row_laws:
+        names = ", ".join(dict.fromkeys(repr(law.name) for law in model.row_laws))
+        raise InputError(f"{part}: contact and friction of {names} are no equations; {why}")
+
+
+def violation(model, values):
+    """(m,) of what violates phi = 0 and the gaps' phi >= 0, from phi of all rows."""
+    gaps = [law.row for law in model.row_laws if law.is_contact]
+    if gaps:
+        values = np.array(values)
+        values[gaps] = np.minimum(values[gaps], 0.0)
+    return values
+
+
+class WithRows(Model):
+    """A model of which only some rows of phi are equations; the others are left out."""
+
+    checked = True
+
+    def __init__(self, whole, rows):
+        self.whole, self.kept = whole, np.asarray(rows, np.int64)
+        self.n, self.m, self.k, self.needs = whole.n, len(self.kept), whole.k, whole.needs
+        self.velocity_rows = np.flatnonzero(np.isin(self.kept, whole.velocity_rows))
+        self.columns = self.kept
+        for name in TAKEN:
+            setattr(self, name, getattr(whole, name))
+
+    def __getattr__(self, name):
+        """Further attributes of the whole model."""
+        if name == "whole":
+            raise AttributeError(name)
+        return getattr(self.whole, name)
+
+    def _all(self, lam):
+        result = np.zeros(self.whole.m)
+        result[self.kept] = lam
+        return result
+
+    def spread(self, lam, width):
+        return self._all(lam)
+
+    def potentials(self, q, v=None):
+        return self.whole.potentials(q) if v is None else self.whole.potentials(q, v)
+
+    def mass(self, q):
+        return self.whole.mass(q)
+
+    def force(self, t, q, v):
+        return self.whole.force(t, q, v)
+
+    def force_q(self, t, q, v):
+        return self.whole.force_q(t, q, v)
+
+    def force_v(self, t, q, v):
+        return self.whole.force_v(t, q, v)
+
+    def mass_a_q(self, q, a):
+        return self.whole.mass_a_q(q, a)
+
+    def residual(self, t, q, v, a, lam):
+        return self.whole.residual(t, q, v, a, self._all(lam))
+
+    def reaction_q(self, t, q, lam):
+        return self.whole.reaction_q(t, q, self._all(lam))
+
+    def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+        return self.whole.tangent(t, q, v, a, self._all(lam), c_m, c_v, c_q)
+
+    def phi(self, t, q):
+        return self.whole.phi(t, q)[self.kept]
+
+    def phi_q(self, t, q):
+        return self.whole.phi_q(t, q)[self.kept]
+
+    def phi_t(self, t, q):
+        return self.whole.phi_t(t, q)[self.kept]
+
+    def phi_rate(self, t, q, v):
+        return self.whole.phi_rate(t, q, v)[self.kept]
+
+    def phi_bias(self, t, q, v):
+        return self.whole.phi_bias(t, q, v)[self.kept]
+
+    def initial_velocity(self, t, q):
+        return self.whole.initial_velocity(t, q)
+
+    def rejection_reason(self, t, q):
+        return self.whole.rejection_reason(t, q)
+
+    def kinks(self, t0, t1):
+        return self.whole.kinks(t0, t1)
+
+    def samples(self, t0, t1):
+        return self.whole.samples(t0, t1)
+
+    def sampled(self, t, q, v):
+        return self.whole.sampled(t, q, v)
+
+    def constraint_name(self, row):
+        return self.whole.constraint_name(int(self.kept[row]))
+
+
+class Slips(WithRows):
+    """The same, with rows of friction that slip: each acts with `lam = sign (c + mu |lam_on|)`. slips: (RowLaw, sign of its rate) each."""
+
+    def __init__(self, whole, rows, slips):
+        super().__init__(whole, rows)
+        self.slips = slips
+
+    def _all(self, lam):
+        result = super()._all(lam)
+        for law, sign in self.slips:
+            result[law.row] = sign * (law.constant + law.mu * np.linalg.norm(result[list(law.on)]))
+        return result
+
+    def force(self, t, q, v):
+        force = self.whole.force(t, q, v)
+        for law, sign in self.slips:
+            if law.constant:
+                force = force + sign * law.constant * dense(self.whole.phi_q(t, q)[[law.row]])[0]
+        return force
+
+    def mass_system(self, t, q):
+        return SlippingMasses(self, t, q)
+
+
+class SlippingMasses:
+    """The system of M and phi_q with friction that is proportional to the multipliers, `f = sign mu |lam_on|`, lam linear in f: Newton's method."""
+
+    def __init__(self, model, t, q):
+        self.model, self.system = model, super(Slips, model).mass_system(t, q)
+        rows, none = dense(model.whole.phi_q(t, q)[[law.row for law, _ in model.slips]]), np.zeros(model.m)
+        solved = [self.system.solve(row, none) for row in rows]
+        self.X, self.Y = (np.array(part).T for part in zip(*solved))
+        place = {int(row): k for k, row in enumerate(model.kept)}
+        self.on = [([place[row] for row in law.on if row in place], sign * law.mu) for law, sign in model.slips]
+
+    def solve(self, r, phi):
+        """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""
+        dq, dlam = self.system.solve(r, phi)
+        f, unit = np.zeros(len(self.on)), np.eye(len(self.on))
+        for _ in range(MOST):
+            lam, error, slope = dlam + self.Y @ f, f.copy(), unit.copy()
+            for k, (rows, mu) in enumerate(self.on):
+                size = np.linalg.norm(lam[rows])
+                error[k] -= mu * size
+                slope[k] -= mu * lam[rows] @ self.Y[rows] / size if size else 0.0
+            if np.abs(error).max() <= 1e-14 * max(np.abs(f).max(), np.abs(f - error).max()):
+                return dq + self.X @ f, lam
+            try:
+                f = f - np.linalg.solve(slope, error)
+            except np.linalg.LinAlgError:
+                break
+        if not r.any():  # a projection of positions or velocities, which needs no friction
+            return dq, dlam
+        raise SingularSystem(f"the friction of {', '.join(law.name for law, _ in self.model.slips)} has no unique force while it slips")

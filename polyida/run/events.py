@@ -1,0 +1,393 @@
+"""Runs with events: a sequence of motions of models with equal coordinates and different rows of phi.
+
+An event's function g is evaluated at nodes of each step on the integrator's own motion, and at the extrema of the polynomial through these
+values, so that two roots within a step are seen. g has changed its sign if it is beyond OFFSET of its largest value so far on the other side.
+Behind an event its side is that to which g moves, if it moves. The state between two steps is projected onto the rows that act; then parts
+change and velocities jump, and the integrator starts anew from a consistent state.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly.factors import given_factors
+from polyida.body.body import Body
+from polyida.errors import InputError, StepFailure
+from polyida.event import ADDABLE, Event, Events, Happened, Impact, Impulse, Moment, Remove
+from polyida.integrate.singular import Watch
+from polyida.integrate.start import consistent_acceleration, restarted
+from polyida.integrate.state import State, Stretch, between, parted
+from polyida.linear.lu import SingularSystem
+from polyida.model import Model
+from polyida.model.differences import along, jacobian, reach_along
+from polyida.model.guarded import guard
+from polyida.results.motion import reaction_of
+from polyida.run.accepted import accepted
+from polyida.scene import Scene
+from polyida.validation import floats, is_number
+
+NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(5) / 4)  # of a step, where functions of events are evaluated
+COEFFICIENTS = np.linalg.inv(np.vander(NODES, increasing=True))
+OFFSET, ZERO = 1e-10, 1e-14  # of the largest |g| so far: g is on a side; |g| at the start of a run that is round-off
+STILL = 1e-9  # of the rate before an event: a smaller one is round-off
+AHEAD = 1e-2  # of the time in which a state changes by its size: differences for rates of events
+TOGETHER = 1e-9  # of a step: events that are not farther apart happen at one time
+LEAST = 1e-12  # of a run's length: what is left behind an event if it is at the end
+
+
+class Change(NamedTuple):
+    """The states before (None if it was the last step's) and behind events at one time, what happened, and why the run ends there, or ""."""
+
+    before: State | None
+    after: State
+    happened: list
+    stops: str
+
+
+def prepared(part, model, events):
+    """(model with the rows of all parts that the events add, the events with names). Raises InputError, in the name of `part`."""
+    events = tuple(events) if isinstance(events, (list, tuple)) else (events,)
+    if not all(isinstance(event, Event) for event in events):
+        raise InputError(f"{part}: events = {events!r:.80} must be a list of pi.Event")
+    names = [event.name or f"event {number}" for number, event in enumerate(events, 1)]
+    if len(set(names)) < len(names):
+        raise InputError(f"{part}: events: the names {', '.join(map(repr, names))} must differ")
+    events = [replace(event, name=name) for event, name in zip(events, names)]
+    if not guard(model, part).is_scene:
+        return model, events
+    scene = Scene(model.gravity)
+    scene.parts.update(model.parts)
+    for event in events:
+        for added in event.added:
+            if not any(added is known for known in scene.parts.values()):
+                scene.add(added)
+        for one in event.then:
+            known = {*map(id, scene.parts.values()), *scene.parts}
+            missing = [x for x in getattr(one, "parts", ()) if (x if isinstance(x, str) else id(x)) not in known]
+            if isinstance(one, Remove) and missing:
+                raise InputError(
+                    f"{event.name}: Remove: {missing[0]!r:.60} is no part of the scene; parts: {', '.join(map(repr, scene.parts))}"
+                )
+            if isinstance(one, Remove) and any(
+                isinstance(scene.parts.get(x, x), Body) or hasattr(scene.parts.get(x, x), "mesh") for x in one.parts
+            ):
+                raise InputError(f"{event.name}: Remove: bodies cannot be removed; the number of coordinates does not change")
+            if isinstance(one, Impulse) and id(one.at.body) not in model.places:
+                raise InputError(f"{event.name}: Impulse: {one.at!r} is of a body that is not in the scene")
+            if isinstance(one, Model):
+                raise InputError(f"{event.name}: then = {one!r:.60}: a scene changes by parts, only a user's model by another model")
+    scene.require_sides("solve")
+    late = tuple(name for name in scene.parts if name not in model.parts)
+    if late or model.redundant:
+        model = type(model)(scene.parts, model.gravity, model.treats_redundant, False, late + (model.late or ())).with_factors(
+            **given_factors(model)
+        )
+    return model, events
+
+
+class Happenings:
+    """The events of a run.
+
+    whole: the model with the rows of all parts; mode: the one that acts; width: number of columns of lam; happened: Events. State: of the
+    run has all columns; integrators get those of the mode.
+    """
+
+    def __init__(self, model, events, method, happened=None):
+        self.whole, self.events, self.method = guard(model), events, method
+        models = [] if self.whole.is_scene else [model, *(one for event in events for one in event.then if isinstance(one, Model))]
+        late = (self.whole.late or ()) if self.whole.is_scene else ()
+        self.happened = Events((), late, given=True) if happened is None else happened
+        self.width = max([self.whole.m, *(guard(one).m for one in models)])
+        self.happened.models = [self._own(one) for one in models]
+        if max((one.model for one in self.happened), default=0) >= max(1, len(models)):
+            raise InputError("events: a function of an event made the model that acts, which no file holds; name it in `then`")
+        self.mode = guard(self.happened.modes(self.whole)[-1])
+        self.sides, self.sizes = np.zeros((2, len(events)))
+
+    def _own(self, model):
+        """A user's model, guarded. Raises InputError unless its sizes fit."""
+        own, whole = guard(model), self.whole
+        if (own.n, own.k) != (whole.n, whole.k) or own.m > self.width:
+            sizes = f"n = {whole.n}, k = {whole.k} and m <= {self.width}, of the run and the models named in `then`"
+            raise InputError(f"events: the model {model!r:.60} has n = {own.n}, k = {own.k}, m = {own.m}; it must have {sizes}")
+        own.columns = slice(0, own.m)
+        return own
+
+    def start(self, state):
+        """The first state of a run, with all columns."""
+        memory = {name: value for name, value in state.memory.items() if name != "events"}
+        return replace(_spread(state, self.mode, self.width), memory=memory, restart=True)
+
+    def whole_state(self, state):
+        """A state of the mode with the columns of lam of all rows."""
+        mode, within = self.mode, state.within
+        memory = state.memory | {"events": np.array([self.sides, self.sizes])} if state.restart else {}
+        inner = within and (lambda t: _spread(within(t), mode, self.width))
+        return replace(_spread(state, mode, self.width), memory=memory, restart=state.restart, within=inner)
+
+    def stretches(self, state, t_end, counts):
+        """Yield Stretches of the run's states, and Changes. The first state has all columns. Raises StepFailure."""
+        memory, span = dict(state.memory), t_end - state.t
+        known = memory.pop("events", None)
+        state = State(state.t, state.q, state.v, state.a, state.lam[self.mode.columns], memory, state.restart)
+        self.values = np.array([self.value(event, state) for event in self.events])
+        if known is None:
+            self.sides, self.sizes = np.where(np.abs(self.values) > ZERO, np.sign(self.values), 0.0), np.zeros(len(self.events))
+            self.started = True
+        else:
+            self.sides, self.sizes = np.array(known)
+            self.started = False
+        while True:
+            change = None
+            for change in self._motion(state, t_end, counts):
+                yield change
+            if not isinstance(change, Change) or change.stops or t_end - change.after.t <= max(LEAST * span, 64 * math.ulp(t_end)):
+                return
+            after = change.after
+            state = State(after.t, after.q, after.v, after.a, after.lam[self.mode.columns])
+
+    def _motion(self, before, t_end, counts):
+        """Yield the Stretches of one mode, and the Change at its end if there is one."""
+        needs = self.mode.needs
+        watch = Watch(self.mode, before) if self.mode.m and not self.mode.row_laws and (needs.phi_q_varies or needs.driven) else None
+        for stretch in accepted(self.method, self.mode, before, t_end, counts):
+            sound, failure = watch.look(stretch) if watch else (len(stretch), None)
+            counts.steps -= len(stretch) - sound
+            for part in parted(stretch.part(0, sound), counts):
+                after = part.last
+                hit = self._first(before, after)
+                if hit is None:
+                    before = after
+                    yield Stretch.of(self.whole_state(after))
+                    continue
+                t, fired = hit
+                at = between(before, after, t)
+                start = self._consistent(self.mode, at, "the state")
+                first = _spread(start, self.mode, self.width)
+                if at is before:
+                    counts.steps -= 1
+                else:
+                    yield Stretch.of(first)
+                yield Change(None if at is before else first, *self._change(start, fired))
+                return
+            if failure:
+                counts.steps += 1
+                raise failure
+
+    def value(self, event, state):
+        """The value of an event's function. Raises InputError unless it is a finite number."""
+        value = event.when(self._moment(state))
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        if not is_number(value):
+            raise InputError(f"{event.name}: when gave {value!r:.60} at t = {state.t:.9g} s; it must give a finite number")
+        return float(value)
+
+    def _moment(self, state):
+        return Moment(self.whole, _spread(state, self.mode, self.width), self.mode)
+
+    def _first(self, before, after):
+        """(time, numbers of the events) of the first change of sign in a step, or None."""
+        inner = [between(before, after, before.t + s * (after.t - before.t)) for s in NODES[1:-1]] + [after]
+        values = np.array([[self.value(event, state) for event in self.events] for state in inner])
+        values = np.vstack([self.values, values])
+        sizes, sides, times = np.maximum(self.sizes, np.abs(values).max(axis=0)), self.sides.copy(), {}
+        if self.started:
+            sides[np.abs(self.values) <= OFFSET * sizes] = 0.0
+        for k, event in enumerate(self.events):
+            t, sides[k] = self._crossing(event, sides[k], values[:, k], OFFSET * sizes[k], before, after)
+            if t is not None:
+                times[k] = t
+        self.started, self.sizes = False, sizes
+        if not times:
+            self.values, self.sides = values[-1], sides
+            return None
+        first = min(times.values())
+        near = TOGETHER * (after.t - before.t)
+        return first, [k for k, t in times.items() if t <= first + near]
+
+    def _crossing(self, event, side, values, offset, before, after):
+        """(time of the first change of sign that counts in a step, or None; the side at its end)."""
+        if (side * values > offset).all() and 2 * np.abs(values).min() > np.ptp(values):
+            return None, side
+
+        def at(s):
+            return self.value(event, between(before, after, before.t + s * (after.t - before.t)))
+
+        slopes = (COEFFICIENTS @ values)[1:] * np.arange(1, len(values))
+        extrema = [float(s.real) for s in np.roots(slopes[::-1]) if abs(s.imag) < 1e-6 and 0.0 < s.real < 1.0] if slopes.any() else []
+        points = sorted([*zip(NODES, values), *((s, at(s)) for s in extrema)])
+        for (s0, g0), (s1, g1) in zip([points[0], *points], points):
+            if abs(g1) <= offset or np.sign(g1) == side:
+                continue
+            rising, side, from_side = g1 > 0, np.sign(g1), side
+            if from_side and event.direction != ("falling" if rising else "rising"):
+                if g0 * from_side <= 0.0:  # round-off at the start of a step
+                    return before.t + s0 * (after.t - before.t), side
+                from scipy.optimize import brentq
+
+                s = brentq(at, s0, s1, xtol=1e-300, rtol=4 * np.finfo(float).eps, maxiter=1000) if s1 < 1.0 or g1 else 1.0
+                return min(before.t + s * (after.t - before.t), after.t), side
+        return None, side
+
+    def _change(self, state, fired):
+        """(state behind, what happened, why the run stops) of the events with the numbers `fired` at a state. Raises StepFailure."""
+        happened, waiting, done, stops = [], list(fired), [], ""
+        sides = np.array([self.value(event, state) for event in self.events])
+        while waiting:
+            number = waiting.pop(0)
+            event = self.events[number]
+            done.append(number)
+            if sum(one.name == event.name for one in (*self.happened, *happened)) >= event.most:
+                advice = "if their times accumulate, give pi.Impact a least_speed, or the event a larger `most`"
+                raise StepFailure(
+                    "events", f"event {event.name!r} happened {event.most} times, which is its `most`; {advice}; the run stops", state.t
+                )
+            rates = self._rates(state)
+            state, one, stop = self._apply(event, state)
+            happened, stops = [*happened, one], stops or stop
+            behind, moves = np.array([self.value(event, state) for event in self.events]), self._rates(state)
+            for k, other in enumerate(self.events):
+                beyond = OFFSET * max(self.sizes[k], abs(sides[k]), abs(behind[k]))
+                jumped = sides[k] * behind[k] < 0 and min(abs(sides[k]), abs(behind[k])) > beyond
+                if jumped and k not in waiting and other.direction != ("falling" if behind[k] > 0 else "rising"):
+                    if k in done and k != number:
+                        names = ", ".join(repr(self.events[i].name) for i in dict.fromkeys(done[done.index(k) :]))
+                        raise StepFailure("events", f"the events {names} undo each other", state.t)
+                    waiting += [k] * (k != number)
+                side = np.sign(behind[k]) if abs(behind[k]) > beyond else 0.0
+                moving = abs(moves[k]) > STILL * abs(rates[k])
+                self.sides[k] = side or (np.sign(moves[k]) if moving else 0.0)
+            sides = self.values = behind
+        after = self.whole_state(State(state.t, state.q, state.v, state.a, state.lam))
+        self.happened.happened += happened
+        return after, happened, stops
+
+    def _rates(self, state):
+        """d/dt of the events' functions along a state's velocities and accelerations, ahead and behind it."""
+
+        def moved(s):
+            q, v = state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a
+            one = replace(state, t=state.t + s, q=q, v=v)
+            return np.array([self.value(event, one) for event in self.events])
+
+        return along(moved, AHEAD * min(reach_along(state.q, state.v), reach_along(state.v, state.a)))
+
+    def _consistent(self, mode, state, what):
+        """The consistent State of a mode nearest to a state. Raises StepFailure."""
+        try:
+            return restarted(mode, state)
+        except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
+            raise StepFailure("events", f"{what} cannot go on: {error}", state.t) from None
+
+    def _apply(self, event, state):
+        """(the consistent state behind an event, Happened, why the run stops, or ""). Sets the mode."""
+        old, t, label = self.mode, state.t, f"event {event.name!r}"
+        energy, moment = self._energy(state), self._moment(state)
+        model, absent = self.happened[-1].model if len(self.happened) else 0, set(old.absent)
+        added, pushes, q, v = [], [], state.q, state.v
+        stops = f"{label} stopped the run at t = {t:.9g} s" if any(isinstance(one, str) for one in event.then) else ""
+        for one in event.then:
+            if isinstance(one, ADDABLE):
+                added.append(one)
+            elif isinstance(one, Remove):
+                absent |= {self._name(part) for part in one.parts}
+            elif isinstance(one, Model):
+                model = next(k for k, known in enumerate(self.happened.models) if known.user is one or known is one)
+            elif isinstance(one, Impact):
+                w, rate = self._gradient(event, state)
+                slow = abs(rate) < one.least_speed
+                if slow and one.rest:  # their rows stop it
+                    added += one.rest
+                else:
+                    pushes.append(("impact", w, 0.0 if slow else one.restitution))
+                if slow and not one.rest:
+                    stops = f"{label} came to rest at t = {t:.9g} s, slower than {one.least_speed:g}: give pi.Impact `rest` to go on"
+            elif isinstance(one, Impulse):
+                pushes.append(("impulse", self.whole.pulled((one.at, "point"), np.array([complex(*one.impulse)]))[0], one.impulse))
+            elif callable(one):
+                q, v, model = self._given(label, one(moment), q, v, model)
+        names = [self._name(part) for part in added]
+        held = {name: np.array([t, *q]) for name in names if name in self.whole.rows and name in absent}
+        absent = tuple(sorted(absent - set(names)))
+        happened = Happened(t, event.name, 0.0, np.nan, 0, {}, absent, held, model)
+        try:
+            self.mode = mode = self._mode_behind(happened)
+            after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), label)
+            laws = [law.row for law in mode.row_laws]  # contacts take part in the next step
+            equations = mode.with_rows(np.setdiff1d(np.arange(mode.m), laws)) if laws else mode
+            none = np.zeros(equations.m)
+            rate = equations.phi_rate(t, after.q, v) if equations.m else none
+            jump = equations.mass_system(t, after.q).solve(np.zeros(mode.n), rate)[1] if rate.any() else none
+            v, impulses = after.v, {}
+            for kind, w, value in pushes:
+                y, lam = equations.mass_system(t, after.q).solve(-w, none)
+                if kind == "impact":
+                    if not w @ y > 0:
+                        raise StepFailure("events", f"{label}: Impact: the joints do not let `when` change", t)
+                    push = -(1.0 + value) * self._gradient(event, replace(after, v=v))[1] / (w @ y)
+                    impulses["impact"] = (float(push),)
+                else:
+                    push, impulses["impulse"] = 1.0, tuple(map(float, value))
+                v, jump = v + push * y, jump + push * lam
+            after = replace(after, v=v)
+            after = restarted(mode, after) if laws else State(t, after.q, v, *consistent_acceleration(mode, t, after.q, v))
+            jump = equations.spread(jump, mode.m) if laws else jump
+        except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
+            raise StepFailure("events", f"{label}: {error}", t) from None
+        if self.whole.is_scene:
+            pulled = {name: reaction_of(mode, name, np.array([t]), after.q[None], jump[None], True)[0] for name in held}
+            impulses |= {name: tuple(map(float, values)) for name, values in pulled.items()}
+            largest = max((math.hypot(*values[:2]) for values in impulses.values()), default=0.0)
+        else:
+            largest = max(np.abs(jump).max(initial=0.0), *(abs(x) for values in impulses.values() for x in values), 0.0)
+        lost = energy - self._energy(after)
+        return after, replace(happened, impulse=float(largest), energy_lost=float(lost), impulses=impulses), stops
+
+    def _mode_behind(self, happened):
+        """The mode behind an event that happens."""
+        return guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
+
+    def _name(self, part):
+        return part if isinstance(part, str) else next(name for name, known in self.whole.parts.items() if known is part)
+
+    def _given(self, label, value, q, v, model):
+        """(q, v, number of the model) that a function of the user's gave. Raises InputError for a wrong one."""
+        if value is None:
+            return q, v, model
+        if isinstance(value, Model):
+            for k, known in enumerate(self.happened.models):
+                if known is value or known.user is value:
+                    return q, v, k
+            self.happened.models.append(self._own(value))
+            return q, v, len(self.happened.models) - 1
+        given, own = [], len(q) - (self.whole.k if not self.whole.is_scene else 0)
+        for before, array in zip((q, v), (value.q, value.v) if isinstance(value, State) else (q, value)):
+            array = floats(array)
+            if array is None or array.shape not in ((len(before),), (own,)):
+                raise InputError(
+                    f"{label}: its function must give {own} finite velocities, a pi.State, a model, or None, not {value!r:.80}"
+                )
+            given.append(np.append(array, before[len(array) :]))
+        return *given, model
+
+    def _gradient(self, event, state):
+        """(dg/dq (n,), dg/dt along the velocity) of an event's function g(t, q)."""
+
+        def g(t, q):
+            return np.array([self.value(event, replace(state, t=t, q=q))])
+
+        w = jacobian(lambda q: g(state.t, q), state.q, 1)[0]
+        return w, float(along(lambda s: g(state.t + s, state.q + s * state.v))[0])
+
+    def _energy(self, state):
+        """Kinetic and potential energy of a state of the mode, J."""
+        model, moving = self.mode, self.mode.without_states(state.v)
+        potentials = model.potentials(state.q, state.v) if model.k and model.is_scene else model.potentials(state.q)
+        return 0.5 * moving @ (model.mass(state.q) @ moving) + sum(potentials)
+
+
+def _spread(state, mode, width):
+    """The vectors of a state of a mode, with the columns of lam of all rows; no run can go on from it."""
+    return State(state.t, state.q, state.v, state.a, mode.spread(state.lam, width), restart=False)

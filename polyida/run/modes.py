@@ -1,0 +1,154 @@
+"""Event-driven runs of models with contact and friction, by integrators that know equations alone.
+
+A mode is a model in which closed contacts and rows that stick are equations, and rows that slip are forces. Each row with a law has a function
+that is not negative while its status lasts: the gap of an open contact, the pressure of a closed one, `c(lam) - |lam|` of a row that sticks,
+`sign rate` of one that slips. Where one becomes negative, velocities jump by the impact laws, and the accelerations' cone problem gives the next
+statuses.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polyida.errors import StepFailure
+from polyida.event import Events, Happened
+from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
+from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
+from polyida.integrate.state import State
+from polyida.model.guarded import guard
+from polyida.model.row_laws import Slips
+from polyida.run.events import Happenings
+
+LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
+MOST = 1000  # changes of one row
+AT_ONCE = 10  # changes of one row at one time
+SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
+WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
+
+
+@dataclass(frozen=True)
+class RowEvent:
+    """The function of row number `law`, as an event."""
+
+    law: int
+    name: str
+    direction: str = "falling"
+
+
+class Modes(Happenings):
+    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure."""
+
+    def __init__(self, model, method, happened=None):
+        self.whole, self.method, self.contacts = guard(model), method, Contacts(guard(model))
+        self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
+        self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
+        self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
+        self.last, self.modes, self.mode = -np.inf, {}, self.whole
+
+    def start(self, state):
+        """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
+        state = self._settled(state.t, state.q, state.v, self.contacts.at_rest(state.t, state.q, state.v))
+        return replace(state, memory={"status": self.status.astype(float)}, restart=True)
+
+    def whole_state(self, state):
+        state = super().whole_state(state)
+        return replace(state, memory=state.memory | {"status": self.status.astype(float)}) if state.restart else state
+
+    def stretches(self, state, t_end, counts):
+        memory = dict(state.memory)
+        self.status = np.asarray(memory.pop("status"), np.int64)
+        self.mode = self._mode()
+        return super().stretches(replace(state, memory=memory), t_end, counts)
+
+    def value(self, event, state):
+        """The function of a row at a state of the mode."""
+        contacts, number = self.contacts, event.law
+        status, law = self.status[number], self.whole.row_laws[number]
+        if status in SIGNS:
+            rate = SIGNS[status] * float(self.whole.phi_rate(state.t, state.q, state.v)[law.row])
+            return rate + 0.5 * contacts.still(state.q, state.v)  # slip that begins is round-off for some steps
+        if status == STICKS:
+            lam = self.mode.spread(state.lam, self.width)
+            return float(law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) - abs(lam[law.row]))
+        if status == CLOSED and contacts.contact[number]:
+            return -float(self.mode.spread(state.lam, self.width)[law.row])
+        return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
+
+    def _mode(self):
+        """The model of the statuses."""
+        key = self.status.tobytes()
+        if key not in self.modes:
+            contacts, laws = self.contacts, self.whole.row_laws
+            equations = contacts.rows[(contacts.contact & (self.status == CLOSED)) | (~contacts.contact & (self.status == STICKS))]
+            rows = np.sort(np.concatenate([contacts.equations, equations]))
+            slips = [(law, SIGNS[s]) for law, s in zip(laws, self.status) if s in SIGNS and (law.mu or law.constant)]
+            self.modes[key] = Slips(self.whole, rows, slips) if slips else self.whole.with_rows(rows)
+        return self.modes[key]
+
+    def _settled(self, t, q, v, closed, begins=0.0):
+        """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest."""
+        contacts = self.contacts
+        a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins)
+        rates = self.whole.phi_rate(t, q, v)[contacts.rows]
+        bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
+        slips = ~contacts.contact & (np.abs(rates) > contacts.still(q, v))
+        status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
+        self.status = np.where(bounded & contacts.active(closed), status, 0)
+        self.mode = self._mode()
+        return State(t, q, v, a, contacts.all(lam, p), restart=False)
+
+    def _change(self, state, fired):
+        contacts, t, q = self.contacts, state.t, state.q
+        gaps, rates = contacts.gaps(t, q), self.whole.phi_rate(t, q, state.v)[contacts.rows]
+        old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(q, state.v)
+        hit = contacts.contact & (old != CLOSED) & ((gaps <= size) & (rates < 0.0))
+        closed = contacts.contact & ((old == CLOSED) | ((gaps <= size) & (rates <= still)))
+        v, happened = state.v, []
+        if hit.any():
+            none = np.zeros(len(contacts.rows))
+            v, P, _, _ = contacts.impact(
+                t, q, v, rates, closed, none, np.zeros(len(contacts.equations)), 0.0, None, np.abs(rates) < LEAST_SPEED
+            )
+            after = self.whole.phi_rate(t, q, v)[contacts.rows]
+            lost = -0.5 * P * (rates + after)
+            closed &= after <= still
+            for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(hit & (P > 0.0))):
+                of_part = np.array([other == name for other in contacts.names])
+                happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
+        behind = self._settled(t, q, v, closed, self._begins(state, closed, fired) if not hit.any() else 0.0)
+        changed = np.flatnonzero(self.status != old)
+        for k in changed if not happened else ():
+            word = WORDS.get(int(self.status[k]), "opens" if contacts.contact[k] else "is free")
+            happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
+        happened = happened or [Happened(t, contacts.names[self.events[fired[0]].law], 0.0, 0.0, 0)]
+        self._require_progress(t, np.union1d(changed, np.flatnonzero(hit)) if len(changed) or hit.any() else fired)
+        self.happened.happened += happened
+        moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
+        self.values = np.array([self.value(event, moment) for event in self.events])
+        self.sides, self.sizes = np.ones(len(self.events)), np.abs(self.values)
+        return (
+            replace(behind, memory={"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float)}, restart=True),
+            happened,
+            "",
+        )
+
+    def _begins(self, state, closed, fired):
+        """Directions in which rows that reached their bounds slip; opens the contacts without pressure. At a bound the laws allow both statuses."""
+        begins, lam = np.zeros(len(self.events)), self.mode.spread(state.lam, self.width)
+        for k in (self.events[number].law for number in fired):
+            if self.contacts.contact[k]:
+                closed[k] &= self.status[k] != CLOSED
+            elif self.status[k] == STICKS:
+                begins[k] = np.sign(lam[self.whole.row_laws[k].row])
+        return begins
+
+    def _require_progress(self, t, rows):
+        """Raise StepFailure if rows change too often, in all or at one time."""
+        if t > self.last + 1e-12 * max(1.0, abs(t)):
+            self.counts[1], self.last = 0, t
+        self.counts[:, rows] += 1
+        for limit, counts, why in ((MOST, self.counts[0], "changed"), (AT_ONCE, self.counts[1], "changed at one time")):
+            if (counts > limit).any():
+                name = self.contacts.names[int(np.argmax(counts))]
+                advice = "use polyida.NonsmoothAlpha(h=...), which steps through"
+                raise StepFailure("events", f"the contact or friction of {name!r} {why} more than {limit} times; {advice}", t)

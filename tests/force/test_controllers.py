@@ -1,0 +1,180 @@
+"""Sampled controllers: zero-order hold in every integrator, orders behind jumps of the outputs, resumed runs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import polyida as pi
+
+PERIOD, KP, KD, LAG = 0.05, 20.0, 3.0, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPD(pi.Controller):
+    """Force along x at a point, N: `-kp (x - goal) - kd x'`, held between samples."""
+
+    at: object
+    goal: float = 1.3
+    period: float = PERIOD
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def sample(self, t, x, v, s, u):
+        return np.array([-KP * (x[0, 0] - self.goal) - KD * v[0, 0]])
+
+    def forces(self, t, x, v, s, u):
+        f = np.zeros((1, 2))
+        f[0, 0] = u[0]
+        return f
+
+
+@dataclass(frozen=True, eq=False)
+class LaggedPD(SampledPD):
+    """The same through a lag: the output acts on the rate of a state only."""
+
+    states = ("force",)
+
+    def rates(self, t, x, v, s, u):
+        return np.array([(u[0] - s[0]) / LAG])
+
+    def forces(self, t, x, v, s, u):
+        f = np.zeros((1, 2))
+        f[0, 0] = s[0]
+        return f
+
+
+CompiledPD, CompiledLaggedPD = (pi.compiled(type(f"Compiled{kind.__name__}", (kind,), {})) for kind in (SampledPD, LaggedPD))
+
+
+def cart(kind):
+    """A body of 1 kg on a rail that moves at 1 m/s and is to stop at 1.3 m."""
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(1.0, 0.0), velocity=(1.0, 0.0), name="body"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at("c"), name="rail"))
+    scene.add(pi.PointMass(body.at("c"), 1e-12, name="c"))
+    scene.add(kind(body.at("c"), name="control"))
+    return scene.build()
+
+
+def exact(end, lagged):
+    """Place of the cart at the end, m."""
+    x, v, force = 0.0, 1.0, 0.0
+    for _ in range(round(end / PERIOD)):
+        u = -KP * (x - 0.3) - KD * v
+        if lagged:
+            A = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, -1.0 / LAG, 1.0 / LAG], np.zeros(4)])
+            x, v, force, _ = expm(A * PERIOD) @ [x, v, force, u]
+        else:
+            x, v = x + PERIOD * v + PERIOD**2 / 2 * u, v + PERIOD * u
+    return 1.0 + x
+
+
+METHODS = [pi.GeneralizedAlpha(h=0.01), pi.RadauIIA(rtol=1e-8), pi.IDA(rtol=1e-7), pi.EnergyMomentum(h=0.01)]
+
+
+@pytest.mark.parametrize("kind", [SampledPD, CompiledPD])
+@pytest.mark.parametrize("integrator", METHODS)
+def test_forces_that_jump(kind, integrator):
+    run = pi.solve(cart(kind), 1.0, integrator)
+    assert run.position("c")[-1, 0] == pytest.approx(exact(1.0, False), abs=1e-9)  # the motion is quadratic between samples
+    assert set(np.round(np.arange(1, 20) * PERIOD, 12)) <= set(np.round(run.t, 12))
+
+
+@pytest.mark.parametrize("kind", [LaggedPD, CompiledLaggedPD])
+def test_outputs_that_act_on_rates(kind):
+    model, right = cart(kind), exact(1.0, True)
+    for method in (pi.GeneralizedAlpha, pi.EnergyMomentum):
+        coarse, fine = (abs(pi.solve(model, 1.0, method(h=h)).position("c")[-1, 0] - right) for h in (0.01, 0.005))
+        assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.15)
+    for integrator in METHODS[1:3]:
+        assert pi.solve(model, 1.0, integrator).position("c")[-1, 0] == pytest.approx(right, abs=1e-7)
+    states = pi.solve(model, 0.1, METHODS[1]).states("control")
+    assert states.shape[1] == 2 and states[0, 1] == pytest.approx(KP * 0.3 - KD)  # the output at the start
+
+
+@pi.compiled
+@dataclass(frozen=True, eq=False)
+class SampledTorque(pi.Controller):
+    """A torque on a direction, N m, that brakes its rotation."""
+
+    at: object
+    period: float = 0.1
+    name: str | None = None
+
+    def sides(self):
+        return (self.at.d,)
+
+    def sample(self, t, x, v, s, u):
+        return np.array([-2.0 * (x[0, 0] * v[0, 1] - x[0, 1] * v[0, 0])])
+
+    def forces(self, t, x, v, s, u):
+        f = np.zeros((1, 2))
+        size = x[0, 0] ** 2 + x[0, 1] ** 2
+        f[0, 0], f[0, 1] = -u[0] * x[0, 1] / size, u[0] * x[0, 0] / size
+        return f
+
+
+def pendulum():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), bar.at("left"), name="pin"))
+    scene.add(pi.PointMass(bar.at("right"), 0.1, name="tip"))
+    scene.add(SampledTorque(bar.at("right"), name="brake"))
+    return scene.build()
+
+
+def test_generalized_alpha_is_of_order_two_in_places_and_multipliers_through_jumps():
+    model, end = pendulum(), 0.95
+    reference = pi.solve(model, end, pi.RadauIIA(rtol=1e-11))
+    errors = []
+    for n in (190, 380, 760):
+        run = pi.solve(model, end, pi.GeneralizedAlpha(h=end / n))
+        errors.append([abs(run.position("tip")[-1] - reference.position("tip")[-1]).max(), abs(run.lam[-1] - reference.lam[-1]).max()])
+    orders = np.log2(np.array(errors)[:-1] / np.array(errors)[1:])
+    assert orders == pytest.approx(np.full((2, 2), 2.0), abs=0.2)
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.01), pi.RadauIIA(h=0.02), pi.EnergyMomentum(h=0.01)])
+def test_a_run_that_goes_on_is_the_same_to_the_last_bit(integrator):
+    model = pendulum()
+    whole = pi.solve(model, 0.8, integrator)
+    first = pi.solve(model, 0.4, integrator)
+    for _ in range(2):  # the state is not changed
+        rest = pi.solve(model, 0.8, integrator, state=first.state)
+        assert np.array_equal(rest.q[-1], whole.q[-1])
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [({"period": 0.0}, "period = 0.0"), ({"sample": pi.Controller.sample}, "gives no sample"), ({"outputs": ()}, "outputs = ()")],
+)
+def test_wrong_controllers_are_refused_by_name(changes, words):
+    wrong = dataclass(frozen=True, eq=False)(
+        type("Wrong", (SampledPD,), changes | {"__annotations__": {"period": float}} if "period" in changes else changes)
+    )
+    with pytest.raises(pi.InputError, match="control") as refused:
+        cart(wrong)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("output, words", [([1.0, 2.0], "shape (1,)"), ([np.nan], "not finite")])
+def test_wrong_outputs_are_refused_by_name(output, words):
+    model = cart(type("Wrong", (SampledPD,), {"sample": lambda *_: np.array(output)}))
+    with pytest.raises((pi.InputError, pi.StepFailure), match="control") as refused:
+        pi.solve(model, 1.0, pi.GeneralizedAlpha(h=0.01))
+    assert words in str(refused.value)
+
+
+def test_a_yielded_state_keeps_its_memory():
+    model, before, compared = pendulum(), None, 0
+    for state in pi.EnergyMomentum(h=0.01).steps(model, pi.consistent_state(model), 0.35, pi.Counts()):
+        if before is not None and before[1] is not None:
+            assert np.array_equal(before[0].memory["v_free"], before[1])
+            compared += 1
+        free = state.memory.get("v_free")
+        before = state, None if free is None else free.copy()
+    assert compared

@@ -1,0 +1,238 @@
+"""Contact and friction: closed forms and published numbers, by events and by time stepping."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+G = 9.81
+RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Kerb(pi.Joint):
+    """The point of b stays above the line through a; it bounces and rubs."""
+
+    restitution: float = 0.0
+    mu: float = 0.0
+
+    def rows(self):
+        w = self.b.x - self.a.x
+        gap = pi.cross(self.a.d, w).opens(self.restitution)
+        return [gap, pi.dot(self.a.d, w).rubs(self.mu, on=[gap])]
+
+
+def on_floor(points, origin, e=0.0, mu=0.0, velocity=(0.0, 0.0), spin=0.0, inertia=0.01, gravity=(0.0, -G)):
+    """A body of 1 kg above the x axis, which its points can touch."""
+    scene = pi.Scene(gravity=gravity)
+    body = scene.add(
+        pi.RigidBody(mass=1.0, inertia=inertia, points={"c": (0.0, 0.0)} | points, origin=origin, velocity=velocity, spin=spin, name="body")
+    )
+    for name in points:
+        scene.add(Kerb(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at(name), restitution=e, mu=mu, name=name))
+    return scene.build()
+
+
+def pendulum(angle):
+    """A bar of 1 m with friction in its pin, from an angle of the vertical."""
+    scene, d = pi.Scene(gravity=(0.0, -G)), np.array([np.sin(angle), -np.cos(angle)])
+    bar = scene.add(pi.RigidBody(mass=1.0, inertia=1 / 12, points={"A": -0.5 * d, "B": 0.5 * d}, origin=0.5 * d, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("A"), friction=0.3, pin_radius=0.02, name="pin"))
+    scene.add(pi.PointMass(bar.at("B"), 1e-12, name="tip"))
+    return scene.build()
+
+
+def angle_of(run):
+    x, y = run.position("tip")[-1]
+    return np.arctan2(x, -y)
+
+
+def bounces(t, e, g, height):
+    """Height at t of a ball that falls from rest, and the number of its impacts."""
+    at, v, count = np.sqrt(2 * height / g), np.sqrt(2 * height * g), 0
+    if t < at:
+        return height - 0.5 * g * t * t, 0
+    while True:
+        v, count = e * v, count + 1
+        if t < at + 2 * v / g:
+            return v * (t - at) - 0.5 * g * (t - at) ** 2, count
+        at += 2 * v / g
+
+
+@pytest.mark.parametrize(
+    "integrator, error",
+    [
+        (RADAU, 1e-12),
+        (ALPHA, 1e-11),
+        (IDA, 1e-7),
+        (pi.EnergyMomentum(h=2e-3), 1e-9),
+        (pi.NonsmoothAlpha(h=2e-3), 2e-2),
+        (pi.MoreauJean(h=2e-3), 4e-2),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_ball_bounces(integrator, error):
+    model = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8)
+    run, (height, count) = pi.solve(model, 1.5, integrator), bounces(1.5, 0.8, G, 1.0)
+    assert run.success, run.message
+    assert len(run.events) == count == 2 and [one.name for one in run.events] == ["p", "p"]
+    assert abs(run.q[-1, 1] + 1.0 - height) < error
+    first = 0.5 * G * 2 * (1 - 0.8**2)
+    assert abs(run.events[0].energy_lost - first) < max(error, 1e-9) * 50
+    assert run.q[:, 1].min() > -1.0 - (1e-10 if error != 4e-2 else 2e-2)
+
+
+def test_bounces_that_accumulate_end_at_rest():
+    run = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8), 5.0, pi.NonsmoothAlpha(h=5e-3))
+    assert run.success and abs(run.q[-1, 1] + 1.0) < 1e-12 and abs(run.v[-1]).max() < 1e-12
+    assert abs(run.reaction("p")[-1, 1] - G) < 1e-9
+    rest = np.sqrt(2 / G) * (1 + 0.8) / (1 - 0.8)
+    located = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8), 5.0, pi.RadauIIA(rtol=1e-9))
+    assert located.success and abs(located.q[-1, 1] + 1.0) < 1e-9
+    assert rest - 2e-3 < located.events[-1].t < rest
+
+
+@pytest.mark.parametrize(
+    "integrator", [RADAU, ALPHA, IDA, pi.NonsmoothAlpha(h=2e-3), pi.MoreauJean(h=2e-3)], ids=lambda x: type(x).__name__
+)
+def test_a_block_slides_to_rest(integrator):
+    scene = pi.Scene(gravity=(0.0, -G))
+    block = scene.add(pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)}, origin=(0.0, 0.0), velocity=(2.0, 0.0), name="block"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), block.at("c"), friction=0.3, name="guide"))
+    run = pi.solve(scene.build(), 1.0, integrator)
+    error = 1e-6 if integrator in (RADAU, IDA) else 1e-5
+    assert run.success, run.message
+    assert abs(run.q[-1, 0] - 2.0**2 / (2 * 0.3 * G)) < error
+    assert abs(run.energy.dissipated["guide"][-1] - 2.0) < 20 * error
+    assert np.abs(run.v[-1]).max() < 1e-12
+
+
+@pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=5e-3), pi.MoreauJean(h=5e-3)], ids=lambda x: type(x).__name__)
+def test_no_creep_on_an_incline(integrator):
+    a = 0.3
+    model = on_floor({"p": (0.0, 0.0)}, (0.0, 0.0), mu=0.4, gravity=(G * np.sin(a), -G * np.cos(a)))
+    run = pi.solve(model, 1.0, integrator)
+    assert run.success and np.abs(run.q).max() < 1e-12
+    assert np.abs(run.reaction("p")[-1] - [-G * np.sin(a), G * np.cos(a)]).max() < 1e-9
+
+
+def test_pin_friction_to_second_order():
+    """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
+    errors = [angle_of(pi.solve(pendulum(1.0), 3.0, pi.NonsmoothAlpha(h=h))) + 0.119172717 for h in (2e-2, 1e-2)]
+    assert abs(np.log2(abs(errors[0] / errors[1])) - 2.0) < 0.15
+    assert abs(angle_of(pi.solve(pendulum(1.0), 3.0, pi.RadauIIA(rtol=1e-8))) + 0.119172717) < 1e-7
+
+
+def test_a_pendulum_sticks():
+    run = pi.solve(pendulum(0.1), 5.0, pi.NonsmoothAlpha(h=1e-2))
+    assert np.abs(run.v[-1]).max() < 1e-12 and abs(angle_of(run) - 0.00383) < 5e-5 and run.drift.max() < 1e-11
+
+
+@pytest.mark.parametrize("integrator, error", [(RADAU, 1e-8), (pi.NonsmoothAlpha(h=1e-3), 1e-3)], ids=lambda x: type(x).__name__)
+def test_rocking_block(integrator, error):
+    """A block of 0.2 m x 0.8 m rocks from one corner to the other: the ratio of its rates is 31/34."""
+    w, h, angle = 0.1, 0.4, 0.05
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    points = {"left": tuple(turned @ [-w, -h]), "right": tuple(turned @ [w, -h])}
+    model = on_floor(points, tuple(turned @ [w, h]), mu=10.0, inertia=(w * w + h * h) / 3)
+    run = pi.solve(model, 0.3, integrator)
+    assert run.success, run.message
+    rate, k = np.hypot(*run.v[:, 2:4].T), next(one.frame for one in run.events if one.name == "right")
+    after = rate[k] if integrator is RADAU else 2.0 * rate[k] - rate[k + 1]  # behind the impact, or at the beginning of its step
+    assert abs(after / rate[k - 1] - 31 / 34) < error
+
+
+@pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=1e-3)], ids=lambda x: type(x).__name__)
+def test_momentum_and_energy_of_two_balls(integrator):
+    """Two equal balls of an own model, e = 1: they exchange their velocities at t = 0.32 (gap 0.32, approach 1)."""
+
+    class Balls(pi.Model):
+        n, m = 2, 1
+        needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+        row_laws = (pi.RowLaw(0, "balls", restitution=1.0),)
+
+        def mass(self, q):
+            return np.eye(2)
+
+        def force(self, t, q, v):
+            return np.zeros(2)
+
+        def phi(self, t, q):
+            return np.array([q[1] - q[0] - 0.2])
+
+        def phi_q(self, t, q):
+            return np.array([[-1.0, 1.0]])
+
+        def potential(self, q):
+            return 0.0
+
+    run = pi.solve(Balls(), 1.0, integrator, q0=[0.0, 0.52], v0=[1.0, 0.0])
+    assert run.success, run.message
+    assert np.abs(run.v[-1] - [0.0, 1.0]).max() < 1e-12
+    step = 0.0 if integrator is RADAU else 1e-3
+    assert abs(run.events[0].t - 0.32) <= step + 1e-12 and abs(run.events[0].energy_lost) < 1e-12
+    assert np.abs(run.q[-1] - [0.32, 1.2]).max() < step + 1e-12
+
+
+def test_wrong_laws():
+    ground, body = (
+        pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)),
+        pi.RigidBody(mass=1.0, inertia=1.0, points={"c": (0.0, 0.0)}, origin=(0.0, -0.1)),
+    )
+    gap = pi.cross(ground.d, body.at("c").x)
+    with pytest.raises(pi.InputError, match="restitution = 1.2"):
+        gap.opens(1.2)
+    with pytest.raises(pi.InputError, match="mu = -0.1"):
+        gap.rubs(-0.1, on=[gap])
+    with pytest.raises(pi.InputError, match="needs `on`"):
+        gap.rubs(0.3)
+    with pytest.raises(pi.InputError, match="friction = -1"):
+        pi.Prismatic(ground, body.at("c"), friction=-1)
+    with pytest.raises(pi.InputError, match="pin_radius"):
+        pi.Revolute(ground, body.at("c"), friction=0.1)
+    with pytest.raises(pi.InputError, match="kerb.*0.1 m within"):
+        scene = pi.Scene(gravity=(0.0, 0.0))
+        scene.add(body)
+        scene.add(Kerb(ground, body.at("c"), name="kerb"))
+        scene.build()
+    for wrong in ({"h": -1.0}, {"h": 1.0, "rho_inf": 1.0}):
+        with pytest.raises(pi.InputError, match="NonsmoothAlpha"):
+            pi.NonsmoothAlpha(**wrong)
+    with pytest.raises(pi.InputError, match="theta"):
+        pi.MoreauJean(1e-3, theta=0.4)
+
+
+def test_an_integrator_without_laws_is_refused():
+    class Own:
+        def steps(self, model, state, t_end, counts):
+            yield state
+
+    with pytest.raises(pi.InputError, match="Own knows no laws .* p;"):
+        pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0)), 1.0, Own())
+
+
+@pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=2e-3)], ids=lambda x: type(x).__name__)
+def test_files_and_resume(integrator, tmp_path):
+    model, path = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8, velocity=(0.3, 0.0)), tmp_path / "run.h5"
+    whole = pi.solve(model, 1.5, integrator)
+    half = pi.solve(model, 0.8, integrator, out=path)
+    assert [one.t for one in pi.load(path).events] == [one.t for one in half.events]
+    run = pi.resume(path, t_end=1.5, model=model)
+    assert [one.t for one in run.events] == pytest.approx([one.t for one in whole.events], abs=1e-12)
+    assert np.abs(run.q[-1] - whole.q[-1]).max() < 1e-12
+
+
+def test_events_beside_friction():
+    """A block that slides with friction is welded where it has gone 0.2 m: it had the energy of sqrt(v0^2 - 2 mu g s) then."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    block = scene.add(pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)}, origin=(0.0, 0.0), velocity=(2.0, 0.0), name="block"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), block.at("c"), friction=0.3, name="guide"))
+    latch = pi.Event(when=lambda s: s.q[0] - 0.2, then=pi.Weld(pi.ground, block.at("c")), name="latch")
+    run = pi.solve(scene.build(), 0.3, pi.NonsmoothAlpha(h=1e-3), events=[latch])
+    assert run.success, run.message
+    assert [one.name for one in run.events] == ["latch"] and abs(run.q[-1, 0] - 0.2) < 1e-9 and np.abs(run.v[-1]).max() < 1e-12
+    assert abs(run.events[0].energy_lost - (2.0 - 0.3 * G * 0.2)) < 1e-5
+    with pytest.raises(pi.InputError, match="events= beside contact"):
+        pi.solve(scene.build(), 0.3, ALPHA, events=[latch])

@@ -1,0 +1,202 @@
+"""Contact without stiffness: momentum, penetration, energy, opening of penetration, and what other functions say of models with laws."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.io.scene_data import from_data, to_data
+from polyida.study.comparison import compare
+from polyida.study.ivp import InitialValueProblem
+
+G = 9.81
+EAST = pi.ground.at((0.0, 0.0), direction=(1.0, 0.0))
+STEPS = pi.NonsmoothAlpha(h=5e-3)
+
+
+def body(name, at, points=(), **motion):
+    """A body of 1 kg with the point "c" at its centre."""
+    return pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)} | dict(points), origin=at, name=name, **motion)
+
+
+def block(y=0.1, gravity=(0.0, -G), **contact):
+    """A scene with a block, 0.2 m wide and high, on two points of its lower edge."""
+    scene = pi.Scene(gravity=gravity)
+    moving = scene.add(body("block", (0.0, y), {"left": (-0.1, -0.1), "right": (0.1, -0.1)}))
+    for name in ("left", "right"):
+        scene.add(pi.Contact(moving.at(name), EAST, name=name, **contact))
+    return scene
+
+
+def momenta(model, run):
+    """Momentum in x and y, and about the origin, (frames, 3), of rigid bodies."""
+    M, result = model.mass(run.q[0]), []
+    for q, v in zip(run.q, run.v):
+        x, p = model.reference + q.reshape(-1, 2), (M @ v).reshape(-1, 2)
+        p, turning = p * 1.0, float((x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0]).sum())
+        result.append([*sum(p[2 * k] for k in range(len(p) // 2)), turning])
+    return np.array(result)
+
+
+def test_plate_falls_flat():
+    """All nodes land at once: the change of momentum is that of weight and reaction, nothing penetrates, and energy does not grow."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    plate = pi.Plate(
+        pi.mesh.quads(1.0, 0.5, 6, 3), pi.Material(1e7, 0.3, 1000.0), 0.01, origin=(0.0, 0.26), velocity=(0.2, -2.0), name="plate"
+    )
+    scene.add(plate)
+    scene.add(pi.Contact(plate.section("bottom"), EAST, friction=0.3, name="floor"))
+    model, weight = scene.build(), np.array([0.0, -5.0 * G])
+    run = pi.solve(model, 0.05, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5))
+    assert run.success, run.message
+    assert len(model.labels) == 2 * 7 and run.events and run.events[0].name == "floor"
+    p = np.array([(model.mass(q) @ v).reshape(-1, 2).sum(axis=0) for q, v in zip(run.q, run.v)])
+    before = int(np.searchsorted(run.t, run.events[0].t))
+    assert np.abs(p[before - 1] - p[0] - run.t[before - 1] * weight).max() < 1e-11
+    assert np.abs(p[-1] - p[0] - 5e-4 * (weight - run.reaction("floor")[1:]).sum(axis=0)).max() < 5e-3 * np.ptp(p[:, 1])
+    assert run.drift.max() < 1e-9 and run.velocity_drift.max() == 0.0
+    assert np.diff(run.energy.total).max() < 1e-3 * run.energy.kinetic.max() and run.energy.total[1:].max() <= run.energy.total[0] * (
+        1 + 1e-12
+    )
+    run = pi.solve(model, 0.05, pi.MoreauJean(h=1e-3))
+    p = np.array([(model.mass(q) @ v).reshape(-1, 2).sum(axis=0) for q, v in zip(run.q, run.v)])
+    assert np.abs(np.diff(p, axis=0) - 1e-3 * (weight - run.reaction("floor")[1:])).max() < 1e-10
+
+
+def test_block_rests_on_two_points():
+    """On an incline below the angle of friction; the normal forces balance weight and its moment."""
+    a = 0.2
+    run = pi.solve(block(gravity=(G * np.sin(a), -G * np.cos(a)), friction=0.3).build(), 0.5, STEPS)
+    assert run.success, run.message
+    assert np.abs(run.q).max() < 1e-12
+    left, right = run.reaction("left")[-1], run.reaction("right")[-1]
+    assert np.abs(left + right - [G * np.sin(a), -G * np.cos(a)]).max() < 1e-8
+    assert abs(0.1 * (right[1] - left[1]) + 0.1 * G * np.sin(a)) < 1e-8
+    assert run.drift.max() < 1e-12 and "grows" not in run.summary()
+
+
+def test_line_of_a_moving_body():
+    """A ball hits a beam in flight: momentum of both and angular momentum are conserved, with friction; without, also the energy if e = 1."""
+    for e, mu in ((0.5, 0.3), (1.0, 0.0)):
+        scene = pi.Scene(gravity=(0.0, 0.0))
+        beam = scene.add(body("beam", (0.0, 0.0), velocity=(0.0, 0.5), spin=0.3))
+        ball = scene.add(body("ball", (0.2, 0.3), velocity=(0.4, -2.0)))
+        scene.add(pi.Contact(ball.at("c"), beam.at("c"), restitution=e, friction=mu, name="hit"))
+        model = scene.build()
+        for integrator in (STEPS, pi.RadauIIA(rtol=1e-10)):
+            run = pi.solve(model, 0.3, integrator)
+            assert run.success and [one.name for one in run.events] == ["hit"], run.message
+            p = momenta(model, run)
+            error = 1e-9 if integrator is not STEPS else 1e-3  # of first order at impacts, where the time is that of a step
+            assert np.abs(p - p[0])[:, :2].max() < 1e-12 and np.abs(p - p[0])[:, 2].max() < error
+            assert run.drift.max() < 1e-11
+            lost = run.energy.total[0] - run.energy.total[-1]
+            assert integrator is STEPS or abs(lost - run.events[0].energy_lost) < error
+            assert e < 1.0 or abs(lost) < 10 * error
+
+
+def test_circle():
+    """A ball falls beside the top of a fixed circle, e = 1: it rebounds by the law of reflection."""
+    scene = pi.Scene(gravity=(0.0, 0.0))
+    ball = scene.add(body("ball", (0.3, 1.0), velocity=(0.0, -1.0)))
+    scene.add(pi.Contact(ball.at("c"), pi.ground.at((0.0, 0.0)), restitution=1.0, radius=0.5, name="hoop"))
+    run = pi.solve(scene.build(), 1.0, pi.RadauIIA(rtol=1e-9))
+    assert run.success, run.message
+    assert abs(run.events[0].t - 0.6) < 1e-9
+    assert np.abs(run.v[-1, :2] - [2 * 0.8 * 0.6, 2 * 0.8 * 0.8 - 1.0]).max() < 1e-9 and run.drift.max() < 1e-9
+
+
+def test_assemble_opens_penetration_alone():
+    scene = block(y=0.05, friction=0.3)
+    with pytest.raises(pi.InputError, match=r"left: its sides are 0\.05 m within each other"):
+        scene.build()
+    moved = scene.assemble()
+    assert moved.shift["block"] == pytest.approx(0.05) and moved.turn["block"] == pytest.approx(0.0, abs=1e-12)
+    assert pi.solve(scene.build(), 0.05, STEPS).success
+    above = block(y=0.4, friction=0.3).assemble()
+    assert above.largest == 0.0 and above.gap == 0.0
+
+
+def test_open_gaps_and_slip_are_no_drift():
+    """A ball falls, lands and slides; a comparison takes its reference by events too."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    ball = scene.add(body("ball", (0.0, 0.1), velocity=(1.0, 0.0)))
+    scene.add(pi.Contact(ball.at("c"), EAST, friction=0.1, name="floor"))
+    model = scene.build()
+    run = pi.solve(model, 0.3, STEPS)
+    assert run.drift.max() < 1e-12 and run.velocity_drift.max() < 1e-12
+    assert "|phi| <= 0.1" not in run.summary() and run.unique("floor")
+    assert np.abs(run.reaction("floor")[-1] - [0.1 * G, -G]).max() < 1e-9
+    speed = 1.0 - 0.1 * G * 0.3  # mu times the impulse of the impact, and of the weight behind it
+    assert abs(run.v[-1, 0] - speed) < 1e-9
+    found = compare(InitialValueProblem("ball", model, 0.3), integrators={"steps": STEPS, "alpha": pi.GeneralizedAlpha(h=1e-2)})
+    assert found.success
+    assert found.rows[1]["error_max"] < 1e-9 and found.rows[0]["error_end"] < 2e-2 and found.rows[1]["drift_max"] < 1e-9
+
+
+def test_functions_of_equations_refuse_laws():
+    scene = block()
+    model, late = scene.build(), pi.Event(when=lambda s: s.t - 0.01, name="late")
+    run = pi.solve(model, 0.01, STEPS)
+    for call in (
+        lambda: pi.static(model),
+        lambda: pi.modes(model),
+        lambda: pi.gradient(run, pi.objective.Deviation("block", (0.0, 0.0))),
+        lambda: scene.build(redundant="least-norm"),
+        lambda: pi.solve(model, 0.1, pi.RadauIIA(), events=[late]),
+    ):
+        with pytest.raises(pi.InputError, match="contact and friction of 'left', 'right' are no equations"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"restitution": 1.1}, "restitution = 1.1"),
+        ({"restitution": -0.1}, "restitution = -0.1"),
+        ({"friction": -0.3}, "friction = -0.3"),
+        ({"radius": 0.0}, "radius = 0"),
+        ({"b": pi.ground}, "no place"),
+        ({"b": pi.Plate(pi.mesh.quads(1.0, 0.5, 2, 1), pi.Material(1e7, 0.3, 1e3), 0.01, name="plate").node(0)}, "has no direction"),
+    ],
+)
+def test_wrong_arguments(wrong, message):
+    arguments = {"a": body("ball", (0.0, 1.0)).at("c"), "b": EAST} | wrong
+    with pytest.raises(pi.InputError, match=message):
+        pi.Contact(**arguments)
+
+
+def test_files_keep_contacts_and_read_the_former_name_of_penalty_contacts():
+    scene = block(friction=0.3)
+    scene.add(pi.PenaltyContact(scene.parts["block"].at("c"), EAST, 1e3, name="soft"))
+    description, arrays, _ = to_data(scene.build())
+    kinds = [entry for entry in description["parts"] if entry["kind"] == "PenaltyContact"]
+    assert len(kinds) == 1
+    kinds[0]["kind"] = "Contact"
+    parts, _ = from_data(description, arrays)
+    assert isinstance(parts["soft"], pi.PenaltyContact) and parts["soft"].stiffness == 1e3
+    assert isinstance(parts["left"], pi.Contact) and parts["left"].friction == 0.3
+
+
+def test_clearance():
+    """A pin that slides in its hole is a pendulum; two free bodies with friction keep their momenta."""
+    c, along = 0.02, np.array([np.sin(0.5), -np.cos(0.5)])
+    ends = []
+    for joint in (lambda a, b: pi.Clearance(a, b, gap=c), pi.Distance):
+        scene = pi.Scene(gravity=(0.0, -G))
+        pin = scene.add(body("pin", tuple(c * along)))
+        scene.add(joint(pi.ground.at((0.0, 0.0)), pin.at("c")))
+        run = pi.solve(scene.build(), 0.2, pi.RadauIIA(rtol=1e-9))
+        assert run.success, run.message
+        ends.append(run.q[-1, :2])
+    assert np.abs(ends[0] - ends[1]).max() < 1e-8
+    scene = pi.Scene(gravity=(0.0, 0.0))
+    hole, pin = scene.add(body("hole", (0.0, 0.0), spin=2.0)), scene.add(body("pin", (0.0, 0.0), velocity=(1.0, 0.5)))
+    scene.add(pi.Clearance(hole.at("c"), pin.at("c"), gap=c, restitution=0.5, friction=0.3, pin_radius=0.1, name="bearing"))
+    model = scene.build()
+    run = pi.solve(model, 0.03, pi.RadauIIA(rtol=1e-10))
+    assert run.success and run.events[0].name == "bearing", run.message
+    p = momenta(model, run)
+    assert np.abs(p - p[0]).max() < 1e-9 and np.abs(run.v[-1, 6:]).max() > 1e-3  # friction turns the pin
+    for wrong, message in (({"gap": 0.0}, "gap = 0"), ({"gap": c, "friction": 0.1}, "pin_radius = None")):
+        with pytest.raises(pi.InputError, match=message):
+            pi.Clearance(hole.at("c"), pin.at("c"), **wrong)
