@@ -65,7 +65,8 @@ class AdjointState(NamedTuple):
 class SweepResult(NamedTuple):
     """Results of a sweep: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
 
-    In the stabilised form also kappa (count, m), multipliers of phi's rate, and (y', slip, eta) of `y' . (M slip + B^T eta)`; else None.
+    With velocity rows or in the stabilised form also kappa (count, m), multipliers of phi's rate; in that form (y', slip, eta) of
+    `y' . (M slip + B^T eta)`. Else None.
     """
 
     bars: AdjointState
@@ -234,7 +235,7 @@ def stretch(f, workspace, p, j, first, last, y, z, out):
 def adjoint_table(model, settings, h, counts):
     """The table of a model for steps of h. counts: Counts to be increased."""
     to_a, to_v = settings.coefficients.rates(h)
-    if settings.form == "index3" and settings.linear != "kkt":
+    if settings.form == "index3" and settings.linear != "kkt" and not model.velocity_rows.size:
         if model.compiled:
             from polyida.adjoint.scene_table import EXACT, SceneAdjoint
 

@@ -37,6 +37,7 @@ from polyida.progress import over_time, require_progress
 from polyida.trajectory import Trajectory
 from polyida.validation import named_keywords, require_bytes
 
+OF_LAWS = "there is no adjoint of impacts and stick yet"
 ELASTIC = (PeakStress, StrainEnergy)
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
@@ -81,7 +82,7 @@ def gradient(
     InputError
         For another type of run, objective or integrator, for an unknown parameter or one that moves the constraints of a held state, for a
         run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), for a run with events, and for
-        forces that jump where a gap switches.
+        forces that jump where a gap switches; for velocity rows in form "stabilised", in equilibria and in modes.
 
     Notes
     -----
@@ -131,7 +132,7 @@ def gradient(
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
         model = run.known_model("gradient")
-        _require_smooth_rows(guard(model))
+        require_no_laws("gradient", guard(model), OF_LAWS)
         if model.samples(float(run.t[0]), float(run.t[-1])):
             raise InputError("gradient: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
         if run.events.given:
@@ -143,6 +144,8 @@ def gradient(
             why = WHY.get(name, "has no adjoint here")
             raise InputError(f"gradient: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
         kind.require_settings(run.integrator)
+        if getattr(run.integrator, "form", "") == "stabilised":
+            _require_no_velocity_rows(guard(model), 'form "stabilised" has', 'form "index3" has')
         if run.plan.get("began") == "run":
             raise InputError(
                 "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
@@ -158,11 +161,10 @@ def gradient(
             return adjoint.gradient(lambda t: tell(begin + end - t))
 
 
-def _require_smooth_rows(model):
-    require_no_laws("gradient", model, "there is no adjoint of impacts and stick yet")
+def _require_no_velocity_rows(model, what, other):
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
-        raise InputError(f"gradient: {name} is a velocity row, for which there is no adjoint; use differences of runs")
+        raise InputError(f"gradient: {name} is a velocity row, for which {what} no adjoint; {other}")
 
 
 def _relaxing(model):
@@ -181,7 +183,8 @@ def _names(parameters):
 
 def gradient_of_state(subject, objective, names=None):
     """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
-    _require_smooth_rows(guard(subject.model))
+    require_no_laws("gradient", guard(subject.model), OF_LAWS)
+    _require_no_velocity_rows(guard(subject.model), "equilibria and modes have", "runs have")
     totals, counts = Totals(subject.model, names), Counts()
     own = objective.slopes(subject)(slice(0, 1))
     totals.add_own(own)

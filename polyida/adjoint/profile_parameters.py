@@ -87,10 +87,12 @@ def profile_works(model, work):
     for k, drive in enumerate(s.load_drive):  # forces times a value: `r = ... - value F`
         of = slice(s.load_ptr[k], s.load_ptr[k + 1])
         result[:, drive, 0] -= np.einsum("kie,ie->k", w[:, s.load_nodes[of]], s.load_values[of])
-    for row, drive, factor in zip(links.shift_row, links.shift_drive, links.shift_factor):  # profiles that are added to rows of phi
+    for row, drive, factor, shift in zip(
+        links.shift_row, links.shift_drive, links.shift_factor, links.shift_order
+    ):  # profiles added to rows
         for order, factors in enumerate((work.mu, work.kappa, work.nu)):
-            if factors is not None:
-                result[:, drive, order] += factor * factors[:, row]
+            if factors is not None and order + shift > 0:
+                result[:, drive, order + shift - 1] += factor * factors[:, row]
     _add_products(model, work, result)
     for name, part in model.parts.items():
         if isinstance(part, ForceElement):
@@ -103,6 +105,7 @@ def _add_products(model, work, result):
 
     The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
     - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.
+    Of velocity rows `R(theta) E . F'` the rate is the row itself and the bias `E' . F' + theta' E x F'`; their force acts on F alone.
     """
     from scipy.sparse import csr_array
 
@@ -125,20 +128,22 @@ def _add_products(model, work, result):
     (e, f), (we, wf) = moved(work.q), moved(work.w)
     e, f = e + turn * rest[first], f + rest[other]
     slopes = np.zeros((len(work.t), len(turned), 3))
-    slopes[..., 0] = work.lam[:, rows] * (_cross(we, f) + _cross(e, wf))
+    held = 1.0 - s.product_rate[turned]  # 0 of velocity rows
+    slopes[..., 0] = work.lam[:, rows] * (held * _cross(we, f) + _cross(e, wf))
     if work.mu is not None:
         slopes[..., 0] += work.mu[:, rows] * _cross(e, f)
     if work.kappa is not None or work.nu is not None:
         u, g = moved(work.v)
-        mixed = _cross(u, f) + _cross(e, g)
+        mixed = held * _cross(u, f) + _cross(e, g)
     if work.kappa is not None:
-        slopes[..., 0] += work.kappa[:, rows] * (mixed - speed * _dot(e, f))
-        slopes[..., 1] += work.kappa[:, rows] * _cross(e, f)
+        slopes[..., 0] += work.kappa[:, rows] * (mixed - held * speed * _dot(e, f))
+        slopes[..., 1] += work.kappa[:, rows] * held * _cross(e, f)
     if work.nu is not None:
-        nu, pushed = work.nu[:, rows], _dot(u, f) + _dot(e, g)
-        slopes[..., 0] += nu * (2.0 * _cross(u, g) - second * _dot(e, f) - speed**2 * _cross(e, f) - 2.0 * speed * pushed)
-        slopes[..., 1] += nu * 2.0 * (mixed - speed * _dot(e, f))
-        slopes[..., 2] += nu * _cross(e, f)
+        nu, of_phi = work.nu[:, rows], work.nu[:, rows] * held
+        slopes[..., 0] += (nu + of_phi) * _cross(u, g) - of_phi * (second * _dot(e, f) + speed**2 * _cross(e, f))
+        slopes[..., 0] -= speed * (2.0 * of_phi * _dot(u, f) + (nu + of_phi) * _dot(e, g))
+        slopes[..., 1] += (nu + of_phi) * mixed - 2.0 * of_phi * speed * _dot(e, f)
+        slopes[..., 2] += of_phi * _cross(e, f)
     for p, drive in enumerate(s.product_drive[turned]):
         result[:, drive] += slopes[:, p]
 

@@ -119,12 +119,14 @@ class RadauAdjoint(RunAdjoint):
         self.moves_v = self.single_steps and settings.project
         self.lift_varies = engine.table.lifts and self.tied and not model.uniform_units
         self.lift = lift(model, engine.shares) if self.lift_varies else np.ones(model.n)
-        self.table, self.pending, self.entries, self.lift_bar = self._table(), ([], [], []), [], np.zeros(model.n)
+        self.table, self.pending, self.entries, self.lift_bar = self._table(), ([], [], [], []), [], np.zeros(model.n)
         n, m, s = model.n, model.m, settings.stages
         self.sweep = Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), np.zeros((3, s, n)))
 
     def _table(self):
         model, W, tied = self.model, self.tableau.W.T, self.tied
+        if model.velocity_rows.size:
+            return self._exact()
         if isinstance(self.engine.table, DenseStages):
             return DenseAdjoint(self.engine.table, W, W @ W, self.counts, self.lift, tied)
         if not model.compiled or self.settings.linear == "kkt":
@@ -272,13 +274,21 @@ class RadauAdjoint(RunAdjoint):
         flat = lambda *arrays: [each.reshape(x.t.size, each.shape[-1]) for each in arrays]  # noqa: E731
         mu, *kappa = np.moveaxis(out.multipliers, 1, 0)
         at = x.t.ravel(), *flat(q, v, x.a, x.lam)
+        still, none, of_d = np.zeros_like(at[1]), np.zeros_like(at[4]), out.v
+        if (rows := self.model.velocity_rows).size:
+            of_psi = np.zeros_like(mu)
+            of_psi[..., rows] = mu[..., rows]
+            (u,), (factors,), mu = flat(b.v[:-1, None] + self.tableau.W @ x.e / h), flat(of_psi), mu - of_psi
+            self.pending[3].append(AdjointMultipliers(*at[:2], u, still, none, still, None, factors))
+            pulls = [dense(self.model.phi_q(t, q)).T @ kappa for t, q, kappa in zip(at[0].tolist(), at[1], factors)]
+            of_d = of_d - np.reshape(pulls, of_d.shape)
         self.pending[0].append(AdjointMultipliers(*at, *flat(out.w, mu, *kappa)))
         if self.tied:
-            still, none, (pushed, factors) = np.zeros_like(at[1]), np.zeros_like(at[4]), flat(self.lift * out.v, x.mu)
+            pushed, factors = flat(self.lift * of_d, x.mu)
             self.pending[1].append(AdjointMultipliers(*at[:2], pushed, still, none, still, None, factors))
             if self.model.needs.driven:
                 self.pending[2].append(AdjointMultipliers(*at[:2], still, still, none, still, None, -factors))
-            self.lift_bar += np.sum((x.dv - self.tableau.W @ x.e / h) / self.lift * out.v, axis=(0, 1))
+            self.lift_bar += np.sum((x.dv - self.tableau.W @ x.e / h) / self.lift * of_d, axis=(0, 1))
 
     def _projection_bars(self, state, t, bars):
         """Bars of q and v of a state, from those after v is projected onto the constraint at time t."""
@@ -310,7 +320,7 @@ class RadauAdjoint(RunAdjoint):
             if parts:
                 self.add(AdjointMultipliers(*(None if x[0] is None else np.concatenate(x) for x in zip(*parts))))
         self.add(stacked([entry for _, entry in self.entries]), np.array([t for t, _ in self.entries]))
-        self.pending, self.entries = ([], [], []), []
+        self.pending, self.entries = ([], [], [], []), []
 
 
 def inverse_mass_bars(model, state, lift, bar):

@@ -17,6 +17,9 @@ class StageEquations(PythonTable, AdjointTable):
     """The equations of radau_sweep.py, linearised at the stages of one step after another, and the table of any model: a callback.
 
     lift (n,): the diagonal of D^-1; tied: True if there is mu.
+
+    A velocity row has psi(q_i, u_i) = 0 in place of phi, with `u_i = v_0 + sum_j W_ij e_j / h`, v_i without mu. Its multiplier stands among mu*,
+    and its `W^T mu*` in v*, which the term of D^-1 in q* does not get.
     """
 
     def __init__(self, model, tableau, lift, tied, counts):
@@ -55,12 +58,19 @@ class StageEquations(PythonTable, AdjointTable):
         self.C = stacked(model.force_v, *here, v) if model.needs.velocity_forces else csr_array(self.M.shape)
         by_v, by_q, sizes = self.C + self.M @ self.R, self.R, [n, m, m if self.tied else 0]
         self.B = stacked(model.phi_q, *here) if m else csr_array((0, s * n))
+        self.held, self.bent, self.slid = self.B, self.B, None  # the rows of phi or psi: their slopes in e, in q, and in u
+        if model.velocity_rows.size:
+            of_psi = np.tile(np.isin(np.arange(m), model.velocity_rows), s).astype(float)
+            self.u = v - (self.L @ (self.B.T @ mu.ravel())).reshape(v.shape) if self.tied else v
+            self.slid = diags_array(of_psi) @ self.B
+            self.bent = self.B - self.slid + diags_array(of_psi) @ stacked(model.phi_rate_q, *here, self.u)
+            self.held = self.bent + self.slid @ self.R
         if self.tied:
             self.H, self.T = stacked(model.phi_rate_q, *here, v), stacked(model.reaction_q, *here, mu)
             by_q, G = by_q + self.L @ self.T, self.L @ self.B.T
-        blocks = [[self.K + by_v @ by_q, self.B.T], [self.B, None]]
+        blocks = [[self.K + by_v @ by_q, self.B.T], [self.held, None]]
         if self.tied:
-            blocks = [[*blocks[0], by_v @ G], [self.B, None, None], [self.H + self.B @ by_q, None, self.B @ G]]
+            blocks = [[*blocks[0], by_v @ G], [self.held, None, None], [self.H + self.B @ by_q, None, self.B @ G]]
         self.matrix = block_array(blocks, format="csc") if m else blocks[0][0].tocsc()
         size = float(np.mean(np.abs(self.K.diagonal()[:n] + self.M.diagonal()[:n] / h**2))) or 1.0
         self.cuts, self.shapes = np.cumsum(sizes)[:-1] * s, [(s, size) for size in sizes]
@@ -79,6 +89,8 @@ class StageEquations(PythonTable, AdjointTable):
         model, here = self.model, (t.tolist(), q)
         r = [model.residual(*state) for state in zip(*here, v, a, lam)]
         phi = [model.phi(*state) for state in zip(*here)]
+        for values, *state in zip(phi, *here, self.u) if model.velocity_rows.size else ():
+            values[model.velocity_rows] = model.phi_rate(*state)[model.velocity_rows]
         rate = [model.phi_rate(*state) for state in zip(*here, v)] if self.tied else []
         self.counts.solves += 1
         return self.parts(self.lu.solve(np.concatenate([*r, *phi, *rate])))
@@ -96,9 +108,11 @@ class StageEquations(PythonTable, AdjointTable):
             x -= self.lu.solve(self.matrix.T @ x - rhs, transposed=True)
         self.counts.solves += ROUNDS
         now, mu, kappa = np.split(x, self.cuts)
-        a, v, q = self.M.T @ now, self.C.T @ now, self.K.T @ now + self.B.T @ mu
+        a, v, q = self.M.T @ now, self.C.T @ now, self.K.T @ now + self.bent.T @ mu
         if self.tied:
             v = v + self.B.T @ kappa
             q = q + self.H.T @ kappa + self.T @ (self.L @ (v + self.R.T @ a + last))
+        if self.slid is not None:
+            v = v + self.slid.T @ mu
         self._array(w, s * n)[:], self._array(multipliers, len(x) - s * n)[:] = now, x[s * n :]
         self._array(out, 3 * s * n)[:] = np.concatenate([q, v, a])

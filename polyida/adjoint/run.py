@@ -170,7 +170,7 @@ def _find(name, known, with_v0=False):
 class AdjointTable:
     """Interface of the tables of a backward sweep, with defaults for a table without a stored factor.
 
-    kappa, slips: of the stabilised form, set by PythonAdjoint only.
+    kappa, slips: of the stabilised form, kappa of velocity rows too; set by PythonAdjoint only.
     """
 
     kappa = slips = None

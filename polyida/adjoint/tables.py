@@ -26,6 +26,8 @@ class PythonAdjoint(PythonTable, AdjointTable):
     That form has one more unknown, eta in `q = Newmark's - M^-1 B^T eta`, and one more equation, psi = `B v + phi_t = 0`, with the
     multiplier kappa: `psi_q^T kappa + (B^T eta)_q^T M^-1 y` stands beside `B^T mu` in y, `B^T kappa` beside `C^T w` in z, and
     `B M^-1 y = 0`. kappa (count, m) and slips = (y', slip, eta) are filled: y' = M^-1 y, slip what eta adds to q.
+
+    The multiplier of a velocity row psi = W v + w is kappa too: `psi_q^T kappa` stands in y and `W^T kappa` in z, and there is no mu.
     """
 
     def __init__(self, model, settings, h, counts):
@@ -39,8 +41,10 @@ class PythonAdjoint(PythonTable, AdjointTable):
     def set_states(self, t, q, v, a, lam, slips=None):
         """Set the states at the ends of some steps; slips (count, n): of the stabilised form, the part of q from eta."""
         self.states = t, q, v, a, lam
+        if self.stabilised or self.model.velocity_rows.size:
+            self.kappa = np.zeros_like(lam)
         if self.stabilised:
-            self.kappa, self.slips = np.empty_like(lam), (np.empty_like(q), np.array(slips), np.empty_like(lam))
+            self.slips = np.empty_like(q), np.array(slips), np.empty_like(lam)
 
     @contextmanager
     def at_work(self):
@@ -58,9 +62,18 @@ class PythonAdjoint(PythonTable, AdjointTable):
             self.kappa[k], out[1] = kappa, damped() + saddle.B.T @ kappa
             for part, value in zip(self.slips, more):
                 part[k] = value
-        else:
-            w[:], mu[:] = saddle.solve(right, below, transposed=True)
-            out[0], out[1] = saddle.K.T @ w + saddle.B.T @ mu, damped()
+            return
+        of_psi, c_v, W = self.model.velocity_rows, saddle.c_v, saddle.B
+        if of_psi.size:  # dv = c_v dq: kappa is solved for times c_v
+            saddle.B, slopes = dense(W), dense(W).copy()
+            slopes[of_psi] += dense(self.model.phi_rate_q(*(x[k] for x in self.states[:3])))[of_psi] / c_v
+            saddle.slopes = slopes
+        w[:], mu[:] = saddle.solve(right, below, transposed=True)
+        out[0], out[1] = saddle.K.T @ w + saddle.slopes.T @ mu, damped()
+        if of_psi.size:
+            self.kappa[k, of_psi], mu[of_psi] = mu[of_psi] / c_v, 0.0
+            pull = W.T @ self.kappa[k]
+            out[0], out[1] = out[0] - c_v * pull, out[1] + pull
 
     def _stabilised(self, k, right, below, bar):
         """(w, mu, loss of y beside bar, kappa, (y', slip, eta)).

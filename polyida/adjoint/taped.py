@@ -143,7 +143,7 @@ class TapedModel:
             at = t, value_of(q), value_of(v)
             if self.needs.driven or self.needs.phi_q_varies:
                 add_to(q, self.model.phi_bias_q(*at).T @ nu)
-                add_to(v, 2.0 * (self.model.phi_rate_q(*at).T @ nu))
+                add_to(v, self.model.phi_bias_v(*at).T @ nu)
             self.add_entry(t, q, v, nu=nu)
 
         return self.tape.record([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]

@@ -134,16 +134,19 @@ class Constraints(Model):
     def phi_bias_q(self, t, q, v):
         return self._rates_q(t, q, v, 2)
 
-    def _rates_q(self, t, q, v, which):
-        """Derivative of one result of `joint_rates`: it is quadratic in the points, so central differences with any step are exact."""
+    def phi_bias_v(self, t, q, v):
+        return self._rates_q(t, q, v, 2, 0.0, 1.0)
+
+    def _rates_q(self, t, q, v, which, of_q=1.0, of_v=0.0):
+        """Derivative of one result of `joint_rates` in q or v: it is quadratic in the points, so central differences with any step are exact."""
         drives, z, vz, steps = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
 
-        def at(points):
+        def at(step):
             rates = np.zeros((3, self.m))
-            joints.joint_rates(self.arrays.links, drives, points, vz, *rates)
+            joints.joint_rates(self.arrays.links, drives, z + of_q * step, vz + of_v * step, *rates)
             return rates[which]
 
-        slopes = np.array([at(z + step) - at(z - step) for step in steps]).T / 2
+        slopes = np.array([at(step) - at(-step) for step in steps]).T / 2
         return slopes @ self._points_of_q
 
     def reaction_q(self, t, q, lam):

@@ -296,11 +296,14 @@ CORRECTIONS = 12  # with one factor
 
 
 class ExactSaddle:
-    """The system at one state after another, of a model with c_m and c_v. counts: anything that counts factorizations and solves."""
+    """The system at one state after another, of a model with c_m and c_v. counts: anything that counts factorizations and solves.
+
+    slopes (m, n): in place of B in the lower rows, and of B^T in the right columns of the transposed system; `at` sets it to B.
+    """
 
     def __init__(self, model, c_m, c_v, counts):
         self.model, self.c_m, self.c_v, self.counts = model, c_m, c_v, counts
-        self.system = self.direct = self.M = self.K = self.C = self.S = self.B = None
+        self.system = self.direct = self.M = self.K = self.C = self.S = self.B = self.slopes = None
         self.here = ()
 
     def at(self, t, q, v, a, lam):
@@ -312,7 +315,7 @@ class ExactSaddle:
             self.C = None if self.C is None else self.C.toarray()
         else:
             self.K, self.M, self.B = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), model.mass(q), model.phi_q(t, q)
-        self.S = self.c_m * self.M + self.K
+        self.slopes, self.S = self.B, self.c_m * self.M + self.K
         self.S = self.S if self.C is None else self.S + self.c_v * self.C
 
     def solve(self, right, below, transposed=False):
@@ -322,23 +325,24 @@ class ExactSaddle:
         S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
         if not self.system.near_any_state:
             return self._direct(right, below, transposed)
-        x = self._refine(S, right, below) if len(self.system.made_at) else None
+        columns, rows = (self.slopes, self.B) if transposed else (self.B, self.slopes)
+        x = self._refine(S, right, below, columns, rows) if len(self.system.made_at) else None
         if x is None:
             self.system = self.model.step_matrix()
             self.system.factor(*self.here, self.c_m, self.c_v)
             self.counts.factorizations += 1
             self.counts.solves += self.system.solves
-            x = self._refine(S, right, below)
+            x = self._refine(S, right, below, columns, rows)
         return self._direct(right, below, transposed) if x is None else x
 
     def _direct(self, right, below, transposed):
         if self.direct is None:
             self.counts.factorizations += 1
-            self.direct = KKT(self.S, self.B)
+            self.direct = KKT(self.S, self.slopes, columns=self.B)
         self.counts.solves += 1
         return self.direct.solve(-right, -below, transposed)
 
-    def _refine(self, S, right, below):
+    def _refine(self, S, right, below, columns, border):
         """(x, mu), or None if the factor is too old."""
         t, q, _, _, lam = self.here
         x, mu, r, rows, last = np.zeros_like(right), np.zeros_like(below), right, below, np.inf
@@ -352,5 +356,5 @@ class ExactSaddle:
                 return x, mu
             if rate > SLOW:
                 break
-            r, rows, last = right - S @ x - self.B.T @ mu, below - self.B @ x, moved
+            r, rows, last = right - S @ x - columns.T @ mu, below - border @ x, moved
         return (x, mu) if moved <= LEFT * size else None

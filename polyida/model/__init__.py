@@ -215,8 +215,16 @@ class Model:
         return differences.jacobian(lambda x: self.phi_rate(t, x, v), q, self.m)
 
     def phi_bias_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
-        """Return d(phi_bias)/dq, (m, n); the derivative in v is 2 phi_rate_q."""
+        """Return d(phi_bias)/dq, (m, n)."""
         return differences.jacobian(lambda x: self.phi_bias(t, x, v), q, self.m)
+
+    def phi_bias_v(self, t: float, q: NDArray, v: NDArray) -> Matrix:
+        """Return d(phi_bias)/dv, (m, n): without velocity rows 2 phi_rate_q. phi_bias is quadratic in v."""
+        if not self.velocity_rows.size:
+            return 2.0 * self.phi_rate_q(t, q, v)
+        steps = np.maximum(1.0, np.abs(v))
+        changes = [self.phi_bias(t, q, v + step) - self.phi_bias(t, q, v - step) for step in np.diag(steps)]
+        return np.array(changes).T / (2.0 * steps)
 
     def _smooth(self, t):
         """The range of s around 0 in which t + s is not at a kink."""
