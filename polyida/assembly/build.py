@@ -17,6 +17,7 @@ from polyida.errors import InputError, LockingWarning
 from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.joint.attachment import Attachment, Ground
+from polyida.joint.contact import Contact
 from polyida.joint.formula import advice_on, in_words, with_laws
 from polyida.joint.joint import Joint
 from polyida.model import NONE
@@ -242,13 +243,19 @@ def attached_sides(name, part):
 
 
 def place_bodies(parts):
-    """([PlacedPlate], [PlacedBody]) of the parts in order. Plates on one mesh share one reference operator."""
+    """([PlacedPlate], [PlacedBody]) of the parts in order. Plates on one mesh with the same mass share one reference operator."""
     operators, plates, few, first = {}, [], [], 0
+    light = [part for part in of_kind(parts, Contact).values() if part.contact_mass < 1.0]
     for name, plate in of_kind(parts, Plate).items():
         _warn_of_locking(name, plate)
-        key = (id(plate.placed), plate.element, plate.tau)
+        kept = None
+        for contact in light:
+            if contact.a.body is plate:
+                kept = np.ones(plate.mesh.n_nodes) if kept is None else kept
+                kept[contact.a.nodes] = np.minimum(kept[contact.a.nodes], contact.contact_mass)
+        key = (id(plate.placed), plate.element, plate.tau, None if kept is None else kept.tobytes())
         if key not in operators:
-            operators[key] = operator_of(plate)
+            operators[key] = operator_of(plate, kept)
         plates.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
         first = plates[-1].nodes.stop
     sides = [side for name, part in parts.items() for side in attached_sides(name, part)]

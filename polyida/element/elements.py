@@ -36,9 +36,30 @@ MANY = 10  # corners; with more, one point for each fan triangle gives modes of 
 THINNEST = 1e-14  # area of a cell over its squared circumference
 
 
-def operator_of(plate):
-    """Return the reference operator of a plate's element on its mesh."""
-    return virtual(plate.placed, plate.tau) if plate.element == "virtual" else wachspress(plate.placed)
+def operator_of(plate, kept=None):
+    """Return the reference operator of a plate's element on its mesh. kept (nodes,): the share of its mass that a node keeps; see `lighter`."""
+    return virtual(plate.placed, plate.tau, kept) if plate.element == "virtual" else wachspress(plate.placed, kept)
+
+
+def lighter(element, kept):
+    """Return the element with less mass at some nodes: in each cell what they lose is shared by the nodes that keep theirs.
+
+    m_ij is multiplied by the smaller share of both nodes, and diagonals make up for it, so that the mass of a cell stays, and M is positive
+    definite. Cells without a node that keeps its mass stay as they are.
+    """
+    if kept is None:
+        return element
+
+    def light_element(corners, cells, nodes):
+        areas, means, gradients, weights, mass, *rest = element(corners, cells, nodes)
+        whole = kept[nodes] == 1.0
+        share = np.where(whole.any(axis=0), kept[nodes], 1.0)
+        left = mass * np.minimum(share[:, None], share[None])
+        lost = (mass - left).sum(axis=1)
+        moved = np.where(whole, lost + np.where(whole, 0.0, lost).sum(axis=0) / np.maximum(whole.sum(axis=0), 1), 0.0)
+        return areas, means, gradients, weights, left + np.eye(len(nodes))[..., None] * moved[:, None], *rest
+
+    return light_element
 
 
 def stabilisation_factor(plate, operator):
@@ -57,13 +78,13 @@ def plane_trace(c1, nu):
     return c1 * (5.0 - nu) / 2.0
 
 
-def wachspress(mesh):
+def wachspress(mesh, kept=None):
     """Return the ReferenceOperator of a mesh with strictly convex, counter-clockwise cells.
 
     mesh: any object with points (N, 2) in m, nodes and offsets (the corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
-    Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
+    kept: as of `operator_of`. Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
     """
-    return build(mesh, _wachspress)
+    return build(mesh, lighter(_wachspress, kept))
 
 
 def _wachspress(corners, cells, nodes):
@@ -114,7 +135,7 @@ def _shapes(corners, follower, sines, points):
     return shapes / shapes.sum(axis=1, keepdims=True), normals, heights
 
 
-def virtual(mesh, tau=0.1):
+def virtual(mesh, tau=0.1, kept=None):
     """Return the ReferenceOperator with one point in each cell and `stabilisation` = tau sum over cells (I - Pi)^T (I - Pi), no unit.
 
     mesh: as of `wachspress`; cells are counter-clockwise simple polygons, not necessarily convex: hanging nodes are allowed.
@@ -129,7 +150,7 @@ def virtual(mesh, tau=0.1):
             f"virtual element: tau = {tau!r} must be a positive number, 0.1 is usual; without "
             "stabilisation cells of more than three corners have no stiffness against some deformations"
         )
-    return build(mesh, lambda corners, cells, nodes: _virtual(corners, cells, nodes, tau))
+    return build(mesh, lighter(lambda corners, cells, nodes: _virtual(corners, cells, nodes, tau), kept))
 
 
 def _virtual(corners, cells, nodes, tau):

@@ -38,17 +38,20 @@ class Contacts:
         of_equations = {int(row): k for k, row in enumerate(self.equations)}
         self.on_laws = [[place[row] for row in law.on if row in place] for law in laws]
         self.on_equations = [[of_equations[row] for row in law.on if row in of_equations] for law in laws]
+        self.pressed = (self.constant > 0.0) | np.array([bool(on) for on in self.on_equations], bool)
+        self.pairs = np.array([(k, i) for k, on in enumerate(self.on_laws) for i in on], np.int64).reshape(-1, 2)
 
     def active(self, closed):
         """True for the rows that can carry a force: closed contacts, and friction whose pressing contacts are closed."""
-        pressed = [bool(c) or bool(eq) or any(closed[on]) for c, eq, on in zip(self.constant, self.on_equations, self.on_laws)]
-        return np.where(self.contact, closed, np.array(pressed, bool))
+        pressed = self.pressed.copy()
+        pressed[self.pairs[closed[self.pairs[:, 1]], 0]] = True
+        return np.where(self.contact, closed, pressed)
 
-    def slopes(self, t, q):
-        """phi_q of the rows with laws, (k, n), dense."""
+    def slopes(self, t, q, which):
+        """phi_q of the rows with laws at which `which` is True, (k, n), dense."""
         if self.model.is_scene and self.model.small:
-            return self.model.small_phi_q(t, q)[self.rows]
-        return dense(self.model.phi_q(t, q)[self.rows])
+            return self.model.small_phi_q(t, q)[self.rows[which]]
+        return dense(self.model.phi_q(t, q)[self.rows[which]]) if which.any() else np.zeros((0, self.model.n))
 
     def mobility(self, B):
         """Squares of the rows B over the largest mass, (k,)."""
@@ -85,7 +88,7 @@ class Contacts:
             start.append(len(l))
         kind = np.where(self.contact[rows], CONTACT, FRICTION)
         signs = np.zeros(len(rows)) if sign is None else sign[rows]
-        pressing = np.array(start), np.array(l, float), np.reshape(np.array(L, float), (-1, len(rows)))
+        pressing = np.array(start), np.array(l, float), np.reshape(np.array(L, float), (len(l), len(rows)))
         cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, *pressing)
         result, status = np.array(p, float), np.zeros(len(rows), np.int64)
         G = np.array(G)
@@ -127,7 +130,7 @@ class Contacts:
 
         closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip.
         """
-        model, B = self.model, self.slopes(t, q)
+        model = self.model
         force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
         mass = self.base.mass_system(t, q)
         a, lam = mass.solve(force, bias[self.equations])
@@ -136,9 +139,8 @@ class Contacts:
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
         rate = model.phi_rate(t, q, v)[self.rows]
         sign = np.where(self.contact | (np.abs(rate) <= self.still(q, v)), begins, np.sign(rate))
-        X, Y = self.columns(mass.solve, B[active])
-        start = np.zeros(active.sum()) if p is None else p[active]
-        B, now = B[active], B[active] @ a + bias[self.rows][active]
+        B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
+        (X, Y), now = self.columns(mass.solve, B), B @ a + bias[self.rows][active]
         passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
         p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, sign=sign)
@@ -157,15 +159,15 @@ class Contacts:
             v = v + mass.solve(np.zeros(model.n), rate[self.equations])[0]
         if not active.any():
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
-        B, mass = self.slopes(t, q), mass or self.base.mass_system(t, q)
-        X, Y = self.columns(mass.solve, B[active])
-        G, now = B[active] @ X, model.phi_rate(t, q, v)[self.rows][active]
+        B, mass = self.slopes(t, q, active), mass or self.base.mass_system(t, q)
+        X, Y = self.columns(mass.solve, B)
+        G, now = B @ X, model.phi_rate(t, q, v)[self.rows][active]
         free = now - h * (G @ p[active])
         back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
         back = back if plastic is None else np.where(plastic[active], 0.0, back)
         back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
         back = back if wanted is None else back - wanted[active]
-        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B[active]), h)
+        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B), h)
         change = P[active] - h * p[active]
         return v + X @ change, P, Y @ change, status
 
@@ -180,13 +182,15 @@ class Contacts:
         slipped = ~self.contact & self.active(closed) & (np.abs(before) > self.still(q, v)) & (rate * before <= 0.0)
         if not slipped.any():
             return None
-        ahead = self.slopes(state.t, state.q) @ state.a + model.phi_bias(state.t, state.q, state.v)[self.rows]
-        a = self.accelerations(t, q, v, closed, p)[0]
-        behind = self.slopes(t, q) @ a + model.phi_bias(t, q, v)[self.rows]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        change = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
+        ahead, before = change(state.t, state.q, state.v, state.a), before[slipped]
+        behind = change(t, q, v, self.accelerations(t, q, v, closed, p)[0])
+        with np.errstate(divide="ignore"):
             left = (t - state.t) + before / ahead  # time that is left behind the reversal
-        slipped &= (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)
-        return np.where(slipped, behind * left, 0.0) if slipped.any() else None
+        goes_on = (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)
+        wanted = np.zeros(len(rate))
+        wanted[slipped] = np.where(goes_on, behind * left, 0.0)
+        return wanted if goes_on.any() else None
 
     def still(self, q, v):
         """Rate below which a row of friction sticks."""
@@ -206,7 +210,7 @@ class Contacts:
             wrong = np.abs(phi[self.equations]).max(initial=0.0), np.abs(gaps[pressed]).max(initial=0.0), -gaps.min(initial=0.0)
             if max(wrong) <= ROUND_OFF * size:
                 break
-            mass, B = self.base.mass_system(t, q), self.slopes(t, q)[touching]
+            mass, B = self.base.mass_system(t, q), self.slopes(t, q, touching)
             shift = mass.solve(np.zeros(model.n), phi[self.equations])[0] if len(self.equations) else np.zeros(model.n)
             if touching.any():
                 X, _ = self.columns(mass.solve, B)

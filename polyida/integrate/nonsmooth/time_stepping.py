@@ -198,7 +198,7 @@ class _Steps:
             if fresh:
                 self._factor(h, (c_m, to_v), t, q, v, a, lam)
                 fresh, last, count = False, 0.0, 0
-            r, rate, B = residual(q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v, contacts.slopes(t, q)[active]
+            r, rate, B = residual(q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v, contacts.slopes(t, q, active)
             try:
                 dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
                 X, Y = self._columns(t, q, lam, active, B, count > 2 and fall > SLOW)
