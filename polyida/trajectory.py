@@ -136,12 +136,16 @@ class Trajectory:
         model = self.known_model("x")
         return np.concatenate([model.states_of(v) for v in blocks(self.v)]) if len(self) else np.zeros((0, model.k))
 
-    def states(self, name: Any) -> NDArray:
+    def states(self, name: Any = None) -> NDArray:
         """States of a force element, (frames, states), by its name or itself, followed by algebraic ones and by the outputs of a controller.
 
-        Raises InputError if it has none.
+        Without a name those of a user's model, (frames, k + algebraic). Raises InputError if it has none.
         """
         model = self.known_model("states")
+        if name is None and (own_states := getattr(guard(model), "own_states", None)):
+            return np.array([own_states.states(*frame) for frame in zip(self.t.tolist(), each(self.q), each(self.v))]).reshape(
+                -1, own_states.total
+            )
         known = name if isinstance(name, str) else next((key for key, part in model.parts.items() if part is name), None)
         elements = {own.name: own for own in model.own_forces if own.names} if model.is_scene else {}
         if known not in elements:

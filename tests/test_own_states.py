@@ -296,3 +296,75 @@ def test_a_state_has_the_states():
     assert pi.consistent_state(Maxwell(), x0=[0.3]).x == pytest.approx([0.3])
     assert np.array_equal(run.sensors["x"], run.x) and np.array_equal(run.state.x, run.x[-1])
     assert pickle.loads(pickle.dumps(run.state)).x == run.state.x
+
+
+class Valve(pi.Model):
+    """A piston pushed by a lag x[0] and a pressure x[1], `c p + p |p| = 1 - v + x[0]`; the lag follows w = x[2], `w = p - q`."""
+
+    n, m, k, algebraic = 1, 0, 1, 2
+    x0 = (0.1, 0.0, 0.0)
+    needs = pi.Needs(mass_varies=False)
+    c = 0.3
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def rates(self, t, q, v, x):
+        return np.array([(x[2] - x[0]) / 0.05, self.c * x[1] + x[1] * abs(x[1]) - 1.0 + v[0] - x[0], x[1] - x[2] - q[0]])
+
+    def force(self, t, q, v, x):
+        return 4.0 * q - x[1]
+
+
+class ByHand(Valve):
+    """The same with the root of the quadratic equation."""
+
+    algebraic, x0 = 0, (0.1,)
+
+    def pressure(self, v, x):
+        b = 1.0 - v[0] + x[0]
+        return np.sign(b) * (np.sqrt(0.25 * self.c**2 + abs(b)) - 0.5 * self.c)
+
+    def rates(self, t, q, v, x):
+        return np.array([(self.pressure(v, x) - q[0] - x[0]) / 0.05])
+
+    def force(self, t, q, v, x):
+        return 4.0 * q - self.pressure(v, x)
+
+
+VALVES = [Valve, compiled(Valve)]
+
+
+@pytest.mark.parametrize("kind", VALVES)
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.01, tolerance=1e-11), pi.RadauIIA(h=0.02, tolerance=1e-12)])
+def test_algebraic_states_are_those_eliminated_by_hand(kind, integrator):
+    run, exact = pi.solve(kind(), 0.5, integrator), pi.solve(ByHand(), 0.5, integrator)
+    assert run.success and run.v[-1] == pytest.approx(exact.v[-1], abs=1e-9)
+    x, p, w = run.states().T
+    assert np.array_equal(run.x[:, 0], x) and run.x.shape[1] == 1
+    assert np.abs(0.3 * p + p * np.abs(p) - 1.0 + run.v[:, 0] - x).max() < 1e-12 and np.abs(p - w - run.q[:, 0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", VALVES)
+def test_algebraic_states_with_a_singular_slope_are_refused(kind):
+    def flat(self, t, q, v, x):
+        return np.array([x[2] - x[0], x[1] - x[2], 2.0 * (x[1] - x[2]) - q[0]])
+
+    model = pi.compiled(type("Flat", (kind,), {"rates": flat})) if kind.by_numba else type("Flat", (kind,), {"rates": flat})
+    with pytest.raises(pi.InputError, match="algebraic states of Flat have no solution: their slope d rates/ds is singular"):
+        pi.solve(model(), 0.1, pi.GeneralizedAlpha(h=0.01))
+
+
+def test_algebraic_states_alone():
+    class Resistor(Valve):
+        k, algebraic, x0 = 0, 1, (0.0,)
+
+        def rates(self, t, q, v, x):
+            return x - 1.0 + 2.0 * v
+
+        def force(self, t, q, v, x):
+            return -x
+
+    run = pi.solve(Resistor(), 0.5, pi.RadauIIA(rtol=1e-9))
+    assert run.v[-1, 0] == pytest.approx(0.5 * (1.0 - np.exp(-1.0)), abs=1e-8) and run.x.shape == (len(run), 0)
+    assert run.states()[-1, 0] == pytest.approx(np.exp(-1.0), abs=1e-8)

@@ -12,8 +12,7 @@ from polyida.force.force_element import ForceElement, Side, profiles_of, sides_o
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.jit.owner_data import OwnData
-from polyida.linear.dense import factor, solve
-from polyida.model.algebraic import CLOSE, FAST, LEAST, MOST, ROUND, SINGULAR
+from polyida.model.algebraic import FOUND, fill_algebraic
 from polyida.profile import polynomial
 from polyida.validation import pairs_of
 
@@ -77,73 +76,14 @@ def states_of(laws, k, v, s):
 
 
 @part
-def fill_algebraic(laws, k, numbers, x, v, s, rates):
-    """Fill the algebraic states of s, and the rates, by the Newton iteration of model.algebraic.solved; False without a solution."""
-    first, count = laws.parts[k, 6], laws.parts[k + 1, 6] - laws.parts[k, 6]
-    begin, slope, pivots = laws.parts[k, 5] - count, np.empty((count, count)), np.empty(count, np.int64)
-    free, sizes, behind = s[begin : begin + count], laws.guesses[first : first + count, 1], np.zeros_like(rates)
-    change, left, rows = np.empty(count), np.empty(count), np.empty(count)
-    call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
-    for i in range(count):
-        left[i] = rates[begin + i]
-    for _ in range(MOST):
-        for j in range(count):
-            middle, step = free[j], STEP * max(sizes[j], abs(free[j]))
-            free[j] = middle + step
-            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
-            free[j] = middle - step
-            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, behind)
-            free[j] = middle
-            for i in range(count):
-                slope[i, j] = (rates[begin + i] - behind[begin + i]) / (2.0 * step) * sizes[j]
-        for i in range(count):
-            rows[i] = np.max(np.abs(slope[i]))
-            change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
-            slope[i] /= rows[i]
-        if not factor(slope, pivots):
-            return False
-        for i in range(count):
-            if not abs(slope[i, i]) < 1.0 / SINGULAR:
-                return False
-        solve(slope, pivots, change)
-        ratio = 0.0
-        while ratio <= FAST:
-            share, moved, before, size = 1.0, 0.0, 0.0, 0.0
-            for i in range(count):
-                before = max(before, abs(change[i]) * sizes[i] / (sizes[i] + abs(free[i])))
-            while True:
-                for i in range(count):
-                    free[i] += (share - moved) * change[i] * sizes[i]
-                call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
-                for i in range(count):
-                    left[i] = -rates[begin + i] / rows[i]
-                solve(slope, pivots, left)
-                size = 0.0
-                for i in range(count):
-                    size = max(size, abs(left[i]) * sizes[i] / (sizes[i] + abs(free[i])))
-                if size <= max(CLOSE, (1.0 - 0.25 * share) * before):
-                    break
-                moved, share = share, 0.5 * share
-                if share < LEAST:
-                    return False
-            if size <= ROUND or before <= CLOSE:
-                for i in range(count):
-                    free[i] += left[i] * sizes[i]
-                call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, rates)
-                return True
-            change[:], ratio = left, size / before
-        for i in range(count):
-            left[i] = rates[begin + i]
-    return False
-
-
-@part
 def evaluate(laws, k, numbers, x, v, s, f):
     """Fill f (sides, 2), N, with the forces of law k, on its states as of PlacedStates; s, like f, is workspace."""
     own, first, rated, free = states_of(laws, k, v, s), laws.parts[k, 4], laws.parts[k, 5], laws.parts[k + 1, 6] - laws.parts[k, 6]
     if free > 0:
-        rates = np.zeros(s.shape[0])
-        if not fill_algebraic(laws, k, numbers, x, v, s, rates):
+        rates, guess, outputs = np.zeros(s.shape[0]), laws.parts[k, 6], address(s) + 8 * rated
+        data, sizes = address(numbers) + 8 * laws.parts[k, 2], laws.guesses[guess : guess + free, 1]
+        given = address(numbers), address(x), address(v), outputs
+        if fill_algebraic(laws.parts[k, 3], data, given[0], given[1], given[2], given[3], s, rated - free, sizes, rates) != FOUND:
             f[:] = np.nan
             return
     call_law(laws, laws.parts[k, 0], k, numbers, x, v, s, f)

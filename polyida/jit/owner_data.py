@@ -46,6 +46,7 @@ class OwnData:
 
     def __init__(self, owner, functions):
         self.owner, self.python, self.fields, self.functions, self.profiles, self._words = owner, False, {}, [], [], []
+        self.helpers = ()  # (name, compiled function) that source texts of arguments call
         for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
             value = getattr(owner, name, None)
             if name in getattr(owner, "__dict__", ()) or not callable(value):
@@ -113,7 +114,9 @@ class OwnData:
 """
         mark = machine_code_fingerprint(*filter(None, (function, other)), *self.functions)
         try:
-            return _c_function(function, other, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
+            return _c_function(
+                function, other, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex, self.helpers
+            )
         except InputError as error:
             if not (unknown := re.search(r"Unknown attribute '(\w+)' of type self\(", str(error.__context__))):
                 raise
@@ -125,12 +128,12 @@ class OwnData:
 
 
 @cache
-def _c_function(function, other, mark, source, fields, functions, dimensions, of_complex):
+def _c_function(function, other, mark, source, fields, functions, dimensions, of_complex, helpers):
     """The address of the C function, compiled once for data of one form."""
     Own = namedtuple("self", [f"f{k}" for k in range(len(fields) or 1)])
     Own._fields = fields or Own._fields  # namedtuple itself refuses names that begin with an underscore
     names = {f"function{k}": for_numba(one) for k, one in enumerate(functions)} | {"Own": Own, "profile": as_profile}
-    names |= {"other": for_numba(other)} if other else {}
+    names |= ({"other": for_numba(other)} if other else {}) | dict(helpers)
     return c_function_of(function.__qualname__, for_numba(function), (mark, fields), source, names, dimensions, of_complex)
 
 

@@ -71,7 +71,11 @@ class Model:
         `powers`, get x (k,) as their last argument, and derivatives of forces are differences. In a run q and v have n + k columns: behind v
         the states over their sizes, behind q the integrals of these. An unknown z without a derivative, with `0 = f(t, q, z)`, is a
         coordinate without mass, and f a row of phi.
-    x0, sizes_x : (k,) float
+    algebraic : int
+        Number of algebraic states, 0 by default: x has them behind the k others, and `rates` returns behind their derivatives what is zero,
+        `0 = f(t, q, v, x)`, with a regular slope in them. They are solved for wherever forces are, by Newton's method from x0, and are in
+        `run.states()`, not in `run.x`.
+    x0, sizes_x : (k + algebraic,) float
         Start values of the states, zero by default, and their typical sizes, 1 by default: an error of one size counts like an error of 1
         in v.
     needs : Needs
@@ -95,7 +99,7 @@ class Model:
 
     n: int
     m: int
-    k = 0
+    k = algebraic = 0
     x0: Any = None
     sizes_x: Any = None
     needs: Needs = Needs()
@@ -158,7 +162,7 @@ class Model:
         raise NotImplementedError
 
     def rates(self, t: float, q: NDArray, v: NDArray, x: NDArray) -> NDArray:
-        """Return the derivatives of the states x in time, (k,)."""
+        """Return the derivatives of the states x in time, (k,); behind them what is zero for algebraic ones, (algebraic,)."""
         raise NotImplementedError
 
     def phi(self, t: float, q: NDArray) -> NDArray:

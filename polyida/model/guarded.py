@@ -111,7 +111,8 @@ def blame(model, t, state):
 
 def shape_of(name, model):
     """The shape of the array that a function of a guarded model's user returns."""
-    return tuple({"n": model.n - model.k, "m": model.m, "k": model.k}[letter] for letter in SHAPES[name])
+    states = model.own_states.total if model.own_states else 0
+    return tuple({"n": model.n - model.k, "m": model.m, "k": states}[letter] for letter in SHAPES[name])
 
 
 def _view(argument):
@@ -147,15 +148,17 @@ class Guarded(Model):
         self.dissipating, self.parameters, self.velocity_rows = model.dissipating, model.parameters, model.velocity_rows
         self.row_laws = require_laws(self.name, model.row_laws, self.m, self.velocity_rows)
         if own:
-            self.k, self.state_columns, self.state_units = own.k, np.arange(self.n, self.n + own.k), own.sizes
+            self.k, self.state_columns, self.state_units = own.k, np.arange(self.n, self.n + own.k), own.sizes[: own.k]
             self.n, self.needs, self.uniform_units = self.n + own.k, replace(model.needs, velocity_forces=True), False
-        self.state_start = own.start / own.sizes if own else np.zeros(0)
+        self.state_start = (own.start / own.sizes)[: own.k] if own else np.zeros(0)
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         large = model.by_numba and self.n + self.m > MOST
         compiled = Compiled(self, whole=False).calls() if large else {}  # smaller ones get a table of C functions
         for name in CHECKED:
             if name in written and (self.m or name not in OF_CONSTRAINTS):
                 function = self._checked(name, compiled.get(name) or getattr(self.user, name), shape_of(name, self))
+                if name == "rates":
+                    own.rates = function
                 setattr(self, name, own.whole(name, SHAPES[name], function, self.rates) if own and name != "rates" else function)
         if "mass" in vars(self):
             self.written_mass, self.mass = self.mass, self._mass
@@ -279,7 +282,7 @@ class Guarded(Model):
     def _answer(self, name, right, expected):
         """The function with read-only arguments; it raises InputError for a wrong result."""
         function = getattr(self.user, name)
-        function = self.own_states.cut(name, function) if self.k else function
+        function = self.own_states.cut(name, function) if self.own_states else function
 
         def call(*arguments):
             result = function(*map(_view, arguments))
@@ -292,6 +295,8 @@ class Guarded(Model):
     @property
     def not_finite(self):
         """The functions that last returned what is not finite for finite arguments, in words; or ""."""
+        if self.own_states and self.own_states.why:
+            return f"the algebraic states of {self.name} have no solution: {self.own_states.why.replace('start()', 'x0')}"
         bad = [
             f"{self.name}.{name}"
             for name, (arguments, matrix) in self._last.items()
@@ -322,8 +327,8 @@ class Compiled:
         self.functions = functions = {name: getattr(type(model), name) for name in written}
         self.own, self.guarded = OwnData(model, functions.values()), guarded
         kinds = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
-        if own:
-            kinds["x"] = f"carray(pointer(c + {8 * n}), ({own.k},)) * {self.own.view(own.sizes if whole else np.ones(own.k))}"
+        if own and "rates" in functions:
+            kinds["x"] = own.read(self.own, functions["rates"], kinds, whole)
         self.addresses = {}
         for name, function in functions.items():
             extra = own.stored(name, SHAPES[name], m, self.own, functions.get("rates")) if own and whole else {}
