@@ -72,13 +72,14 @@ class MassSystem:
         self.slopes = model.slope_values(t, q)
 
     def solve(self, r, phi):
-        """(dq, dlam) with `M dq + B^T dlam = -r`, `B dq = -phi`, for r (n,) and phi (m,). Raises LinAlgError."""
-        y = -self.model.mass_inverse(r) if r.any() else np.zeros(self.model.n)
-        if not phi.size:
-            return y, np.zeros(0)
-        dlam, self.projection.slopes[:] = np.empty(len(phi)), self.slopes
-        if not constrained(self.model.arrays.links, self.projection, np.array(phi, float), y.reshape(-1, 2), dlam):
-            raise np.linalg.LinAlgError("the constraints' system is singular")
+        """(dq, dlam) with `M dq + B^T dlam = -r`, `B dq = -phi`, for r (n,) and phi (m,), or (n, k) and (m, k). Raises LinAlgError."""
+        y = -self.model.mass_inverse(r) if r.any() else np.zeros(r.shape)
+        dlam, self.projection.slopes[:] = np.empty(phi.shape), self.slopes
+        for k in np.ndindex(r.shape[1:] if phi.size else (0,)):
+            one, forces = np.ascontiguousarray(y[:, *k]), np.empty(len(phi))
+            if not constrained(self.model.arrays.links, self.projection, np.array(phi[:, *k], float), one.reshape(-1, 2), forces):
+                raise np.linalg.LinAlgError("the constraints' system is singular")
+            y[:, *k], dlam[:, *k] = one, forces
         return y, dlam
 
 

@@ -51,7 +51,7 @@ class KKT:
         self.lu = LU(assemble(tangent, phi_q, self.size, columns), pivoting=True)
 
     def solve(self, r, phi, transposed=False):
-        """(dq, dlam) for the residuals r (n,) and phi (m,); transposed: with S^T in place of S."""
+        """(dq, dlam) for the residuals r (n,) and phi (m,), or (n, k) and (m, k); transposed: with S^T in place of S."""
         x = self.lu.solve(-np.concatenate([1 / self.size * r, phi]), transposed)
         return x[: self.n], self.size * x[self.n :]
 

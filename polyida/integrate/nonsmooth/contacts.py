@@ -36,15 +36,19 @@ class Contacts:
         self.inertia = float(masses.max()) or 1.0
         place = {int(row): k for k, row in enumerate(self.rows)}
         of_equations = {int(row): k for k, row in enumerate(self.equations)}
-        self.on_laws = [[place[row] for row in law.on if row in place] for law in laws]
-        self.on_equations = [[of_equations[row] for row in law.on if row in of_equations] for law in laws]
-        self.pressed = (self.constant > 0.0) | np.array([bool(on) for on in self.on_equations], bool)
-        self.pairs = np.array([(k, i) for k, on in enumerate(self.on_laws) for i in on], np.int64).reshape(-1, 2)
+
+        def pairs(numbers):
+            """(row of friction, what presses it), (., 2)."""
+            found = [(k, numbers[row]) for k, law in enumerate(laws) for row in law.on if row in numbers]
+            return np.array(found, np.int64).reshape(-1, 2)
+
+        self.on_laws, self.on_equations = pairs(place), pairs(of_equations)
 
     def active(self, closed):
         """True for the rows that can carry a force: closed contacts, and friction whose pressing contacts are closed."""
-        pressed = self.pressed.copy()
-        pressed[self.pairs[closed[self.pairs[:, 1]], 0]] = True
+        pressed = self.constant > 0.0
+        pressed[self.on_equations[:, 0]] = True
+        pressed[self.on_laws[closed[self.on_laws[:, 1]], 0]] = True
         return np.where(self.contact, closed, pressed)
 
     def slopes(self, t, q, which):
@@ -62,11 +66,8 @@ class Contacts:
         return np.where(self.contact, self.model.phi(t, q)[self.rows], 0.0)
 
     def columns(self, solve, B):
-        """(X (n, k), Y (equations, k)) of rows B (k, n): changes of q and lam for unit pressures, by solve(r, phi)."""
-        none = np.zeros(len(self.equations))
-        solved = [solve(-row, none) for row in B]
-        X, Y = (np.array(part).T for part in zip(*solved)) if solved else ((), ())
-        return (X, Y) if solved else (np.zeros((self.model.n, 0)), np.zeros((len(self.equations), 0)))
+        """(X (n, k), Y (equations, k)) of rows B (k, n): changes of q and lam for unit pressures, by solve(r (n, k), phi)."""
+        return solve(-B.T, np.zeros((len(self.equations), len(B)))) if len(B) else (B.T, np.zeros((len(self.equations), 0)))
 
     def solve(self, t, active, G, b, p, lam, Y, mobility, scale=1.0, sign=None):
         """(p, status) of the active rows, each (k,) of all rows with laws.
@@ -76,20 +77,16 @@ class Contacts:
         """
         free = G.diagonal() > FIXED * mobility
         G, b, p, Y = G[np.ix_(free, free)], b[free], p[free], Y[:, free]  # the equations hold the other rows: they carry no force
-        rows, start, l, L = np.flatnonzero(active)[free], [0], [], []  # noqa: E741
-        unit = np.eye(len(rows))
-        number = {int(row): k for k, row in enumerate(rows)}
-        for i in rows:
-            for on in self.on_laws[i]:
-                if on in number:
-                    l.append(0.0), L.append(unit[number[on]])
-            for on in self.on_equations[i]:
-                l.append(lam[on]), L.append(Y[on])
-            start.append(len(l))
+        rows, number = np.flatnonzero(active)[free], np.full(len(self.rows), -1)
+        number[rows] = np.arange(len(rows))
+        on, held = number[self.on_laws], self.on_equations[number[self.on_equations[:, 0]] >= 0]
+        on, by = on[(on >= 0).all(axis=1)], np.eye(len(rows))
+        pressed = np.concatenate([on[:, 0], number[held[:, 0]]])
+        order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
+        l, L = np.append(np.zeros(len(on)), lam[held[:, 1]])[order], np.concatenate([by[on[:, 1]], Y[held[:, 1]]])[order]  # noqa: E741
         kind = np.where(self.contact[rows], CONTACT, FRICTION)
         signs = np.zeros(len(rows)) if sign is None else sign[rows]
-        pressing = np.array(start), np.array(l, float), np.reshape(np.array(L, float), (len(l), len(rows)))
-        cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, *pressing)
+        cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, start, l, L)
         result, status = np.array(p, float), np.zeros(len(rows), np.int64)
         G = np.array(G)
         np.fill_diagonal(G, np.maximum(np.abs(np.diag(G)), LEAST))

@@ -180,9 +180,9 @@ class _Steps:
         """Columns of the active rows by the factor. Newton's method only needs them nearly: they are kept until the rows turn, or it is slow."""
         same = not fresh and self.columns is not None and np.array_equal(self.columns[0], active)
         if not (same and np.abs(B - self.columns[1]).max(initial=0.0) <= TURNED * np.abs(B).max(initial=0.0)):
-            solved = self.contacts.columns(lambda r, phi: self.system.saddle(t, q, lam, r, phi), B)
+            solve = lambda r, phi: map(np.transpose, zip(*(self.system.saddle(t, q, lam, *one) for one in zip(r.T, phi.T))))  # noqa: E731
             self.counts.solves += len(B)
-            self.columns = active, B, *solved
+            self.columns = active, B, *self.contacts.columns(solve, B)
         return self.columns[2:]
 
     def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
