@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stress import cases, contacts, identities, own, scenes, states
+from stress import cases, contacts, identities, nonsmooth, own, scenes, states
 from stress.cases import against_refined
 from stress.kills import killed_runs, killed_sweeps
 from stress.long import many_steps
@@ -112,6 +112,13 @@ AXES = {
     "exponent of a contact": Axis(contacts.bouncing, (1.5, 1.0, 2.0), (1.5,)),
     "stiffness of a stop, N/m^1.5": Axis(contacts.pendulum_at_a_stop, (1e4, 1e5, 1e6, 1e7), (1e5,)),
     "plate at a stop, m/s": Axis(contacts.plate_at_a_stop, (1.0, 3.0), (1.0,)),
+    "contacts at once": Axis(nonsmooth.many_contacts, (1, 5, 20, 50), (1, 20), nonsmooth.WAYS),
+    "redundant contacts": Axis(nonsmooth.redundant_contacts, (1, 2, 5, 20), (1, 5), nonsmooth.WAYS, foreseen=nonsmooth.two_feet_stick),
+    "friction": Axis(nonsmooth.friction, (0.3, 0.0, 1e-9, 1.0, 1e3, 1e9), (0.3, 0.0, 1e3), nonsmooth.WAYS),
+    "restitution": Axis(nonsmooth.restitution, (0.5, 0.0, 1e-9, 0.99, 1.0), (0.0, 1.0), nonsmooth.WAYS),
+    "bounces that end, e": Axis(nonsmooth.bounces_that_end, (0.5, 0.8, 0.1, 0.95), (0.5, 0.8), nonsmooth.WAYS),
+    "mass of a ball that is hit": Axis(nonsmooth.masses, (1.0, 1e3, 1e-3, 1e6, 1e-6), (1.0, 1e6, 1e-6), nonsmooth.WAYS),
+    "mass on a stack": Axis(nonsmooth.stacked, (1.0, 1e3, 1e-3, 1e6, 1e-6), (1.0, 1e6, 1e-6), nonsmooth.WAYS),
     "relaxation, s": Axis(states.relaxation, (1.0, 1e-2, 1e-4, 1e-6, 1e-9), (1e-2, 1e-6)),
     "sample period, s": Axis(states.samples, (0.1, 0.05, 1e-2, 1e-3, 3e-4, 0.3), (0.05, 3e-4)),
     "speed of a rolling disc, m/s": Axis(states.rolling, (1.0, 0.0, 1e-6, 30.0), (1.0, 0.0)),

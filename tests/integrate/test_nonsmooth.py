@@ -1,64 +1,18 @@
 """Contact and friction: closed forms and published numbers, by events and by time stepping."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
 import polyida as pi
+from nonsmooth.references import PENDULUM, PENDULUM_STICKS, bounces, rest_of_bounces
+from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, rocking_block
 
-G = 9.81
 RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9)
-
-
-@dataclass(frozen=True, eq=False)
-class Kerb(pi.Joint):
-    """The point of b stays above the line through a; it bounces and rubs."""
-
-    restitution: float = 0.0
-    mu: float = 0.0
-
-    def rows(self):
-        w = self.b.x - self.a.x
-        gap = pi.cross(self.a.d, w).opens(self.restitution)
-        return [gap, pi.dot(self.a.d, w).rubs(self.mu, on=[gap])]
-
-
-def on_floor(points, origin, e=0.0, mu=0.0, velocity=(0.0, 0.0), spin=0.0, inertia=0.01, gravity=(0.0, -G)):
-    """A body of 1 kg above the x axis, which its points can touch."""
-    scene = pi.Scene(gravity=gravity)
-    body = scene.add(
-        pi.RigidBody(mass=1.0, inertia=inertia, points={"c": (0.0, 0.0)} | points, origin=origin, velocity=velocity, spin=spin, name="body")
-    )
-    for name in points:
-        scene.add(Kerb(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at(name), restitution=e, mu=mu, name=name))
-    return scene.build()
-
-
-def pendulum(angle):
-    """A bar of 1 m with friction in its pin, from an angle of the vertical."""
-    scene, d = pi.Scene(gravity=(0.0, -G)), np.array([np.sin(angle), -np.cos(angle)])
-    bar = scene.add(pi.RigidBody(mass=1.0, inertia=1 / 12, points={"A": -0.5 * d, "B": 0.5 * d}, origin=0.5 * d, name="bar"))
-    scene.add(pi.Revolute(pi.ground, bar.at("A"), friction=0.3, pin_radius=0.02, name="pin"))
-    scene.add(pi.PointMass(bar.at("B"), 1e-12, name="tip"))
-    return scene.build()
 
 
 def angle_of(run):
     x, y = run.position("tip")[-1]
     return np.arctan2(x, -y)
-
-
-def bounces(t, e, g, height):
-    """Height at t of a ball that falls from rest, and the number of its impacts."""
-    at, v, count = np.sqrt(2 * height / g), np.sqrt(2 * height * g), 0
-    if t < at:
-        return height - 0.5 * g * t * t, 0
-    while True:
-        v, count = e * v, count + 1
-        if t < at + 2 * v / g:
-            return v * (t - at) - 0.5 * g * (t - at) ** 2, count
-        at += 2 * v / g
 
 
 @pytest.mark.parametrize(
@@ -74,7 +28,7 @@ def bounces(t, e, g, height):
     ids=lambda x: type(x).__name__,
 )
 def test_ball_bounces(integrator, error):
-    model = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8)
+    model = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8).build()
     run, (height, count) = pi.solve(model, 1.5, integrator), bounces(1.5, 0.8, G, 1.0)
     assert run.success, run.message
     assert len(run.events) == count == 2 and [one.name for one in run.events] == ["p", "p"]
@@ -85,11 +39,11 @@ def test_ball_bounces(integrator, error):
 
 
 def test_bounces_that_accumulate_end_at_rest():
-    run = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8), 5.0, pi.NonsmoothAlpha(h=5e-3))
+    run = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8).build(), 5.0, pi.NonsmoothAlpha(h=5e-3))
     assert run.success and abs(run.q[-1, 1] + 1.0) < 1e-12 and abs(run.v[-1]).max() < 1e-12
     assert abs(run.reaction("p")[-1, 1] - G) < 1e-9
-    rest = np.sqrt(2 / G) * (1 + 0.8) / (1 - 0.8)
-    located = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8), 5.0, pi.RadauIIA(rtol=1e-9))
+    rest = rest_of_bounces(0.8)
+    located = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8).build(), 5.0, pi.RadauIIA(rtol=1e-9))
     assert located.success and abs(located.q[-1, 1] + 1.0) < 1e-9
     assert rest - 2e-3 < located.events[-1].t < rest
 
@@ -112,31 +66,27 @@ def test_a_block_slides_to_rest(integrator):
 @pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=5e-3), pi.MoreauJean(h=5e-3)], ids=lambda x: type(x).__name__)
 def test_no_creep_on_an_incline(integrator):
     a = 0.3
-    model = on_floor({"p": (0.0, 0.0)}, (0.0, 0.0), mu=0.4, gravity=(G * np.sin(a), -G * np.cos(a)))
-    run = pi.solve(model, 1.0, integrator)
+    run = pi.solve(incline(a).build(), 1.0, integrator)
     assert run.success and np.abs(run.q).max() < 1e-12
     assert np.abs(run.reaction("p")[-1] - [-G * np.sin(a), G * np.cos(a)]).max() < 1e-9
 
 
 def test_pin_friction_to_second_order():
     """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
-    errors = [angle_of(pi.solve(pendulum(1.0), 3.0, pi.NonsmoothAlpha(h=h))) + 0.119172717 for h in (2e-2, 1e-2)]
+    errors = [angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.NonsmoothAlpha(h=h))) - PENDULUM for h in (2e-2, 1e-2)]
     assert abs(np.log2(abs(errors[0] / errors[1])) - 2.0) < 0.15
-    assert abs(angle_of(pi.solve(pendulum(1.0), 3.0, pi.RadauIIA(rtol=1e-8))) + 0.119172717) < 1e-7
+    assert abs(angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.RadauIIA(rtol=1e-8))) - PENDULUM) < 1e-7
 
 
 def test_a_pendulum_sticks():
-    run = pi.solve(pendulum(0.1), 5.0, pi.NonsmoothAlpha(h=1e-2))
-    assert np.abs(run.v[-1]).max() < 1e-12 and abs(angle_of(run) - 0.00383) < 5e-5 and run.drift.max() < 1e-11
+    run = pi.solve(pendulum(0.1).build(), 5.0, pi.NonsmoothAlpha(h=1e-2))
+    assert np.abs(run.v[-1]).max() < 1e-12 and abs(angle_of(run) - PENDULUM_STICKS) < 5e-5 and run.drift.max() < 1e-11
 
 
 @pytest.mark.parametrize("integrator, error", [(RADAU, 1e-8), (pi.NonsmoothAlpha(h=1e-3), 1e-3)], ids=lambda x: type(x).__name__)
 def test_rocking_block(integrator, error):
     """A block of 0.2 m x 0.8 m rocks from one corner to the other: the ratio of its rates is 31/34."""
-    w, h, angle = 0.1, 0.4, 0.05
-    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    points = {"left": tuple(turned @ [-w, -h]), "right": tuple(turned @ [w, -h])}
-    model = on_floor(points, tuple(turned @ [w, h]), mu=10.0, inertia=(w * w + h * h) / 3)
+    model = rocking_block().build()
     run = pi.solve(model, 0.3, integrator)
     assert run.success, run.message
     rate, k = np.hypot(*run.v[:, 2:4].T), next(one.frame for one in run.events if one.name == "right")
@@ -147,28 +97,7 @@ def test_rocking_block(integrator, error):
 @pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=1e-3)], ids=lambda x: type(x).__name__)
 def test_momentum_and_energy_of_two_balls(integrator):
     """Two equal balls of an own model, e = 1: they exchange their velocities at t = 0.32 (gap 0.32, approach 1)."""
-
-    class Balls(pi.Model):
-        n, m = 2, 1
-        needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
-        row_laws = (pi.RowLaw(0, "balls", restitution=1.0),)
-
-        def mass(self, q):
-            return np.eye(2)
-
-        def force(self, t, q, v):
-            return np.zeros(2)
-
-        def phi(self, t, q):
-            return np.array([q[1] - q[0] - 0.2])
-
-        def phi_q(self, t, q):
-            return np.array([[-1.0, 1.0]])
-
-        def potential(self, q):
-            return 0.0
-
-    run = pi.solve(Balls(), 1.0, integrator, q0=[0.0, 0.52], v0=[1.0, 0.0])
+    run = pi.solve(Balls(), 1.0, integrator, q0=Balls.begin[0], v0=Balls.begin[1])
     assert run.success, run.message
     assert np.abs(run.v[-1] - [0.0, 1.0]).max() < 1e-12
     step = 0.0 if integrator is RADAU else 1e-3
@@ -210,12 +139,12 @@ def test_an_integrator_without_laws_is_refused():
             yield state
 
     with pytest.raises(pi.InputError, match="Own knows no laws .* p;"):
-        pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0)), 1.0, Own())
+        pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0)).build(), 1.0, Own())
 
 
 @pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=2e-3)], ids=lambda x: type(x).__name__)
 def test_files_and_resume(integrator, tmp_path):
-    model, path = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8, velocity=(0.3, 0.0)), tmp_path / "run.h5"
+    model, path = on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8, velocity=(0.3, 0.0)).build(), tmp_path / "run.h5"
     whole = pi.solve(model, 1.5, integrator)
     half = pi.solve(model, 0.8, integrator, out=path)
     assert [one.t for one in pi.load(path).events] == [one.t for one in half.events]

@@ -38,6 +38,7 @@ REQUIRED = {
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
     "bdf_order": {"steps_order5_over_order2"},
     "energy": {"energy_momentum_relative_drift"},
+    "nonsmooth": {"random_bouncing_energy_growth", "random_plastic_energy_growth"},
     "defaults": {"default_error_max", "default_error_min", "alpha_cpu_over_best_max"},
     "levels": {
         "reduced_gap_5",
@@ -106,6 +107,11 @@ def made_up(name, task):
     if name == "energy":
         momentum = {"linear_drift": 1e-9, "angular_drift": 1e-9, "angular": [0.0, 1e-9, 1e-9, 1e-9]}
         return work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}
+    if name == "nonsmooth":
+        off = dict.fromkeys(("touches_off", "leaves_off", "force_rms", "bottom_off", "place", "height", "penetration"), 1e-3)
+        random = ("beyond_cone", "energy_growth", "energy_growth_in_all", "momentum_in_a_step", "momentum_in_all", "lowest_gap")
+        curves = {"t": T, "energy": [0.0, 1e-9, 1e-9, 1e-9], "force": [0.0, 1.0, 0.0, 0.0], "bottom": [1.0, 0.0, 0.0, 1.0]}
+        return work | off | dict.fromkeys(random, 1e-9) | curves | {"error_q": size, "events": 2, "energy_change": 1e-9}
     if name == "mesh_convergence":
         moved = {"moved": [-7e-3, -66e-3], "bending_errors": [1e-3] * 3, "axial_errors": [1e-3] * 2, "compliance": 1.0 + size}
         return work | moved | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}

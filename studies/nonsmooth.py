@@ -1,0 +1,187 @@
+"""Contact and friction: work against precision of events and of time stepping, energy, random scenes, a chain, a bouncing bar."""
+
+import numpy as np
+
+from nonsmooth import bar, cases, chain, energy, random_scenes
+from polyida.cli.study import main
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, loglog, panels, study_figure
+from polyida.study.rows import column, distinct, fit_slope, largest, pick, unfinished_notes
+from polyida.study.tasks import Study
+
+SEEDS = 20  # of a row
+BARS = [(40, 0.5, rho) for rho in (0.8, 0.3)] + [(cells, 0.5, 0.3) for cells in (20, 80)] + [(40, 0.25, 0.3), (40, 1.0, 0.3)]
+LIMIT = 1e-13  # smaller errors are round-off
+
+
+def tasks(quick):
+    seeds = [(first, e, 5 if quick else SEEDS) for e in (True, False) for first in range(0, 5 if quick else 200, SEEDS)]
+    random = [{"part": "random", "first": first, "count": count, "bounces": e} for first, e, count in seeds]
+    bars = [{"part": "bar", "cells": cells, "courant": courant, "rho_inf": rho} for cells, courant, rho in (BARS[:2] if quick else BARS)]
+    return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars
+
+
+def run(part, **task):
+    parts = {"precision": cases.measure, "energy": energy.measure, "random": random_row, "chain": chain.measure, "bar": bar.measure}
+    return parts[part](**task)
+
+
+def random_row(first, count, bounces):
+    """The worst of some seeds."""
+    rows = [random_scenes.kept(seed, restitution=bounces) for seed in range(first, first + count)]
+    failed = [f"seed {first + k}: {row['outcome']}" for k, row in enumerate(rows) if row["outcome"] != "done"]
+    done = [row for row in rows if row["outcome"] == "done"]
+    keys = ("beyond_cone", "pull", "energy_growth", "energy_growth_in_all", "momentum_in_a_step", "momentum_in_all")
+    worst = {key: max(row[key] for row in done) for key in keys} | {"lowest_gap": min(row["lowest_gap"] for row in done)}
+    return worst | {"outcome": "; ".join(failed) or "done"}
+
+
+def orders(rows):
+    """Fitted orders of the ways with one step, from errors above round-off."""
+    result = {}
+    for row in pick(rows, part="precision"):
+        runs = [one for one in pick(rows, part="precision", scene=row["scene"], integrator=row["integrator"]) if one.get("error_q")]
+        good = [one for one in runs if one["error_q"] > LIMIT]
+        if row["integrator"] in cases.FIXED and len(good) > 2:
+            result[f"order_{short(row)}"] = fit_slope(column(good, "x"), column(good, "error_q"))
+    return result
+
+
+def short(row):
+    return f"{row['scene']}_{row['integrator']}".replace(",", "").replace(" ", "_").replace("-", "_").replace(".", "").lower()
+
+
+def kept(rows):
+    """The worst of all random scenes, with restitution and without."""
+    result = {}
+    for bounces, label in ((True, "bouncing"), (False, "plastic")):
+        of_kind = pick(rows, part="random", bounces=bounces)
+        for key in ("energy_growth", "energy_growth_in_all", "beyond_cone", "momentum_in_a_step", "momentum_in_all"):
+            result[f"random_{label}_{key}"] = largest(of_kind, key)
+        result[f"random_{label}_penetration"] = -min(column(of_kind, "lowest_gap"), default=np.nan)
+    return result
+
+
+def energies(rows):
+    return {f"energy_change_{short(row)}": row["energy_change"] for row in pick(rows, part="energy") if "energy_change" in row}
+
+
+def stop_notes(rows):
+    return unfinished_notes(rows, "part", "scene", "integrator", "x", "first", "stiffness")
+
+
+def at_home(rows):
+    """The cheapest run of each scene with an error below 1e-4 and 1e-6."""
+    lines = []
+    for scene in distinct(pick(rows, part="precision"), "scene"):
+        for level in (1e-4, 1e-6):
+            good = [row for row in pick(rows, part="precision", scene=scene, outcome="done") if row["error_q"] <= level]
+            if good:
+                best = min(good, key=lambda row: row["cpu_s"])
+                text = f"{best['integrator']} at {best['x']:g}, {best['cpu_s']:.2g} CPU s"
+                lines.append(f"{scene}: an error of {level:.0e} costs least by {text}, {best['steps']} steps")
+    return lines
+
+
+def chain_notes(rows):
+    lines = []
+    for row in pick(rows, part="chain", outcome="done"):
+        stiff = f", stiffness {row['stiffness']:g} N/m" if row["stiffness"] else ""
+        ends = f"joints end at {row['place']:.3f} m, {row['height']:.3f} m on average"
+        cost = f"{row['cpu_s']:.3g} CPU s, penetration {row['penetration']:.2g} m"
+        lines.append(f"chain: {row['integrator']}, h = {row['x']:g} s{stiff}: {cost}, {ends}")
+    return lines
+
+
+@study_figure
+def precision_figure(rows):
+    """CPU time against the error, case by case; a run without error is not drawn."""
+    of_part = pick(rows, part="precision")
+    scenes = distinct(of_part, "scene")
+    fig, axes = panels(len(scenes), width=7.4, height=2.3, columns=3)
+    for k, (axis, scene) in enumerate(zip(axes, scenes)):
+        for i, way in enumerate(cases.MAKERS):
+            runs = [row for row in pick(of_part, scene=scene, integrator=way) if row.get("error_q")]
+            loglog(axis, column(runs, "error_q"), column(runs, "cpu_s"), i, way)
+        axis.set(title=scene, xlabel=f"error, {cases.CASES[scene].unit}", ylabel="" if k % 3 else "CPU seconds")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "nonsmooth-precision")
+
+
+@study_figure
+def energy_figure(rows):
+    """Relative change of energy over many impacts with e = 1."""
+    of_part = pick(rows, part="energy")
+    scenes = distinct(of_part, "scene")
+    fig, axes = panels(len(scenes), width=7.4, height=3.0)
+    for axis, scene in zip(axes, scenes):
+        for i, row in enumerate(pick(of_part, scene=scene)):
+            size = np.maximum(np.abs(np.array(row["energy"], float)), 1e-16)
+            axis.semilogy(row["t"], size, label=row["integrator"], **marker_style(i) | {"markevery": 0.2})
+        axis.set(title=scene, xlabel="t, s", ylabel="relative change of energy")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "nonsmooth-energy")
+
+
+@study_figure
+def bar_figure(rows):
+    """The bouncing bar: force of the floor and height of the lower end, with the exact solution, black."""
+    of_part = pick(rows, part="bar", outcome="done")
+    fig, (force, bottom) = panels(2, width=7.4, height=3.0)
+    for i, row in enumerate(of_part[:2]):
+        style = marker_style(i) | {"marker": "", "label": f"{row['cells']} cells, rho {row['rho_inf']:g}"}
+        t = np.array(row["t"]) / bar.HIT
+        force.plot(t, row["force"], **style)
+        bottom.plot(t, row["bottom"], **style)
+    t = np.linspace(0.0, 11 / 3, 600)
+    exact = {"color": "k", "linewidth": 0.8, "label": "exact"}
+    force.plot(t, bar.exact_force(t * bar.HIT, 1.0) / bar.exact_force(bar.LEAVES * 0.999999, 1.0), **exact)
+    bottom.plot(t, bar.exact_bottom(t * bar.HIT) / bar.FALL, **exact)
+    force.set(xlabel="t over the time of the fall", ylabel="force over its largest")
+    bottom.set(xlabel="t over the time of the fall", ylabel="height over that of the fall")
+    legend_above(fig, (force, bottom), 3)
+    return line_picture(fig, "nonsmooth-bar")
+
+
+COLUMNS = (
+    "part",
+    "scene",
+    "integrator",
+    "x",
+    "error_q",
+    "cpu_s",
+    "steps",
+    "events",
+    "energy_change",
+    "energy_gain",
+    "stiffness",
+    "penetration",
+    "first",
+    "bounces",
+    "lowest_gap",
+    "energy_growth",
+    "momentum_in_all",
+    "cells",
+    "courant",
+    "rho_inf",
+    "touches_off",
+    "leaves_off",
+    "force_rms",
+    "bottom_off",
+    "outcome",
+    "error",
+)
+STUDY = Study(
+    "nonsmooth",
+    "contact and friction; x is the step, s, or the tolerance",
+    tasks,
+    run,
+    (orders, kept, energies),
+    (precision_figure, energy_figure, bar_figure),
+    COLUMNS,
+    notes=(stop_notes, at_home, chain_notes),
+    headline=("random_bouncing_energy_growth", "random_plastic_energy_growth"),
+)
+
+if __name__ == "__main__":
+    main(STUDY)

@@ -1,0 +1,1 @@
+"""Modules of studies/nonsmooth.py: contact and friction."""
