@@ -41,7 +41,7 @@ def test_ball_bounces(integrator, error):
 def test_bounces_that_accumulate_end_at_rest():
     run = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8).build(), 5.0, pi.NonsmoothAlpha(h=5e-3))
     assert run.success and abs(run.q[-1, 1] + 1.0) < 1e-12 and abs(run.v[-1]).max() < 1e-12
-    assert abs(run.reaction("p")[-1, 1] - G) < 1e-9
+    assert abs(np.linalg.norm(run.reaction("p")[-1]) - G) < 1e-9
     rest = rest_of_bounces(0.8)
     located = pi.solve(on_floor({"p": (0.0, 0.0)}, (0.0, 1.0), e=0.8).build(), 5.0, pi.RadauIIA(rtol=1e-9))
     assert located.success and abs(located.q[-1, 1] + 1.0) < 1e-9
