@@ -174,7 +174,17 @@ class Trajectory:
     @cached_property
     def energy(self) -> Energy:
         """Kinetic, potential (gravity, force elements) and strain energy of every frame; on request work of parts and dissipation."""
-        return energy_of(self._pieces("energy"), self.events)
+        pieces = self._pieces("energy")
+        if len(self.events) and not self.events.given:  # the energy lost in impacts has the work of the friction in them
+            pieces = [pieces[0]._replace(lam=self._without_impacts(pieces[0].model))]
+        return energy_of(pieces, self.events)
+
+    def _without_impacts(self, model):
+        """lam without the friction of contacts in the steps in which they were hit."""
+        lam = np.array(self.lam, float)
+        for one in self.events:
+            lam[one.frame, [law.row for law in model.row_laws if law.name == one.name and not law.is_contact]] = 0.0
+        return lam
 
     @property
     def momentum(self) -> NDArray:
@@ -194,11 +204,13 @@ class Trajectory:
         return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
     def _pieces(self, what):
-        """The Motions between events, in order; the first may have no frame."""
+        """The Motions between events, in order, that have frames."""
         if not (self.events.given):
             return [self._motion(what)]
         frames, result = (self.q, self.v, self.a), []
         for first, end, model in self.events.pieces(self.known_model(what), len(self)):
+            if first == end and (len(self) or result):
+                continue
             lam = np.asarray(self.lam[first:end], float)[:, model.columns]
             result.append(Motion(guard(model), self.t[first:end], *(x[first:end] for x in frames), lam))
         return result

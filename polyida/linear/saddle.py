@@ -262,12 +262,13 @@ class StepMatrix:
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
             at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
-            self.whole = KKT(self.S, self.model.phi_q(*at))
+            self.whole = KKT(self.S, self.model.phi_q(*at), columns=self.model.columns_of_forces(*at, self.made_at[1 + 3 * self.model.n :]))
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
         if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
-            self.border = Border(self.solve(q, dense(B).T))
+            columns = self.model.columns_of_forces(t, q, lam)
+            self.border = Border(self.solve(q, dense(B if columns is None else columns).T))
         return self.border.solve(self.solve(q, -r), B, -phi)
 
     def stands_alone(self):

@@ -400,6 +400,10 @@ class Model:
         reached = [(t - kink) / speed for kink, speed in zip(kinks, speeds) if speed and t != kink]
         return max((s for s in reached if s < 0), default=-np.inf), min((s for s in reached if s > 0), default=np.inf)
 
+    def columns_of_forces(self, t: float, q: NDArray, lam: NDArray) -> Matrix | None:
+        """Return `(dr/dlam)^T`, (m, n), if it is not phi_q; else None."""
+        return None
+
     def step_matrix(self) -> Any:
         """Return a StepMatrix of this model (linear/saddle.py), not factored yet."""
         return StepMatrix(self)

@@ -137,6 +137,9 @@ class WithRows(Model):
     def potentials(self, q, v=None):
         return self.whole.potentials(q) if v is None else self.whole.potentials(q, v)
 
+    def potential(self, q):
+        return float(sum(self.whole.potentials(q)))
+
     def mass(self, q):
         return self.whole.mass(q)
 
@@ -215,6 +218,23 @@ class Slips(WithRows):
                 force = force + sign * law.constant * dense(self.whole.phi_q(t, q)[[law.row]])[0]
         return force
 
+    def columns_of_forces(self, t, q, lam):
+        """The rows of phi_q, with the friction that grows with their multipliers."""
+        B, forces = dense(self.whole.phi_q(t, q)), self._all(lam)
+        columns = B[self.kept]
+        for law, sign in self.slips:
+            on = np.array(law.on, np.int64)
+            if size := np.linalg.norm(forces[on]):
+                shares = np.where(np.isin(self.kept[:, None], on), forces[self.kept][:, None], 0.0) / size
+                columns = columns + sign * law.mu * shares * B[law.row]
+        return columns
+
+    def require_unique(self, state):
+        """Raise SingularSystem if the matrix of the friction was singular between a state and where friction is small."""
+        masses = SlippingMasses(self, state.t, state.q)
+        if not np.linalg.det(masses.slope(state.lam)) > 0.0:
+            raise masses.singular()
+
     def mass_system(self, t, q):
         return SlippingMasses(self, t, q)
 
@@ -230,22 +250,33 @@ class SlippingMasses:
         place = {int(row): k for k, row in enumerate(model.kept)}
         self.on = [([place[row] for row in law.on if row in place], sign * law.mu) for law, sign in model.slips]
 
+    def slope(self, lam):
+        """d(f - mu |lam_on|)/df at lam = dlam + Y f."""
+        slope = np.eye(len(self.on))
+        for k, (rows, mu) in enumerate(self.on):
+            size = np.linalg.norm(lam[rows])
+            slope[k] -= mu * lam[rows] @ self.Y[rows] / size if size else 0.0
+        return slope
+
+    def singular(self):
+        """The SingularSystem of friction without a unique force."""
+        names = ", ".join(dict.fromkeys(repr(law.name) for law, _ in self.model.slips))
+        why = "its friction has no unique force, and only time stepping, polyida.NonsmoothAlpha(h=...), goes on"
+        return SingularSystem(f"the matrix of the slip of {names} is singular: {why}")
+
     def solve(self, r, phi):
         """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""
         dq, dlam = self.system.solve(r, phi)
-        f, unit = np.zeros(len(self.on)), np.eye(len(self.on))
+        f = np.zeros(len(self.on))
         for _ in range(MOST):
-            lam, error, slope = dlam + self.Y @ f, f.copy(), unit.copy()
-            for k, (rows, mu) in enumerate(self.on):
-                size = np.linalg.norm(lam[rows])
-                error[k] -= mu * size
-                slope[k] -= mu * lam[rows] @ self.Y[rows] / size if size else 0.0
+            lam = dlam + self.Y @ f
+            error = f - np.array([mu * np.linalg.norm(lam[rows]) for rows, mu in self.on])
             if np.abs(error).max() <= 1e-14 * max(np.abs(f).max(), np.abs(f - error).max()):
                 return dq + self.X @ f, lam
             try:
-                f = f - np.linalg.solve(slope, error)
+                f = f - np.linalg.solve(self.slope(lam), error)
             except np.linalg.LinAlgError:
                 break
         if not r.any():  # a projection of positions or velocities, which needs no friction
             return dq, dlam
-        raise SingularSystem(f"the friction of {', '.join(law.name for law, _ in self.model.slips)} has no unique force while it slips")
+        raise self.singular()

@@ -118,14 +118,18 @@ class Happenings:
     def start(self, state):
         """The first state of a run, with all columns."""
         memory = {name: value for name, value in state.memory.items() if name != "events"}
-        return replace(_spread(state, self.mode, self.width), memory=memory, restart=True)
+        return replace(self.spread(state), memory=memory, restart=True)
 
     def whole_state(self, state):
         """A state of the mode with the columns of lam of all rows."""
-        mode, within = self.mode, state.within
+        within = state.within
         memory = state.memory | {"events": np.array([self.sides, self.sizes])} if state.restart else {}
-        inner = within and (lambda t: _spread(within(t), mode, self.width))
-        return replace(_spread(state, mode, self.width), memory=memory, restart=state.restart, within=inner)
+        inner = within and (lambda t: self.spread(within(t)))
+        return replace(self.spread(state), memory=memory, restart=state.restart, within=inner)
+
+    def spread(self, state):
+        """The vectors of a state of the mode, with the columns of lam of all rows; no run can go on from it."""
+        return State(state.t, state.q, state.v, state.a, self.mode.spread(state.lam, self.width), restart=False)
 
     def stretches(self, state, t_end, counts):
         """Yield Stretches of the run's states, and Changes. The first state has all columns. Raises StepFailure."""
@@ -142,7 +146,8 @@ class Happenings:
         while True:
             change = None
             for change in self._motion(state, t_end, counts):
-                yield change
+                if not isinstance(change, Change) or change.happened:
+                    yield change
             if not isinstance(change, Change) or change.stops or t_end - change.after.t <= max(LEAST * span, 64 * math.ulp(t_end)):
                 return
             after = change.after
@@ -165,7 +170,7 @@ class Happenings:
                 t, fired = hit
                 at = between(before, after, t)
                 start = self._consistent(self.mode, at, "the state")
-                first = _spread(start, self.mode, self.width)
+                first = self.spread(start)
                 if at is before:
                     counts.steps -= 1
                 else:
@@ -185,7 +190,7 @@ class Happenings:
         return float(value)
 
     def _moment(self, state):
-        return Moment(self.whole, _spread(state, self.mode, self.width), self.mode)
+        return Moment(self.whole, self.spread(state), self.mode)
 
     def _first(self, before, after):
         """(time, numbers of the events) of the first change of sign in a step, or None."""
@@ -386,8 +391,3 @@ class Happenings:
         model, moving = self.mode, self.mode.without_states(state.v)
         potentials = model.potentials(state.q, state.v) if model.k and model.is_scene else model.potentials(state.q)
         return 0.5 * moving @ (model.mass(state.q) @ moving) + sum(potentials)
-
-
-def _spread(state, mode, width):
-    """The vectors of a state of a mode, with the columns of lam of all rows; no run can go on from it."""
-    return State(state.t, state.q, state.v, state.a, mode.spread(state.lam, width), restart=False)

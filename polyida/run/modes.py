@@ -4,6 +4,10 @@ A mode is a model in which closed contacts and rows that stick are equations, an
 that is not negative while its status lasts: the gap of an open contact, the pressure of a closed one, `c(lam) - |lam|` of a row that sticks,
 `sign rate` of one that slips. Where one becomes negative, velocities jump by the impact laws, and the accelerations' cone problem gives the next
 statuses.
+
+Closed and sticking rows may depend on each other, as those of a rigid block on two feet. Independent ones are the equations then. Their forces
+are shared by all of them: of the forces with the same accelerations those of least norm, rows measured in `sqrt(G_ii)`. A row that reaches its
+bound leaves the others to themselves, and has no function while they hold it.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +19,7 @@ from polyida.event import Events, Happened
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
 from polyida.integrate.state import State
+from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
 from polyida.run.events import Happenings
@@ -22,6 +27,8 @@ from polyida.run.events import Happenings
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
 AT_ONCE = 10  # changes of one row at one time
+DEPENDENT = 1e-10  # of G_ii: rows that depend on others
+AT_BOUND = 1e-4  # of the largest force: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
 
@@ -43,7 +50,7 @@ class Modes(Happenings):
         self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
-        self.last, self.modes, self.mode = -np.inf, {}, self.whole
+        self.last, self.modes, self.mode, self.shared, self._forces = -np.inf, {}, self.whole, np.zeros(0, np.int64), (None, None)
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -54,36 +61,89 @@ class Modes(Happenings):
         state = super().whole_state(state)
         return replace(state, memory=state.memory | {"status": self.status.astype(float)}) if state.restart else state
 
+    def spread(self, state):
+        return replace(super().spread(state), lam=self._all_forces(state))
+
     def stretches(self, state, t_end, counts):
         memory = dict(state.memory)
         self.status = np.asarray(memory.pop("status"), np.int64)
-        self.mode = self._mode()
+        self._set_mode(state.t, state.q, state.v)
         return super().stretches(replace(state, memory=memory), t_end, counts)
 
     def value(self, event, state):
         """The function of a row at a state of the mode."""
         contacts, number = self.contacts, event.law
         status, law = self.status[number], self.whole.row_laws[number]
+        if self.held[number]:
+            return 1.0
         if status in SIGNS:
-            rate = SIGNS[status] * float(self.whole.phi_rate(state.t, state.q, state.v)[law.row])
-            return rate + 0.5 * contacts.still(state.q, state.v)  # slip that begins is round-off for some steps
+            return SIGNS[status] * float(self.whole.phi_rate(state.t, state.q, state.v)[law.row])
         if status == STICKS:
-            lam = self.mode.spread(state.lam, self.width)
+            lam = self._all_forces(state)
             return float(law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) - abs(lam[law.row]))
         if status == CLOSED and contacts.contact[number]:
-            return -float(self.mode.spread(state.lam, self.width)[law.row])
+            return -float(self._all_forces(state)[law.row])
         return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
 
-    def _mode(self):
-        """The model of the statuses."""
-        key = self.status.tobytes()
+    def _motion(self, before, t_end, counts):
+        try:
+            yield from super()._motion(before, t_end, counts)
+        except SingularSystem as error:
+            raise StepFailure("singular", str(error), self.at) from None
+
+    def _first(self, before, after):
+        self.at = after.t
+        if isinstance(self.mode, Slips):
+            self.mode.require_unique(after)
+        return super()._first(before, after)
+
+    def _crossing(self, event, side, values, offset, before, after):
+        """As of all events; a slip or an opening that began in the wrong direction, by more than round-off, ends with the step."""
+        if side > 0.0:
+            return super()._crossing(event, side, values, offset, before, after)
+        is_gap = self.contacts.contact[event.law]
+        round_off = TOUCH * (self.whole.extent or 1.0) if is_gap else self.contacts.still(after.q, after.v)
+        t, side = super()._crossing(event, 0.0, values, max(offset, round_off), before, after)
+        return (after.t, side) if t is None and side < 0.0 else (t, side)
+
+    def _all_forces(self, state):
+        """lam of all rows at a state of the mode."""
+        if self._forces[0] is not state:
+            lam = self.mode.spread(state.lam, self.width)
+            if len(self.shared):
+                contacts, rows = self.contacts, self.contacts.rows[self.shared]
+                G, _, Y = contacts.mobilities(state.t, state.q, self.shared)
+                size, p = 1.0 / np.sqrt(G.diagonal()), -lam[rows]
+                scaled = size[:, None] * G * size
+                least = size * np.linalg.lstsq(scaled, size * (G @ p), rcond=DEPENDENT)[0]
+                lam[rows] = -least
+                lam[contacts.equations] += Y @ (least - p)
+            self._forces = state, lam
+        return self._forces[1]
+
+    def _set_mode(self, t, q, v):
+        """Set the model of the statuses, the rows that share forces, and those that the equations hold."""
+        contacts, laws, status = self.contacts, self.whole.row_laws, self.status
+        rates, gaps, still = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q), contacts.still(q, v)
+        equal = np.where(contacts.contact, status == CLOSED, status == STICKS)
+        slips = [(law, SIGNS[s]) for law, s in zip(laws, status) if s in SIGNS and (law.mu or law.constant)]
+        resting = np.flatnonzero(
+            (np.abs(rates) <= still) & (gaps <= TOUCH * (self.whole.extent or 1.0)) & (contacts.contact | (status > 0))
+        )
+        self.held, self.shared, kept = np.zeros(len(laws), bool), np.zeros(0, np.int64), np.flatnonzero(equal)
+        if len(resting) > 1 and len(kept):
+            G, mobility, _ = contacts.mobilities(t, q, resting)
+            kept, held = _independent(G, np.isin(resting, kept), np.maximum(G.diagonal(), DEPENDENT * mobility))
+            kept, self.held[resting[held]] = resting[kept], True
+            pressing = {row for law, _ in slips for row in law.on}
+            if (self.held & equal).any():
+                self.shared = np.array([k for k in resting if equal[k] and laws[k].row not in pressing], np.int64)
+                self.held[self.shared] = False
+        rows = np.sort(np.concatenate([contacts.equations, contacts.rows[kept]]))
+        key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
         if key not in self.modes:
-            contacts, laws = self.contacts, self.whole.row_laws
-            equations = contacts.rows[(contacts.contact & (self.status == CLOSED)) | (~contacts.contact & (self.status == STICKS))]
-            rows = np.sort(np.concatenate([contacts.equations, equations]))
-            slips = [(law, SIGNS[s]) for law, s in zip(laws, self.status) if s in SIGNS and (law.mu or law.constant)]
             self.modes[key] = Slips(self.whole, rows, slips) if slips else self.whole.with_rows(rows)
-        return self.modes[key]
+        self.mode, self._forces = self.modes[key], (None, None)
 
     def _settled(self, t, q, v, closed, begins=0.0):
         """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest."""
@@ -94,14 +154,14 @@ class Modes(Happenings):
         slips = ~contacts.contact & (np.abs(rates) > contacts.still(q, v))
         status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
         self.status = np.where(bounded & contacts.active(closed), status, 0)
-        self.mode = self._mode()
+        self._set_mode(t, q, v)
         return State(t, q, v, a, contacts.all(lam, p), restart=False)
 
     def _change(self, state, fired):
         contacts, t, q = self.contacts, state.t, state.q
         gaps, rates = contacts.gaps(t, q), self.whole.phi_rate(t, q, state.v)[contacts.rows]
         old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(q, state.v)
-        hit = contacts.contact & (old != CLOSED) & ((gaps <= size) & (rates < 0.0))
+        hit = contacts.contact & (old != CLOSED) & ((gaps <= size) & (rates < -still))
         closed = contacts.contact & ((old == CLOSED) | ((gaps <= size) & (rates <= still)))
         v, happened = state.v, []
         if hit.any():
@@ -120,12 +180,14 @@ class Modes(Happenings):
         for k in changed if not happened else ():
             word = WORDS.get(int(self.status[k]), "opens" if contacts.contact[k] else "is free")
             happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
-        happened = happened or [Happened(t, contacts.names[self.events[fired[0]].law], 0.0, 0.0, 0)]
         self._require_progress(t, np.union1d(changed, np.flatnonzero(hit)) if len(changed) or hit.any() else fired)
         self.happened.happened += happened
         moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
         self.values = np.array([self.value(event, moment) for event in self.events])
-        self.sides, self.sizes = np.ones(len(self.events)), np.abs(self.values)
+        # slip from rest, and the gap of a contact that opens, are round-off of either sign at first
+        begins = np.where(contacts.contact, self.status == 0, self.status >= SLIPS_UP)
+        begins &= self.values <= np.where(contacts.contact, size, still)
+        self.sides, self.sizes = np.where(begins, 0.0, 1.0), np.abs(self.values)
         return (
             replace(behind, memory={"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float)}, restart=True),
             happened,
@@ -134,8 +196,10 @@ class Modes(Happenings):
 
     def _begins(self, state, closed, fired):
         """Directions in which rows that reached their bounds slip; opens the contacts without pressure. At a bound the laws allow both statuses."""
-        begins, lam = np.zeros(len(self.events)), self.mode.spread(state.lam, self.width)
-        for k in (self.events[number].law for number in fired):
+        begins, lam = np.zeros(len(self.events)), self._all_forces(state)
+        for k in fired:
+            if self.value(self.events[k], state) > AT_BOUND * np.abs(lam).max(initial=0.0):
+                continue
             if self.contacts.contact[k]:
                 closed[k] &= self.status[k] != CLOSED
             elif self.status[k] == STICKS:
@@ -152,3 +216,20 @@ class Modes(Happenings):
                 name = self.contacts.names[int(np.argmax(counts))]
                 advice = "use polyida.NonsmoothAlpha(h=...), which steps through"
                 raise StepFailure("events", f"the contact or friction of {name!r} {why} more than {limit} times; {advice}", t)
+
+
+def _independent(G, equal, size):
+    """(numbers of independent rows among those with `equal`, numbers of the other rows that depend on them), by their Gram matrix G.
+
+    size: of the diagonal. Rows that depend on the first ones are found by Cholesky's elimination with pivots.
+    """
+    rest, kept = G.copy(), []
+    while True:
+        left = np.where(equal, rest.diagonal() / size, 0.0)
+        left[kept] = 0.0
+        k = int(np.argmax(left))
+        if left[k] <= DEPENDENT:
+            dependent = np.flatnonzero(rest.diagonal() / size <= DEPENDENT)
+            return np.array(kept, np.int64), np.setdiff1d(dependent, kept)
+        kept.append(k)
+        rest = rest - np.outer(rest[:, k], rest[k]) / rest[k, k]

@@ -71,6 +71,57 @@ def test_no_creep_on_an_incline(integrator):
     assert np.abs(run.reaction("p")[-1] - [-G * np.sin(a), G * np.cos(a)]).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    "integrator",
+    [pi.GeneralizedAlpha(h=1e-2), pi.RadauIIA(rtol=1e-6), pi.IDA(rtol=1e-6), pi.EnergyMomentum(h=1e-2)],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_block_on_two_feet_slides_to_rest(integrator):
+    """The rows of two feet that stick depend on each other: they share the force that keeps the block on its incline."""
+    a, mu, feet = 0.2, 0.4, {"left": (-0.2, -0.05), "right": (0.2, -0.05)}
+    scene = on_floor(feet, (0.0, 0.05), mu=mu, velocity=(1.0, 0.0), gravity=(G * np.sin(a), -G * np.cos(a)))
+    run = pi.solve(scene.build(), 0.7, integrator)
+    assert run.success, run.message
+    assert [one.name for one in run.events] == ["left sticks", "right sticks"]
+    assert abs(run.q[-1, 0] - 0.5 / (G * (mu * np.cos(a) - np.sin(a)))) < 1e-10 and np.abs(run.v[-1]).max() < 1e-12
+    left, right = (run.reaction(name)[-1] for name in feet)
+    assert np.abs(left + right - [-G * np.sin(a), G * np.cos(a)]).max() < 1e-8
+    assert all(abs(x) < mu * y for x, y in (left, right)) and abs(left[0] - right[0]) < 1e-8
+    assert abs(0.2 * (right[1] - left[1]) - 0.05 * G * np.sin(a)) < 1e-8
+    assert abs(sum(run.energy.dissipated[name][-1] for name in feet) - mu * G * np.cos(a) * run.q[-1, 0]) < 1e-8
+
+
+def test_a_section_of_a_plate_slides_on_a_floor():
+    """Its nodes stick, slip and lift one by one; what a node penetrates while it lifts is of the order of h^2 times its accelerations."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    material = pi.Material(E=1e6, nu=0.3, rho=1000.0)
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(0.4, 0.1, 4, 1), material, 0.01, velocity=(0.3, 0.0), name="plate"))
+    scene.add(pi.Contact(plate.section("bottom"), pi.ground.at((0.0, -0.05), direction=(1.0, 0.0)), friction=0.3, name="floor"))
+    run = pi.solve(scene.build(), 0.04, pi.GeneralizedAlpha(h=2e-3, rho_inf=0.5))
+    assert run.success, run.message
+    forces = -run.reaction("floor")
+    small = 0.03 * 0.4 * G
+    assert run.drift.max() < 5e-4 and forces[:, 1].min() > -small and (np.abs(forces[:, 0]) <= 0.3 * forces[:, 1] + small).all()
+    momentum = [np.trapezoid(force, run.t) for force in forces.T]
+    assert abs(momentum[0] - (run.momentum[-1] - run.momentum[0])[0]) < 0.02 * 0.4 * 0.3
+    assert np.diff(run.energy.total).max() < 1e-4 * run.energy.total[0]
+
+
+@pytest.mark.parametrize(
+    "integrator, error", [(RADAU, 1e-6), (pi.NonsmoothAlpha(h=1e-3), 2e-2), (pi.MoreauJean(h=1e-3), 2e-2)], ids=lambda x: type(x).__name__
+)
+def test_energy_lost_in_an_impact_with_friction(integrator, error):
+    """A body that spins up: the energy lost is that of the motion, with the work of the friction."""
+    scene = on_floor({"p": (0.0, -0.1)}, (0.0, 0.3), e=0.5, mu=0.2, velocity=(2.0, 0.0), inertia=0.005)
+    run = pi.solve(scene.build(), 0.3, integrator)
+    balance = run.energy.total + run.energy.dissipated["p"] - run.energy.total[0]
+    normal, along = np.sqrt(2 * G * 0.2) * np.array([1.5, 0.3])  # impulses
+    slip, mobility = 2.0, 1.0 + 0.1**2 / 0.005
+    lost = 0.5 * 2 * G * 0.2 * 0.75 + along * (slip - 0.5 * mobility * along)
+    assert len(run.events) == 1 and normal > along
+    assert abs(run.events[0].energy_lost - lost) < error * lost and abs(balance).max() < error
+
+
 def test_pin_friction_to_second_order():
     """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
     errors = [angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.NonsmoothAlpha(h=h))) - PENDULUM for h in (2e-2, 1e-2)]

@@ -173,6 +173,9 @@ class MiddleTable:
 class PythonOwn(MiddleTable, PythonTable):
     """The table of a user's model in Python that is large or solves its systems itself."""
 
+    def __init__(self, model):
+        super().__init__(model, False)
+
     def _middle(self, instant, states, lam, r, phi, *_):
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)

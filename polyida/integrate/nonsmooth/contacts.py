@@ -52,10 +52,10 @@ class Contacts:
         return np.where(self.contact, closed, pressed)
 
     def slopes(self, t, q, which):
-        """phi_q of the rows with laws at which `which` is True, (k, n), dense."""
+        """phi_q of the rows with laws that `which` selects, a mask or their numbers, (k, n), dense."""
         if self.model.is_scene and self.model.small:
             return self.model.small_phi_q(t, q)[self.rows[which]]
-        return dense(self.model.phi_q(t, q)[self.rows[which]]) if which.any() else np.zeros((0, self.model.n))
+        return dense(self.model.phi_q(t, q)[self.rows[which]]) if len(self.rows[which]) else np.zeros((0, self.model.n))
 
     def mobility(self, B):
         """Squares of the rows B over the largest mass, (k,)."""
@@ -68,6 +68,12 @@ class Contacts:
     def columns(self, solve, B):
         """(X (n, k), Y (equations, k)) of rows B (k, n): changes of q and lam for unit pressures, by solve(r (n, k), phi)."""
         return solve(-B.T, np.zeros((len(self.equations), len(B)))) if len(B) else (B.T, np.zeros((len(self.equations), 0)))
+
+    def mobilities(self, t, q, numbers):
+        """(G (k, k), a typical G_ii without equations (k,), Y) of the rows with laws of these numbers, by the masses."""
+        B = self.slopes(t, q, numbers)
+        X, Y = self.columns(self.base.mass_system(t, q).solve, B)
+        return B @ X, self.mobility(B), Y
 
     def solve(self, t, active, G, b, p, lam, Y, mobility, scale=1.0, sign=None):
         """(p, status) of the active rows, each (k,) of all rows with laws.

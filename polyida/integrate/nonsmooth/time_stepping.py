@@ -272,6 +272,7 @@ class _Steps:
 
 
 def _impacts(contacts, rows, P, before, after):
-    """{"impacts": (k, 3)}: number of the law, impulse and energy lost of the contacts in `rows` that were hit; empty if none was."""
-    hit = np.flatnonzero(rows & (P > 0.0))
-    return {"impacts": np.stack([hit, P[hit], -0.5 * P[hit] * (before + after)[hit]], axis=1)} if len(hit) else {}
+    """{"impacts": (k, 3)}: number of the law, impulse, and energy lost with its friction, of the contacts in `rows` that were hit; or {}."""
+    hit, lost = np.flatnonzero(rows & (P > 0.0)), -0.5 * P * (before + after)
+    rubbed = [sum(lost[k] for k, on in enumerate(contacts.on_laws) if number in on) for number in hit]
+    return {"impacts": np.stack([hit, P[hit], lost[hit] + rubbed], axis=1)} if len(hit) else {}
