@@ -274,5 +274,5 @@ class _Steps:
 def _impacts(contacts, rows, P, before, after):
     """{"impacts": (k, 3)}: number of the law, impulse, and energy lost with its friction, of the contacts in `rows` that were hit; or {}."""
     hit, lost = np.flatnonzero(rows & (P > 0.0)), -0.5 * P * (before + after)
-    rubbed = [sum(lost[k] for k, on in enumerate(contacts.on_laws) if number in on) for number in hit]
-    return {"impacts": np.stack([hit, P[hit], lost[hit] + rubbed], axis=1)} if len(hit) else {}
+    rubbed = np.bincount(contacts.on_laws[:, 1], lost[contacts.on_laws[:, 0]], len(lost))
+    return {"impacts": np.stack([hit, P[hit], (lost + rubbed)[hit]], axis=1)} if len(hit) else {}
