@@ -239,3 +239,17 @@ def test_a_plate_thrown_on_its_corner():
     assert gaps.min() > -1e-12 and forces.min() >= 0.0 and (gaps[forces > 0.0] < 1e-9).all()
     assert (np.abs(np.asarray(run.lam)[:, 1::2]) <= 0.3 * forces + 1e-9).all()
     assert np.diff(run.energy.total).max() < 2e-3 * run.energy.kinetic[0] and run.counts.factorizations < 10
+
+
+@pytest.mark.parametrize("integrator", [pi.NonsmoothAlpha(h=1e-3), pi.MoreauJean(h=1e-3), pi.RadauIIA(h=2e-3), pi.GeneralizedAlpha(h=1e-3)])
+def test_friction_of_a_slide_that_a_motor_drives(integrator):
+    """The equations hold the row of friction: its force is mu m g against the slip, and the motor gives it."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    slider = scene.add(body("slider", (0.0, 0.0), velocity=(2.0, 0.0)))
+    scene.add(pi.Prismatic(EAST, slider.at("c"), friction=0.3, name="guide"))
+    scene.add(pi.PrescribedPosition(slider.at("c"), x=pi.profile.polynomial([0.0, 2.0, -10.0]), y=None, name="drive"))
+    run = pi.solve(scene.build(), 0.15, integrator)
+    assert run.success, run.message
+    forces = np.asarray(run.lam)[:, run.model.rows["guide"].stop - 1]
+    away = (np.abs(run.t - 0.1) > 2.5e-3) & (run.t > 0.0)  # the slip reverses
+    assert forces[away] == pytest.approx(0.3 * G * np.sign(0.1 - run.t[away]), rel=1e-6)

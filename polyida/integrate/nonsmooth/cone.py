@@ -100,7 +100,7 @@ def newton(G, b, x, p, status, matrix, right, slope):
                     matrix[i, j] = way * slope[j]
                 matrix[i, i] += 1.0
                 right[i] = -p[i] - way * limit
-            error, size = max(error, abs(right[i])), max(size, abs(p[i]), rho * scale, limit if now >= SLIPS_UP else 0.0)
+            error, size = max(error, abs(right[i])), max(size, abs(p[i]), limit if now >= SLIPS_UP else rho * scale)
         best = error / size if size > 0.0 else 0.0
         if best <= EXACT or (same and best <= 100.0 * EXACT):
             return best, iteration

@@ -75,14 +75,16 @@ class Contacts:
         X, Y = self.columns(self.base.mass_system(t, q).solve, B)
         return B @ X, self.mobility(B), Y
 
-    def solve(self, t, active, G, b, p, lam, Y, mobility, scale=1.0, sign=None):
+    def solve(self, t, active, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
         """(p, status) of the active rows, each (k,) of all rows with laws.
 
-        G, b, p, Y: of the active rows, p a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. scale:
-        of the friction's constant. sign: 0, or that of the rate of rows that slip. Raises StepFailure.
+        G, b, p, Y: of the active rows, p a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. slip:
+        of all rows, 0 or the sign of the rate. scale: of the friction's constant. slips: True if rows with a slip go on to slip. Raises
+        StepFailure.
         """
-        free = G.diagonal() > FIXED * mobility
-        G, b, p, Y = G[np.ix_(free, free)], b[free], p[free], Y[:, free]  # the equations hold the other rows: they carry no force
+        fixed = G.diagonal() <= FIXED * mobility  # the equations hold these: they carry no force, but friction if they slip
+        free = ~fixed | (slip[active] != 0.0)
+        G, b, p, Y = G[np.ix_(free, free)], b[free], p[free], Y[:, free]
         rows, number = np.flatnonzero(active)[free], np.full(len(self.rows), -1)
         number[rows] = np.arange(len(rows))
         on, held = number[self.on_laws], self.on_equations[number[self.on_equations[:, 0]] >= 0]
@@ -91,7 +93,7 @@ class Contacts:
         order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
         l, L = np.append(np.zeros(len(on)), lam[held[:, 1]])[order], np.concatenate([by[on[:, 1]], Y[held[:, 1]]])[order]  # noqa: E741
         kind = np.where(self.contact[rows], CONTACT, FRICTION)
-        signs = np.zeros(len(rows)) if sign is None else sign[rows]
+        signs = np.where(fixed[free] | slips, slip[rows], 0.0)
         cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, start, l, L)
         result, status = np.array(p, float), np.zeros(len(rows), np.int64)
         G = np.array(G)
@@ -141,12 +143,13 @@ class Contacts:
         if not active.any():
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
         rate = model.phi_rate(t, q, v)[self.rows]
-        sign = np.where(self.contact | (np.abs(rate) <= self.still(q, v)), begins, np.sign(rate))
+        slip = self.slip(rate, q, v)
+        slip = np.where(slip == 0.0, begins, slip)
         B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
         (X, Y), now = self.columns(mass.solve, B), B @ a + bias[self.rows][active]
         passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
-        p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, sign=sign)
+        p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, slip, slips=True)
         return a + X @ p[active], lam + Y @ p[active], p, status
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
@@ -164,13 +167,13 @@ class Contacts:
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
         B, mass = self.slopes(t, q, active), mass or self.base.mass_system(t, q)
         X, Y = self.columns(mass.solve, B)
-        G, now = B @ X, model.phi_rate(t, q, v)[self.rows][active]
-        free = now - h * (G @ p[active])
+        G, rate = B @ X, model.phi_rate(t, q, v)[self.rows]
+        free, slip = rate[active] - h * (G @ p[active]), self.slip(rate, q, v)
         back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
         back = back if plastic is None else np.where(plastic[active], 0.0, back)
         back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
         back = back if wanted is None else back - wanted[active]
-        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B), h)
+        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B), slip, h)
         change = P[active] - h * p[active]
         return v + X @ change, P, Y @ change, status
 
@@ -194,6 +197,10 @@ class Contacts:
         wanted = np.zeros(len(rate))
         wanted[slipped] = np.where(goes_on, behind * left, 0.0)
         return wanted if goes_on.any() else None
+
+    def slip(self, rate, q, v):
+        """Signs of the rates of friction, 0 for rows that stick and for contacts."""
+        return np.where(self.contact | (np.abs(rate) <= self.still(q, v)), 0.0, np.sign(rate))
 
     def still(self, q, v):
         """Rate below which a row of friction sticks."""

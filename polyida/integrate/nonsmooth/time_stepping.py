@@ -208,8 +208,8 @@ class _Steps:
             old = p[active]
             if len(B):
                 now = (rate[contacts.rows] + back / to_v)[active] + B @ dq
-                free = contacts.mobility(B) / c_m
-                p, _ = contacts.solve(t, active, B @ X, now - B @ (X @ old), old, lam + dlam - Y @ old, Y, free, scale)
+                free, slip = contacts.mobility(B) / c_m, contacts.slip(to_v * rate[contacts.rows], q, v)
+                p, _ = contacts.solve(t, active, B @ X, now - B @ (X @ old), old, lam + dlam - Y @ old, Y, free, slip, scale)
                 dq, dlam = dq + X @ (p[active] - old), dlam + Y @ (p[active] - old)
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
             moved, count = float(np.sqrt(shares @ dq**2)), count + 1
