@@ -251,6 +251,7 @@ class Events(Sequence):
 
     def __init__(self, happened: Any = (), first: Any = (), models: Any = (), given: bool = False) -> None:
         self.happened, self.first, self.models, self.given = list(happened), tuple(first), list(models), given
+        self.causes: Any = None  # the Event objects of the run, for its gradient; no file holds them
 
     def __len__(self):
         return len(self.happened)

@@ -11,11 +11,13 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import warnings
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from polyida.adjoint.alpha import AlphaAdjoint
+from polyida.adjoint.jumps import TIME_STEPPING, gradient_of_events
 from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.radau import RadauAdjoint
 from polyida.adjoint.run import Gradient, Totals
@@ -81,8 +83,8 @@ def gradient(
     ------
     InputError
         For another type of run, objective or integrator, for an unknown parameter or one that moves the constraints of a held state, for a
-        run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), for a run with events, and for
-        forces that jump where a gap switches; for velocity rows in form "stabilised", in equilibria and in modes.
+        run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), and for
+        forces that jump where a gap switches; for impacts of time stepping, and events without an adjoint (Notes); for velocity rows in form "stabilised", in equilibria and in modes.
 
     Notes
     -----
@@ -98,6 +100,12 @@ def gradient(
 
     Times of kinks that depend on a parameter are differentiated; the steps between two kinks stretch evenly. A run that is solved again with
     adaptive steps chooses other steps: its means over time differ by up to some hundredths in parameters that move a kink.
+
+    A run with located events is solved again, motion by motion from one event to the next, and the slopes jump at the events as the motion does
+    (saltation). The value and the slopes are those of these motions, which differ from the run by the error of the method. Included are contact,
+    constant friction and sticking rows, and events that add joints and forces, remove parts, or are `pi.Impact`. Refused are slip with friction
+    that pressure gives, impulses and functions of the user, events at one time, an event that ends the run, and parameters that move kinks. The
+    function of a user's event is taken to depend on no parameter.
 
     The following are held constant. (1) A given initial state (`solve(..., state=pi.static(model))`), and the start of a run at which a motor
     begins. (2) The times at which contacts and other gaps switch, which is right if the forces are continuous there. The slopes are then as
@@ -132,11 +140,10 @@ def gradient(
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
         model = run.known_model("gradient")
-        require_no_laws("gradient", guard(model), OF_LAWS)
+        if not run.events.given:
+            require_no_laws("gradient", guard(model), TIME_STEPPING)
         if model.samples(float(run.t[0]), float(run.t[-1])):
             raise InputError("gradient: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
-        if run.events.given:
-            raise InputError("gradient: the run has events, at which motion and its slopes jump; there is no adjoint for that yet")
         begin, end = float(run.t[0]), float(run.t[-1])
         kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))
         if (kind := next(kinds, None)) is None:
@@ -154,11 +161,12 @@ def gradient(
             raise InputError("gradient: the run has no step")
         if not run.success:
             warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=4)
-        adjoint = kind(run, objective, names, memory_limit)
+        arguments = run, objective, names, memory_limit
+        sweep = partial(gradient_of_events, kind, *arguments) if run.events.given else kind(*arguments).gradient
         if progress is not True:
-            return adjoint.gradient(progress or (lambda t: None))
+            return sweep(progress or (lambda t: None))
         with over_time(progress, begin, end) as tell:
-            return adjoint.gradient(lambda t: tell(begin + end - t))
+            return sweep(lambda t: tell(begin + end - t))
 
 
 def _require_no_velocity_rows(model, what, other):

@@ -119,10 +119,11 @@ class Totals:
         if slopes.work is not None:
             self.add(AdjointMultipliers(*slopes.work))
 
-    def add_start(self, state, v0):
-        """Add the slopes of the initial velocities with bar v0."""
-        for name, parameter in self.parameters.items():
-            slope = parameter.start(state.t, state.q, v0)
+    def add_start(self, state, v0, mode=None):
+        """Add the slopes of the initial velocities with bar v0; mode: the model that gives them, if another one."""
+        known = self.known if mode is None else parameters_of(mode)
+        for name in self.parameters:
+            slope = known[name].start(state.t, state.q, v0) if name in known else None
             if slope is not None:
                 self.sums[name] = self.sums[name] + slope
         if self.with_v0:

@@ -99,6 +99,7 @@ class Happenings:
         models = [] if self.whole.is_scene else [model, *(one for event in events for one in event.then if isinstance(one, Model))]
         late = (self.whole.late or ()) if self.whole.is_scene else ()
         self.happened = Events((), late, given=True) if happened is None else happened
+        self.happened.causes = events
         self.width = max([self.whole.m, *(guard(one).m for one in models)])
         self.happened.models = [self._own(one) for one in models]
         if max((one.model for one in self.happened), default=0) >= max(1, len(models)):

@@ -369,5 +369,5 @@ def test_wrong_inputs():
         with pytest.raises(pi.InputError, match=words.replace("(", r"\(")):
             make()
     run = pi.solve(model, 0.2, pi.GeneralizedAlpha(h=1e-2), events=[pi.Event(when=up, then=lambda s: None)])
-    with pytest.raises(pi.InputError, match="the run has events"):
+    with pytest.raises(pi.InputError, match="'event 1': then = .* has no adjoint"):
         pi.gradient(run, pi.objective.Compliance())
