@@ -42,6 +42,11 @@ def arrays_of(model):
     return model.arrays._replace(compact=compact._replace(block=compact.block - compact.block[0]))
 
 
+def viscosity_of(model):
+    """(plates,) viscosities, s; empty if no body is damped."""
+    return model.arrays.plates.body_viscosity if model.damped else np.zeros(0)
+
+
 def scratch(model, tied=False):
     """Scratch of a scene's size; tied: True if there are multipliers of the rates of the rows, which add to C^T w."""
     nodes, few = (model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
@@ -50,7 +55,7 @@ def scratch(model, tied=False):
         np.zeros(nodes),
         np.zeros((4, model.n_points, 2)),
         np.zeros(coupled),
-        np.zeros(coupled if model.laws is not None else (0, 2, 2)),
+        np.zeros(coupled if len(model.laws.energies) else (0, 2, 2)),
         np.zeros(few),
         np.zeros(few if model.damped else (0, 2, 2)),
         np.zeros(nodes),
@@ -66,7 +71,7 @@ def hold_state(s, laws, drives, u, v, lam, x):
     joints.point_values(s.links, u, x.points[DZ])
     x.curvature[:] = 0.0
     joints.joint_curvature(s.links, drives, lam, x.curvature)
-    if laws is not None:
+    if x.slack.shape[0]:
         x.slack[:] = 0.0
         joints.point_values(s.links, v, x.points[VZ])
         add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 1.0, 0.0, x.curvature)
@@ -101,7 +106,7 @@ def body_products(s, viscosity, u, v, w, rotation, x):
     plate_products(s.plates, viscosity, u, v, w, rotation, x)
     compact.momentum(s.compact, w, x.heavy)
     few_products(s.compact, x.few, w, x.stiff)
-    if viscosity is not None:
+    if x.slow.shape[0]:
         few_products(s.compact, x.slow, w, x.slowing)
     relaxation.add_products(s, s.relaxation, u, v, w, rotation, x.stiff, x.heavy, x.slowing)
     if rotation.shape[0]:
@@ -118,7 +123,7 @@ def plate_products(s, viscosity, u, v, w, rotation, x):
         layout, corners, gradients = s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]]
         weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
         indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
-        if viscosity is None:
+        if viscosity.shape[0] == 0:
             cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
         else:
             cell_products.viscous_products(
@@ -148,7 +153,7 @@ def point_products(s, laws, slopes, w, mu, x):
     for f in range(forces.shape[0]):
         forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]
     joints.spread(s, forces, x.heavy)
-    if laws is not None:
+    if x.slack.shape[0]:
         pull_back(s.coupling, x.slack, wz, forces)
         joints.spread(s, forces, x.slowing)
 
@@ -177,6 +182,6 @@ def products_at(model, drives, q, v, lam, w, mu):
     """The Scratch with the products at a state of a compiled scene; drives: of its time."""
     x, arrays, slopes = model.once(scratch), model.once(arrays_of), np.empty(len(model.arrays.links.row_columns))
     u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
-    viscosity = model.arrays.plates.body_viscosity if model.damped else None
+    viscosity = viscosity_of(model)
     products(arrays, viscosity, model.laws, drives, slopes, u, v, np.array(lam, float), w, np.array(mu, float), x)
     return x

@@ -23,11 +23,11 @@ from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, rel
 from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.element.relaxation import relaxation_products
-from polyida.jit import entry, part
+from polyida.jit import entry, part, shared
 from polyida.jit.intrinsics import LANES
 
 
-@part
+@shared
 def multiply_body(scene, b, u, w, pull, back, f, out):
     """`relaxation_products` of body b."""
     s = scene.plates
@@ -40,34 +40,33 @@ def multiply_body(scene, b, u, w, pull, back, f, out):
 
 @part
 def add_products(scene, x, u, v, w, rotation, stiff, heavy, slowing):
-    """Add K^T w, M w and C^T w of relaxation, and set the frames of the strains; nothing if x, the scene's Relaxation, is None."""
-    if x is not None:
-        for i in range(x.first, w.shape[0]):
-            for k in range(2):
-                heavy[i, k] += x.mass * w[i, k]
-        for i in range(x.first, rotation.shape[0]):
-            rotation[i, 0] = 1.0
-        speeds, own, slow = v.reshape(-1), w.reshape(-1), slowing.reshape(-1)
-        for b in range(x.start.shape[0] - 1):
-            if x.terms[b] == x.terms[b + 1]:
-                continue
-            count, first = strains_of(x, b), 2 * x.first + x.start[b]
-            pull, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
-            take_pull(x, b, speeds, pull)
-            for k in range(x.terms[b], x.terms[b + 1]):
-                at = first + (k - x.terms[b]) * count
-                add_scaled(back, -x.mass / (x.time[k] * x.unit), own[at : at + count])
-            multiply_body(scene, b, u, w, pull, back, stiff, pushed)
-            for k in range(x.terms[b], x.terms[b + 1]):
-                at = first + (k - x.terms[b]) * count
-                add_scaled(slow[at : at + count], x.mass / x.time[k], own[at : at + count])
-                add_scaled(slow[at : at + count], -x.unit * x.share[k], pushed)
+    """Add K^T w, M w and C^T w of relaxation, and set the frames of the strains."""
+    for i in range(x.first, w.shape[0]):
+        for k in range(2):
+            heavy[i, k] += x.mass * w[i, k]
+    for i in range(x.first, rotation.shape[0]):
+        rotation[i, 0] = 1.0
+    speeds, own, slow = v.reshape(-1), w.reshape(-1), slowing.reshape(-1)
+    for b in range(x.start.shape[0] - 1):
+        if x.terms[b] == x.terms[b + 1]:
+            continue
+        count, first = strains_of(x, b), 2 * x.first + x.start[b]
+        pull, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
+        take_pull(x, b, speeds, pull)
+        for k in range(x.terms[b], x.terms[b + 1]):
+            at = first + (k - x.terms[b]) * count
+            add_scaled(back, -x.mass / (x.time[k] * x.unit), own[at : at + count])
+        multiply_body(scene, b, u, w, pull, back, stiff, pushed)
+        for k in range(x.terms[b], x.terms[b + 1]):
+            at = first + (k - x.terms[b]) * count
+            add_scaled(slow[at : at + count], x.mass / x.time[k], own[at : at + count])
+            add_scaled(slow[at : at + count], -x.unit * x.share[k], pushed)
 
 
 @part
 def eliminate_transposed(scene, x, e, u, r):
-    """Add the residuals of the strains to those of the nodes in r (nodes, 2), at displacements u; nothing if e, the Elimination, is None."""
-    if e is not None:
+    """Add the residuals of the strains to those of the nodes in r (nodes, 2), at displacements u."""
+    if x.share.shape[0] > 0:
         residuals, none = r.reshape(-1), np.zeros((x.first, 2))
         for b in range(x.start.shape[0] - 1):
             if x.terms[b] == x.terms[b + 1]:
@@ -88,8 +87,8 @@ def eliminate_transposed(scene, x, e, u, r):
 
 @part
 def recover_transposed(scene, x, e, u, r, dw):
-    """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = r`, from that of the nodes; nothing if e is None."""
-    if e is not None:
+    """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = r`, from that of the nodes."""
+    if x.share.shape[0] > 0:
         residuals, changes, none = r.reshape(-1), dw.reshape(-1), np.zeros((x.first, 2))
         for b in range(x.start.shape[0] - 1):
             if x.terms[b] == x.terms[b + 1]:

@@ -21,7 +21,7 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.adjoint import products
-from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch
+from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch, viscosity_of
 from polyida.adjoint.relaxation import eliminate_transposed, recover_transposed
 from polyida.adjoint.run import AdjointTable
 from polyida.assembly import corotated, joints, stabilised_border
@@ -89,7 +89,7 @@ class MuTerms(NamedTuple):
 class SceneAdjointWork(NamedTuple):
     """The workspace of a scene.
 
-    viscosity, laws, real, pair, tied: None if the scene has none; the code for it is then not compiled. drives (count, s, profiles, 3),
+    real, pair, tied: None if the step has none; the code for it is then not compiled. viscosity: of `viscosity_of`. drives (count, s, profiles, 3),
     q, v, lam (count, s, .): of the stages. enough: accepted error of w over |w|. first, second, third: products of the stages and w.
     slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): residuals,
     and corrections of w and of the multipliers. marks: CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| of a
@@ -97,8 +97,8 @@ class SceneAdjointWork(NamedTuple):
     """
 
     scene: tuple
-    viscosity: np.ndarray | None
-    laws: Laws | None
+    viscosity: np.ndarray
+    laws: Laws
     real: Mode | None
     pair: Mode | None
     tied: MuTerms | None
@@ -445,7 +445,7 @@ class SceneAdjoint(AdjointTable):
         scratches = [scratch(model, tied) for _ in range(s)]
         self.w: dict[str, Any] = {
             "scene": arrays_of(model),
-            "viscosity": model.arrays.plates.body_viscosity if model.damped else None,
+            "viscosity": viscosity_of(model),
             "laws": model.laws,
             "enough": enough,
             **dict(zip(("first", "second", "third"), scratches + scratches[-1:] * 2)),

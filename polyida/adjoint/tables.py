@@ -10,10 +10,11 @@ from polyida.adjoint.run import AdjointTable
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear import dense as compiled_lu
 from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
-from polyida.system import ADJOINT, ENTRIES, c_address
+from polyida.system import ADJOINT, ENTRIES
 from polyida.system import dense as small
 from polyida.system.python import PythonTable
 
@@ -337,7 +338,7 @@ class DenseAdjoint(AdjointTable):
     def at_work(self):
         """(addresses of the functions, address of the workspace)."""
         work, self.w["solved"][0] = DenseAdjointWork(**self.w), 0
-        self.functions[ADJOINT] = c_address(solve, typeof(work))
+        self.functions[ADJOINT] = table_address(solve, typeof(work))
         yield self.functions, work.address
         self.counts.factorizations += int(self.w["solved"][0])
         self.counts.solves += int(self.w["solved"][0])

@@ -89,7 +89,7 @@ class Links(NamedTuple):
 @pack
 class Relaxation(NamedTuple):
     """The relaxed strains of viscoelastic plates, as velocities of the last pairs of q (relaxation.py). Bodies: full plates, then those of few
-    coordinates."""
+    coordinates. There are no terms in a scene without such plates."""
 
     first: int  # their first pair
     start: np.ndarray  # (bodies + 1,) of each body's numbers behind it, term after term: three of each weight, or as many as y has
@@ -102,12 +102,12 @@ class Relaxation(NamedTuple):
 
 @pack
 class SceneArrays(NamedTuple):
-    """A scene: its plates, the points and rows of its joints, its bodies of few coordinates, and its relaxed strains or None."""
+    """A scene: its plates, the points and rows of its joints, its bodies of few coordinates, and its relaxed strains."""
 
     plates: Plates
     links: Links
     compact: Compact
-    relaxation: Relaxation | None = None
+    relaxation: Relaxation
 
 
 def concatenated(arrays, dtype, tail=()):

@@ -361,12 +361,13 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
     links = links._replace(coupling=coupling_of(links, laws))
     first = plates[-1].nodes.stop if plates else 0
     compact = compact_of([*few, *states.values()], first, int(fields["body_block"][-1]))
-    arrays = SceneArrays(Plates(**fields), links, compact, relaxation_of([*plates, *few], strains))
+    relaxation = relaxation_of([*plates, *few], strains, (*plates, *few, *states.values())[-1].pairs.stop)
+    arrays = SceneArrays(Plates(**fields), links, compact, relaxation)
     return arrays, points, table, drives, laws
 
 
 def coupling_of(links, laws):
-    """The Coupling of links and force elements, Laws or None."""
+    """The Coupling of links and force elements, Laws, or None if one is not compiled."""
     vectors = np.split(links.vector_points, links.vector_start[1:-1])
     products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
     sides = [] if laws is None else [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
@@ -392,15 +393,14 @@ def coupling_of(links, laws):
     )
 
 
-def relaxation_of(bodies, strains):
-    """The Relaxation of the bodies with strains {name: PlacedStrains}; None without any."""
-    if not strains:
-        return None
+def relaxation_of(bodies, strains, pairs):
+    """The Relaxation of the bodies with strains {name: PlacedStrains}, behind `pairs` pairs of q."""
     each = [strains.get(body.name) for body in bodies]
-    terms, placed = [one.terms if one else () for one in each], next(iter(strains.values()))
+    terms = [one.terms if one else () for one in each]
+    mass, unit = next(((one.mass, float(one.units[0])) for one in strains.values()), (1.0, 1.0))
     share, time = np.array([term for one in terms for term in one], float).reshape(-1, 2).T
     sizes = [range(one.padded * len(one.terms) if one else 0) for one in each]
-    return Relaxation(placed.pairs.start, starts(sizes), starts(terms), share.copy(), time.copy(), placed.mass, float(placed.units[0]))
+    return Relaxation(pairs, starts(sizes), starts(terms), share.copy(), time.copy(), mass, unit)
 
 
 def compact_of(few, first, block):

@@ -127,7 +127,7 @@ def solve_workspace(model, system):
         np.empty((model.n_points, 2), dtype),
         border_workspace(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
-        np.zeros((0 if model.laws is None else coupled, 2, 2), dtype),
+        np.zeros((coupled if model.laws and len(model.laws.energies) else 0, 2, 2), dtype),
         elimination=elimination(model, dtype),
     )
 
@@ -424,7 +424,7 @@ class SceneStepMatrix(StepMatrix):
         self.workspace = self.workspace if self.corotated is before else solve_workspace(model, self.corotated)
         if model.strains:
             self.workspace.elimination.rates[:] = (c_m / c_v, c_v) if c_v else np.inf
-        if model.laws is not None:
+        if len(self.workspace.own):
             coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
             condense_states(coupling, self.corotated, self.workspace.own)
@@ -458,7 +458,7 @@ class SceneStepMatrix(StepMatrix):
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
         r, phi = np.array(r, dtype).reshape(dq.shape), np.array(phi, dtype)
         if model.strains:
-            strains = model.arrays, model.arrays.relaxation, workspace.elimination, np.array(q, float).reshape(-1, 2)
+            strains = workspace.elimination, np.array(q, float).reshape(-1, 2)
             r = eliminate(*strains, r)
         if not solve(model.arrays.links, factored, workspace, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")

@@ -56,13 +56,12 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 
 @part
 def hold_strains(x, a, r, rotation):
-    """Add the inertia of the relaxed strains to r, and set their frames; nothing if x, the scene's Relaxation, is None."""
-    if x is not None:
-        for i in range(x.first, r.shape[0]):
-            r[i, 0] += x.mass * a[i, 0]
-            r[i, 1] += x.mass * a[i, 1]
-        for i in range(x.first, rotation.shape[0]):
-            rotation[i, 0] = 1.0
+    """Add the inertia of the relaxed strains to r, and set their frames."""
+    for i in range(x.first, r.shape[0]):
+        r[i, 0] += x.mass * a[i, 0]
+        r[i, 1] += x.mass * a[i, 1]
+    for i in range(x.first, rotation.shape[0]):
+        rotation[i, 0] = 1.0
 
 
 @entry

@@ -20,6 +20,7 @@ from polyida.validation import pairs_of
 NO_ENERGY = -1
 NOISE = 32 * 2.0**-52  # relative difference of energies that is round-off
 STEP = 1e-7  # relative step of central differences: small, because contact forces change over small distances
+NO_NUMBERS = np.zeros((0, 2))
 
 
 @pack
@@ -37,7 +38,7 @@ class Laws(NamedTuple):
     energies: np.ndarray  # (laws,) address of the energy; 0 without, NO_ENERGY if it is not compiled
     numbers: np.ndarray  # the time, then the words that the functions read as self
     driven: np.ndarray  # (values, 2) index among the numbers of a drive's value, and number of the drive
-    clock: int  # number of the drive that is the time
+    clock: int  # number of the drive that is the time; -1 without laws
 
 
 @part
@@ -237,7 +238,7 @@ def add_slopes(laws, k, numbers, sides, c_q, c_v, unit, blocks, curvature):
 
 
 def laws_of(elements, states, elastic, points, drives, size):
-    """The Laws of {name: force element} and of PlacedBody with an elastic force; None if there are none, or one is not compiled.
+    """The Laws of {name: force element} and of PlacedBody with an elastic force; None if one is not compiled.
 
     states: {name: PlacedStates} of the elements that have states.
 
@@ -248,7 +249,7 @@ def laws_of(elements, states, elastic, points, drives, size):
         for profile in profiles_of(element):
             drives.add(profile, name)
     functions = [part.compiled_functions() for part in (*elements.values(), *(placed.body for placed in elastic))]
-    if not functions or not all(functions):
+    if not all(functions):
         return None
     laws = []
     for name, element in elements.items():
@@ -267,13 +268,11 @@ def laws_of(elements, states, elastic, points, drives, size):
         sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
         arguments = {"z": ("b", (count,), True)}
         laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, arguments, (count,), 0, "-found", True)))
-    sides, data, addresses = zip(*laws)
+    sides, data, addresses = zip(*laws) if laws else ((), (), ())
     numbers = [np.zeros(1), *(one.words for one in data)]  # the time comes first
     of_laws = [states.get(name) for name in elements] + [None] * len(elastic)
-    units = [np.column_stack([one.units, one.scale]) if one else np.zeros((0, 2)) for one in of_laws]
-    guesses = [np.column_stack([one.start(), one.sizes()])[len(one.states) :] for one in elements.values()] + [np.zeros((0, 2))] * len(
-        elastic
-    )
+    units = [np.column_stack([one.units, one.scale]) if one else NO_NUMBERS for one in of_laws]
+    guesses = [np.column_stack([one.start(), one.sizes()])[len(one.states) :] for one in elements.values()] + [NO_NUMBERS] * len(elastic)
     rated = [len(one.states) + len(one.algebraic) for one in elements.values()] + [0] * len(elastic)
     first, each = starts(numbers)[1:], [side for group in sides for side in group]
     driven = [(begin + k, drives.add(profile, "")) for begin, one in zip(first, data) for k, profile in one.profiles]
@@ -283,15 +282,15 @@ def laws_of(elements, states, elastic, points, drives, size):
 
     return Laws(
         parts=np.stack([ended(0), starts(sides), first, ended(2), starts(units), [*rated, 0], starts(guesses)], axis=1),
-        states=np.concatenate(units),
-        guesses=np.concatenate(guesses),
+        states=np.concatenate([NO_NUMBERS, *units]),
+        guesses=np.concatenate([NO_NUMBERS, *guesses]),
         points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
-        rest=np.array([side.rest for side in each], float),
+        rest=np.array([side.rest for side in each], float).reshape(-1, 2),
         sizes=np.array([side.size(size) for side in each], float),
         energies=np.array([energy for _, energy, _ in addresses], np.int64),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
-        clock=drives.add(polynomial([0.0, 1.0]), ""),
+        clock=drives.add(polynomial([0.0, 1.0]), "") if laws else -1,
     )
 
 

@@ -132,8 +132,6 @@ def project(s, p, right, x):
 
 @part
 def constrain(s, p, drives, dz, v, a, lam):
-    """From a without constraint forces to a and lam with `phi_q a + phi_bias = 0`. p: None without constraints. False if it is singular."""
-    if p is None:
-        return True
+    """From a without constraint forces to a and lam with `phi_q a + phi_bias = 0`. Returns False if it is singular."""
     velocity_rate(s, drives, dz, v, p)
     return constrained(s, p, p.bias, a, lam)

@@ -17,13 +17,16 @@ Bodies are numbered as in Relaxation: full plates, then bodies of few coordinate
 from typing import NamedTuple
 
 import numpy as np
+from numba import carray, typeof
 
 from polyida.assembly import compact
-from polyida.assembly.arrays import cells
+from polyida.assembly.arrays import SceneArrays, cells
 from polyida.element import kernels
 from polyida.element.relaxation import change_of_strain, relax, strain_square
+from polyida.errors import DONE
 from polyida.jit import entry, fast, pack, part
-from polyida.jit.intrinsics import LANES
+from polyida.jit.intrinsics import LANES, address, call, pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear.dense import put
 from polyida.validation import pairs_of
 
@@ -102,35 +105,40 @@ def add_scaled(out, factor, numbers):
 
 @part
 def add_relaxation(scene, x, u, half, v, still, r):
-    """Add the forces of relaxation to r (nodes, 2), without inertia; nothing if x, the scene's Relaxation, is None.
+    """Add the forces of relaxation to r (nodes, 2), without inertia.
 
     half: as of `relax`. still: factor of the strain in the states' equations, 0 for the part that is linear in v.
     """
-    if x is not None:
-        speeds, forces = v.reshape(-1), r.reshape(-1)
-        for b in range(x.start.shape[0] - 1):
-            if x.terms[b] == x.terms[b + 1]:
-                continue
-            count = strains_of(x, b)
-            pull, strain = np.empty(count), np.empty(count)
-            take_pull(x, b, speeds, pull)
-            relax_body(scene, b, u, half, pull, r, strain)
-            at = 2 * x.first + x.start[b]
-            for k in range(x.terms[b], x.terms[b + 1]):
-                rate, own = x.mass / x.time[k], forces[at : at + count]
-                add_scaled(own, rate, speeds[at : at + count])
-                add_scaled(own, -still * rate / x.unit, strain)
-                at += count
+    speeds, forces = v.reshape(-1), r.reshape(-1)
+    for b in range(x.start.shape[0] - 1):
+        if x.terms[b] == x.terms[b + 1]:
+            continue
+        count = strains_of(x, b)
+        pull, strain = np.empty(count), np.empty(count)
+        take_pull(x, b, speeds, pull)
+        relax_body(scene, b, u, half, pull, r, strain)
+        at = 2 * x.first + x.start[b]
+        for k in range(x.terms[b], x.terms[b + 1]):
+            rate, own = x.mass / x.time[k], forces[at : at + count]
+            add_scaled(own, rate, speeds[at : at + count])
+            add_scaled(own, -still * rate / x.unit, strain)
+            at += count
 
 
 @part
 def add_relaxation_middle(scene, x, u0, u1, um, vm, r):
     """The same in the middle of a step, with the mean strain of its ends."""
-    if x is not None:
+    if x.share.shape[0] > 0:
         half = np.empty((x.first, 2))
         for i in range(x.first):
             half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
         add_relaxation(scene, x, um, half, vm, 1.0, r)
+
+
+@entry
+def add_relaxing_middle(scene, u0, u1, um, vm, r):
+    """`add_relaxation_middle` for Python."""
+    add_relaxation_middle(scene, scene.relaxation, u0, u1, um, vm, r)
 
 
 @entry
@@ -159,29 +167,54 @@ def add_relaxed_blocks(scene, u, v, changes, c_q, blocks):
 
 @pack
 class Elimination(NamedTuple):
-    """Workspace of the solves of a factor. rates: c and c_v; parts: 1, and i if they are complex; strains: the e; r, force: on the nodes."""
+    """Workspace of the solves of a factor. rates: c and c_v; parts: 1, and i if they are complex; strains: the e; r, force: on the nodes;
+    whole: of all coordinates. calls: addresses of this, and of two C functions, which are compiled if the scene has such strains; else zero."""
 
+    scene: SceneArrays
     rates: np.ndarray
     parts: np.ndarray
     strains: np.ndarray
     r: np.ndarray
     force: np.ndarray
+    whole: np.ndarray
+    calls: np.ndarray
 
 
 def elimination(model, dtype):
-    """The Elimination of a scene; None without relaxation."""
+    """The Elimination of a scene."""
     x = model.arrays.relaxation
-    if x is None:
-        return None
     parts = np.array([1.0, 1j] if np.dtype(dtype).kind == "c" else [1.0])
-    return Elimination(np.zeros(2, dtype), parts, np.zeros(x.start[-1], dtype), np.zeros((x.first, 2), dtype), np.zeros((x.first, 2)))
+    (nodes, all_nodes), calls = ((x.first, 2), (model.n_nodes, 2)) if len(x.share) else [(0, 2)] * 2, np.zeros(3, np.int64)
+    numbers = np.zeros(2, dtype), parts, np.zeros(x.start[-1], dtype), np.zeros(nodes, dtype), np.zeros(nodes), np.zeros(all_nodes, dtype)
+    workspace = Elimination(model.arrays, *numbers, calls)
+    if len(x.share):
+        calls[:] = workspace.address, *(table_address(function, typeof(workspace)) for function in (eliminate_whole, recover_whole))
+    return workspace
 
 
 @entry
-def eliminate(scene, x, w, u, r):
-    """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself if w is None."""
-    if w is None:
+def eliminate(w, u, r):
+    """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself without strains."""
+    if w.calls[0] == 0:
         return r
+    w.whole[:] = r
+    call(w.calls[1], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+    return w.r
+
+
+@entry
+def recover(w, u, dq):
+    """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2)."""
+    if w.calls[0] != 0:
+        w.whole[:] = dq
+        call(w.calls[2], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+        dq[:] = w.whole
+
+
+@entry
+def eliminate_whole(w, displacements, b, c, d, e, f, g):
+    """Fill w.r from the residuals w.whole."""
+    scene, x, r, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
     for i in range(x.first):
         w.r[i, 0], w.r[i, 1] = r[i, 0], r[i, 1]
     residuals = r.reshape(-1)[2 * x.first :]
@@ -203,31 +236,32 @@ def eliminate(scene, x, w, u, r):
             for i in range(first, end):
                 w.r[i, 0] -= w.parts[p] * w.force[i, 0]
                 w.r[i, 1] -= w.parts[p] * w.force[i, 1]
-    return w.r
+    return DONE
 
 
 @entry
-def recover(scene, x, w, u, dq):
-    """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2); nothing if w is None."""
-    if w is not None:
-        changes, c_v = dq.reshape(-1)[2 * x.first :], w.rates[1]
-        for b in range(x.start.shape[0] - 1):
-            if x.terms[b] == x.terms[b + 1]:
-                continue
-            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
-            strain = np.empty(count)
-            for p in range(w.parts.shape[0]):
-                for i in range(first, end):
-                    for k in range(2):
-                        w.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
-                change_strain(scene, b, u, w.force, strain)
-                at = x.start[b]
-                for k in range(x.terms[b], x.terms[b + 1]):
-                    own = changes[at : at + count]
-                    if p == 0:
-                        put(-1.0 / (x.unit * c_v), w.strains[at : at + count], own)
-                    add_scaled(own, w.parts[p] / (x.unit * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
-                    at += count
+def recover_whole(w, displacements, b, c, d, e, f, g):
+    """Fill the corrections of the strains in w.whole."""
+    scene, x, dq, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
+    changes, c_v = dq.reshape(-1)[2 * x.first :], w.rates[1]
+    for b in range(x.start.shape[0] - 1):
+        if x.terms[b] == x.terms[b + 1]:
+            continue
+        count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+        strain = np.empty(count)
+        for p in range(w.parts.shape[0]):
+            for i in range(first, end):
+                for k in range(2):
+                    w.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
+            change_strain(scene, b, u, w.force, strain)
+            at = x.start[b]
+            for k in range(x.terms[b], x.terms[b + 1]):
+                own = changes[at : at + count]
+                if p == 0:
+                    put(-1.0 / (x.unit * c_v), w.strains[at : at + count], own)
+                add_scaled(own, w.parts[p] / (x.unit * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
+                at += count
+    return DONE
 
 
 @entry

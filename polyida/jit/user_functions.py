@@ -20,8 +20,8 @@ from numba.extending import intrinsic
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.fingerprint import is_dispatcher, machine_code_fingerprint, of_polyida
+from polyida.jit import c_address, own_address, own_part
 from polyida.jit import cache as kernel_cache
-from polyida.jit import own_address, own_part
 from polyida.jit.intrinsics import integers, pointer, real
 from polyida.validation import named_keywords
 
@@ -29,6 +29,11 @@ ARGUMENTS = 8
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
 _converted: dict = {}  # {(function, its mark): the function that numba compiles}
+
+
+def table_address(function, kind):
+    """The address of an entry `f(workspace, 7 numbers or addresses)` as a C function, for a type of workspaces."""
+    return c_address(function, types.int64(kind, *[types.int64] * (ARGUMENTS - 1)))
 
 
 @named_keywords

@@ -36,17 +36,15 @@ IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in so
 |---|---|---|
 | BIAS | q, v, a, out | `phi_q a + phi_bias`, the second derivative of phi; B is that of the last REACTION |
 
+The functions of a scene are compiled once for all scenes: what one lacks has arrays of size 0. Kernels of force elements and of viscoelastic
+plates are called by addresses of their own (assembly/optional.py) and compiled for the scenes that have such parts.
+
 The backward sweeps of generalized-alpha and Radau IIA have their own tables (adjoint/tables.py) with one entry.
 
 | entry | arguments | action |
 |---|---|---|
 | ADJOINT | right, below, bar, w, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
 """
-
-from numba import types
-
-from polyida import jit
-from polyida.jit.user_functions import ARGUMENTS
 
 INSTANTS = (
     1024  # most instants that are prepared together: small models take less than 1 ms for hundreds of steps, and 0.1 ms between stretches
@@ -56,8 +54,3 @@ STEPS = 256  # most steps of Radau IIA that are prepared together
 RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
 PREPARE, REACTION, ROWS, TURN, REAL, PAIR, INERTIA, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)
 ENTRIES = 22
-
-
-def c_address(function, kind):
-    """The address of an entry `f(workspace, instant, 6 addresses)` as a C function, for a type of workspaces."""
-    return jit.c_address(function, types.int64(kind, *[types.int64] * (ARGUMENTS - 1)))

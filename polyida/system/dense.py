@@ -12,9 +12,10 @@ from numba import carray, typeof
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -449,4 +450,4 @@ def addresses():
     entries = {
         RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept,
     }  # fmt: skip
-    return {number: c_address(function, typeof(example())) for number, function in entries.items()}
+    return {number: table_address(function, typeof(example())) for number, function in entries.items()}

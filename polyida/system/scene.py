@@ -12,24 +12,25 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
 from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.increments import drive_table, gain_table
-from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces
+from polyida.assembly.optional import LAW_FORCES, LAW_SLOPES, PARTS, RELAXING, add_law_forces, add_relaxing, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constraint_projection, velocity_rate
 from polyida.assembly.projection import project as project_rows
-from polyida.assembly.relaxation import add_relaxation, eliminate, recover
+from polyida.assembly.relaxation import eliminate, recover
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import pointer
+from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
 DZ, FORCES, START, VX, DX, DV = range(
     6
 )  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
-H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
+H, TO_A, COSINE, INCREMENTAL, TO_V, TIED = range(6)  # of SceneWork.numbers
 
 
 @pack
@@ -49,16 +50,16 @@ class SceneWork(NamedTuple):
     scene: tuple
     factored: corotated.Corotated
     workspace: corotated.SolveWorkspace
-    projection: ConstraintProjection | None
-    damp: np.ndarray | None  # (nodes, 2) workspace of the damping forces; None without damping
-    laws: Laws | None
+    projection: ConstraintProjection
+    damp: np.ndarray  # (nodes, 2) workspace of the damping forces; (0, 2) without damping
+    optional: np.ndarray  # of `optional_kernels`
     drives: np.ndarray  # (instants + 1, profiles, 3)
     gains: np.ndarray  # (instants, profiles, 3)
     rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
     points: np.ndarray  # (6, points, 2)
-    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
+    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v, 1 if states are projected
     level: np.ndarray  # (m,)
-    solid: Solid | None
+    solid: Solid  # with empty arrays if no function reads it
 
 
 @part
@@ -74,13 +75,18 @@ def rows(w, at):
 
 
 @part
-def add_forces(s, damp, laws, drives, u, v, still, r):
-    """Add damping, relaxation (`still` as of add_relaxation) and force elements to r. An argument that is None: its branch is not compiled."""
-    if damp is not None:
-        add_damping(s, u, v, damp, r)
-    add_relaxation(s, s.relaxation, u, None, v, still, r)
-    if laws is not None:
-        add_own_forces(laws, s.links, drives, u, v, r)
+def add_slowing(w, u, v, still, r):
+    """Add damping and relaxation to r; still: as of add_relaxing."""
+    if w.damp.shape[0] > 0:
+        add_damping(w.scene, u, v, w.damp, r)
+    add_relaxing(w.optional, still, u, v, r)
+
+
+@part
+def add_forces(w, drives, u, v, r):
+    """Add damping, relaxation and force elements to r."""
+    add_slowing(w, u, v, 1, r)
+    add_law_forces(w.optional, drives, u, v, r)
 
 
 @entry
@@ -93,7 +99,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
     w.numbers[COSINE] = cosine
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
-    add_forces(w.scene, w.damp, w.laws, drives, u, pairs(w, v), 1.0, out)
+    add_forces(w, drives, u, pairs(w, v), out)
     return DONE
 
 
@@ -102,19 +108,19 @@ def begin(w, instant, q, v, c, d, e, f):
     """Store the points at a step's start, and renew the slopes of force elements on plates there: those of the factor turn with the bodies."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
-    renew_slopes(w, w.laws, w.drives[instant + 1], w.points[START], w.points[VX])
+    renew_slopes(w, w.drives[instant + 1], w.points[START], w.points[VX])
     return DONE
 
 
 @part
-def renew_slopes(w, laws, drives, dz, vz):
-    """The same for points at dz with velocities vz; nothing if laws is None or without plates, whose solves cost more than the slopes."""
-    if laws is not None:  # noqa: SIM102  numba drops the branch only if the condition stands alone
-        if w.scene.plates.body_operator.shape[0] > 0:
-            coupling, own = w.scene.links.coupling, w.workspace.own
-            own[:] = 0.0
-            add_own_curvature(laws, coupling, drives, dz, vz, 1.0, w.numbers[TO_V], own)
-            corotated.condense_states(coupling, w.factored, own)
+def renew_slopes(w, drives, dz, vz):
+    """The same for points at dz with velocities vz; nothing without plates, whose solves cost more than the slopes."""
+    own, optional = w.workspace.own, w.optional
+    if optional[LAW_SLOPES] != 0 and w.scene.plates.body_operator.shape[0] > 0:
+        own[:] = 0.0
+        c_v = address(w.numbers[TO_V:])
+        call(optional[LAW_SLOPES], optional[PARTS], address(drives), address(dz), address(vz), c_v, address(own), 0, 0)
+        corotated.condense_states(w.scene.links.coupling, w.factored, own)
 
 
 @entry
@@ -136,51 +142,41 @@ def constraints(w, instant, q, dd, dv, phi, rate, f):
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
     s, drives, out, strains = w.scene.links, w.drives[instant + 1], (pairs(w, dq), rows(w, dlam)), w.workspace.elimination
-    right = eliminate(w.scene, w.scene.relaxation, strains, pairs(w, q), pairs(w, r))
+    right = eliminate(strains, pairs(w, q), pairs(w, r))
     state = rows(w, lam), right, rows(w, phi)
     regular = corotated.solve(
         s, w.factored, w.workspace, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
     )
-    recover(w.scene, w.scene.relaxation, strains, pairs(w, q), out[0])
+    recover(strains, pairs(w, q), out[0])
     return DONE if regular else SINGULAR
 
 
 @entry
 def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
-    joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
-    projected_rate(w.scene.links, w.projection, w.drives[instant + 1], w.points[DX], pairs(w, v), rows(w, out))
+    if w.numbers[TIED] != 0.0:
+        joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
+        velocity_rate(w.scene.links, w.drives[instant + 1], w.points[DX], pairs(w, v), w.projection)
+        rates = rows(w, out)
+        for k in range(rates.shape[0]):
+            rates[k] = w.projection.rate[k]
     return DONE
-
-
-@part
-def projected_rate(s, p, drives, dz, v, out):
-    """The same with a ConstraintProjection or None. Its own function: numba drops a branch only if an argument is None."""
-    if p is not None:
-        velocity_rate(s, drives, dz, v, p)
-        for k in range(out.shape[0]):
-            out[k] = p.rate[k]
 
 
 @entry
 def project(w, instant, right, x, from_zero, d, e, f):
     """Change x by the least M-norm, so that B x falls by right; from_zero: x becomes the least x with B x = B x_before - right."""
-    return DONE if projected(w.scene.links, w.projection, rows(w, right), pairs(w, x), from_zero) else SINGULAR
-
-
-@part
-def projected(s, p, right, x, from_zero):
-    """The same with a ConstraintProjection or None. Returns False if it is singular."""
-    if p is None:
-        return True
-    for k in range(right.shape[0]):
-        p.bias[k] = right[k]
+    if w.numbers[TIED] == 0.0:
+        return DONE
+    s, p, changes, vector = w.scene.links, w.projection, rows(w, right), pairs(w, x)
+    for k in range(changes.shape[0]):
+        p.bias[k] = changes[k]
     if from_zero:
-        joints.point_values(s, x, p.vz)
-        for k in range(right.shape[0]):
+        joints.point_values(s, vector, p.vz)
+        for k in range(changes.shape[0]):
             p.bias[k] -= joints.along(s, p.slopes, k, p.vz)
-        clear(x)
-    return project_rows(s, p, p.bias, x)
+        clear(vector)
+    return DONE if project_rows(s, p, p.bias, vector) else SINGULAR
 
 
 @entry
@@ -197,7 +193,7 @@ def addresses(kind, entries):
     """The table of functions (number, function) for a type of workspaces."""
     table = np.zeros(ENTRIES, np.int64)
     for number, function in entries:
-        table[number] = c_address(function, kind)
+        table[number] = table_address(function, kind)
     return table
 
 
@@ -209,6 +205,7 @@ class SceneTable:
 
     longest = INSTANTS
     entries = FUNCTIONS
+    optional = LAW_FORCES, LAW_SLOPES, RELAXING
 
     def __init__(self, model, tied, incremental):
         self.model, links = model, model.arrays.links
@@ -216,16 +213,16 @@ class SceneTable:
         profiles, nodes = len(model.profiles), (model.n_nodes, 2)
         self.w = {
             "scene": model.arrays,
-            "projection": constraint_projection(model) if tied else None,
-            "damp": np.zeros(nodes) if model.damped else None,
-            "laws": model.laws,
+            "projection": constraint_projection(model),
+            "damp": np.zeros(nodes if model.damped else (0, 2)),
+            "optional": optional_kernels(model, *self.optional),
             "drives": np.zeros((INSTANTS + 1, profiles, 3)),
             "gains": np.zeros((INSTANTS, profiles, 3)),
             "rotation": np.zeros(nodes),
             "points": np.zeros((6, model.n_points, 2)),
-            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
+            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0, float(tied)]),
             "level": np.zeros(len(links.row_constant)),
-            "solid": None,
+            "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
         }
         self.functions = self.work = None
 

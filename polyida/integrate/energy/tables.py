@@ -17,18 +17,20 @@ from numba import carray, typeof
 from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
-from polyida.assembly.own_laws import NO_ENERGY, NOISE, take_midpoint_forces
+from polyida.assembly.optional import LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
+from polyida.assembly.own_laws import NO_ENERGY, NOISE
 from polyida.assembly.projection import constrain
-from polyida.assembly.relaxation import add_relaxation_middle
+from polyida.assembly.relaxation import add_relaxing_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, part
-from polyida.jit.intrinsics import pointer
+from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
-from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_address
+from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
 from polyida.system import scene as of_scene
 from polyida.system.dense import END, ENDED, INNER, vector
@@ -44,7 +46,7 @@ OF_ENERGY = (*OF_STEPS, "potential")
 def table_of(model):
     """The table of a model with the entries of the method."""
     if model.is_scene:
-        python = not model.compiled or (model.laws is not None and NO_ENERGY in model.laws.energies)
+        python = not model.compiled or NO_ENERGY in model.laws.energies
         return PythonScene(model) if python else EnergyTable(model)
     if not small_own(model):
         return PythonOwn(model)
@@ -112,7 +114,7 @@ def own_addresses():
     """{number: address} of these functions, for every small model."""
     kind = typeof(small.example())
     functions = {MIDDLE: own_middle, KINETIC: own_kinetic, ACCELERATION: small.acceleration}
-    return {number: c_address(function, kind) for number, function in functions.items()}
+    return {number: table_address(function, kind) for number, function in functions.items()}
 
 
 def discrete_derivative(potential, x0, x1, metric, slope=None):
@@ -221,17 +223,20 @@ def middle(w, instant, states, lam, r, phi, e, f):
     least = equilibrium(w.scene, drives, w.numbers[H], fields, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
+    if w.optional[RELAXING_MIDDLE] != 0:
+        ends, um, vm = (address(fields[0]), address(fields[1])), address(fields[2]), address(fields[3])
+        call(w.optional[RELAXING_MIDDLE], w.optional[PARTS], ends[0], ends[1], um, vm, address(out), 0, 0)
     joints.point_values(links, fields[1], points[DZ])
-    add_elements(w, w.laws, drives, w.numbers[H], fields, points, out)
+    add_elements(w, drives, w.numbers[H], fields, points, out)
     w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
     return DONE
 
 
 @part
-def add_elements(w, laws, drives, h, states, points, r):
-    """Add force elements to r, and renew their slopes; without any, laws is None and nothing is compiled."""
-    if laws is not None:
-        links = w.scene.links
+def add_elements(w, drives, h, states, points, r):
+    """Add force elements to r, and renew their slopes."""
+    links, optional = w.scene.links, w.optional
+    if optional[LAW_MIDDLE] != 0:
         joints.point_values(links, states[0], points[START])
         joints.point_values(links, states[3], points[VX])
         joints.point_values(links, states[4], points[DX])
@@ -240,15 +245,16 @@ def add_elements(w, laws, drives, h, states, points, r):
             for k in range(2):
                 half[p, k] *= 0.5 * h
         clear(points[FORCES])
-        take_midpoint_forces(laws, drives, points[START], points[DZ], points[VX], half, points[FORCES])
+        before, after, speeds, forces = address(points[START]), address(points[DZ]), address(points[VX]), address(points[FORCES])
+        call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
         joints.spread(links, points[FORCES], r)
         joints.point_values(links, states[2], points[DX])
-        renew_slopes(w, laws, drives, points[DX], points[VX])
+        renew_slopes(w, drives, points[DX], points[VX])
 
 
 @entry
 def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
-    """Fill r (nodes, 2) except for force elements. Returns the least det F at the end.
+    """Fill r (nodes, 2) except for force elements and relaxation. Returns the least det F at the end.
 
     states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
     (points, 2) are workspace; rotation (nodes, 2) as of the equilibrium of a state.
@@ -259,7 +265,6 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
     clear(rotation)
     few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
     kernels.hold_strains(scene.relaxation, a, r, rotation)
-    add_relaxation_middle(scene, scene.relaxation, u0, u1, um, vm, r)
     least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
@@ -310,7 +315,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     s, links, drives, out, multipliers = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
     u, speed = pairs(w, q), pairs(w, v)
     kernels.equilibrium(w.scene, drives, u, s.still, w.level, s.r, multipliers, w.rotation, w.points[DZ], w.points[FORCES])
-    of_scene.add_forces(w.scene, w.damp, w.laws, drives, u, speed, 1.0, s.r)
+    of_scene.add_forces(w, drives, u, speed, s.r)
     for i in range(out.shape[0]):
         s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
     clear(out)
@@ -322,6 +327,7 @@ class EnergyTable(SceneTable):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     entries = {number: of_scene.FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
+    optional = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE
 
     def __init__(self, model):
         super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0), False)
@@ -367,6 +373,8 @@ class PythonScene(MiddleTable, PythonTable):
         det = equilibrium(model.arrays, model.drives(t), self.h, fields, lam, scratch, *self.points, out, self.rotation)
         if not det > 0.0:
             return INVERTED if det <= 0.0 else NOT_FINITE
+        if model.strains:
+            add_relaxing_middle(model.arrays, *fields[:4], out)
         (u0, u1, _, vm, a), residual = vectors, out.ravel()
         if model.uneven_mass is not None:
             residual += model.uneven_mass @ a

@@ -10,10 +10,11 @@ from polyida import system as of
 from polyida.errors import DONE, NO_MATRIX, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, complex_pointer
+from polyida.jit.user_functions import table_address
 from polyida.linear import dense as lu
 from polyida.linear.lu import FACTORS as SLOTS
 from polyida.model.differences import NEAR
-from polyida.system import c_address, dense
+from polyida.system import dense
 from polyida.system.dense import (
     END,
     FORCE,
@@ -400,4 +401,4 @@ def addresses():
         of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia, of.ACCELERATION: acceleration, of.MATRICES: factor,
         of.SELECT: select, of.BIAS: bias,
     }  # fmt: skip
-    return {number: c_address(function, typeof(example)) for number, function in functions.items()}
+    return {number: table_address(function, typeof(example)) for number, function in functions.items()}

@@ -16,7 +16,7 @@ from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.increments import Moves, moves, stage_tables, take_step
-from polyida.assembly.own_laws import Laws, take_damping_forces
+from polyida.assembly.optional import LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
@@ -26,11 +26,10 @@ from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.jit import entry, fast, pack, part
-from polyida.jit.intrinsics import complex_pointer, pointer
-from polyida.jit.user_functions import CALLBACK
+from polyida.jit.intrinsics import address, call, complex_pointer, pointer
+from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.dense import clear
-from polyida.system import c_address
-from polyida.system.scene import add_forces
+from polyida.system.scene import add_forces, add_slowing
 
 START, VX, DX, DV = range(4)  # rows of SceneWork.points: displacements and velocities at the start of a step, and their increments
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
@@ -53,7 +52,7 @@ class Solver(NamedTuple):
 class SceneWork(NamedTuple):
     """The workspace of a scene and s stages: its arrays, the factors of the modes (None without one) and scratch.
 
-    damp, laws, tie: None if the scene has none. moves: profiles with formulas. drives, gains (instants, profiles, 3): values of the profiles at
+    damp: (0, 2) without damping. optional: of `optional_kernels`. moves: profiles with formulas. drives, gains (instants, profiles, 3): values of the profiles at
     each instant, and their changes since the start of the step. rotation (s, ., 2): rotations of the pairs without relaxed strains; turn (s, nodes, 2): from those
     of a stage to the middle one. points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle stage; u (nodes, 2): its displacements if plates relax, else (0, 2); c: of the tableau;
     h (1,); still (nodes, 2), level (m,): zeros; inverse (nodes, nodes): M^-1, complex, or (0, 0); anew (2,): 1 if the border of the real or
@@ -63,9 +62,9 @@ class SceneWork(NamedTuple):
     scene: tuple
     real: Solver | None
     pair: Solver | None
-    tie: ConstraintProjection | None
-    damp: np.ndarray | None
-    laws: Laws | None
+    tie: ConstraintProjection
+    damp: np.ndarray
+    optional: np.ndarray
     moves: Moves
     drives: np.ndarray
     gains: np.ndarray
@@ -147,7 +146,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
         return INVERTED if det <= 0.0 else NOT_FINITE
     if not cosine > 0.0:
         return HALF_TURN
-    add_forces(s, w.damp, w.laws, drives, u, speed, 1.0, out)
+    add_forces(w, drives, u, speed, out)
     if k == w.c.shape[0] // 2:
         for i in range(w.u.shape[0]):
             w.u[i, 0], w.u[i, 1] = u[i, 0], u[i, 1]
@@ -171,27 +170,14 @@ def rate(w, instant, q, v, out, known, e, f):
     """Compute the slopes of the rows for `project`; phi_rate itself comes from increments."""
     s, dz = w.scene.links, w.dz[stage(w, instant)]
     joints.point_values(s, pairs(w, q), dz)
-    take_slopes(s, w.tie, w.drives[instant], dz)
+    joints.joint_jacobian(s, w.drives[instant], dz, w.tie.slopes)
     return DONE
-
-
-@part
-def take_slopes(s, t, drives, dz):
-    """Compute phi_z, unless there are no rows (t is None)."""
-    if t is not None:
-        joints.joint_jacobian(s, drives, dz, t.slopes)
 
 
 @entry
 def project(w, instant, changes, x, anew, d, e, f):
     """Change x by the least M-norm, so that B x falls by rows."""
-    return DONE if moved(w.scene.links, w.tie, rows(w, changes), pairs(w, x)) else SINGULAR
-
-
-@part
-def moved(s, t, changes, x):
-    """Apply the projection with the slopes in t. False if it is singular; True without rows (t is None)."""
-    return True if t is None else project_rows(s, t, changes, x)
+    return DONE if project_rows(w.scene.links, w.tie, rows(w, changes), pairs(w, x)) else SINGULAR
 
 
 @entry
@@ -250,10 +236,10 @@ def solve_border(w, instant, number, mode, mass_columns, border, r, closing, lam
     """
     k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
     c, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
-    right = eliminate(w.scene, w.scene.relaxation, workspace.elimination, w.u, r)
+    right = eliminate(workspace.elimination, w.u, r)
     if mass_columns is None:
         good = corotated.solve(s, c, workspace, drives, rotation, dz, lam, right, closing[0], c_v * c_v, dq, multipliers[0])
-        recover(w.scene, w.scene.relaxation, workspace.elimination, w.u, dq)
+        recover(workspace.elimination, w.u, dq)
         return DONE if good else SINGULAR
     corotated.solve_plates(s, c, workspace, rotation, right, dq)
     for i in range(dq.shape[0]):
@@ -280,7 +266,7 @@ def solve_border(w, instant, number, mode, mass_columns, border, r, closing, lam
         multipliers[1],
     )
     w.anew[number] = 0
-    recover(w.scene, w.scene.relaxation, workspace.elimination, w.u, dq)
+    recover(workspace.elimination, w.u, dq)
     return DONE if good else SINGULAR
 
 
@@ -314,13 +300,14 @@ def momentum(w, b, r):
 
 
 @part
-def add_law_damping(w, laws, drives, dz, v, r):
-    """r += C v of the force elements, at the places dz of the points and the velocities of the last residual; nothing if laws is None."""
-    if laws is not None:
-        joints.point_values(w.scene.links, v, w.points[DX])
-        clear(w.forces)
-        take_damping_forces(laws, drives, dz, w.vz, w.points[DX], w.forces)
-        joints.spread(w.scene.links, w.forces, r)
+def add_law_damping(w, drives, dz, v, r):
+    """r += C v of the force elements, at the places dz of the points and the velocities of the last residual."""
+    moved, forces, optional = w.points[DX], w.forces, w.optional
+    if optional[LAW_DAMPING] != 0:
+        joints.point_values(w.scene.links, v, moved)
+        clear(forces)
+        call(optional[LAW_DAMPING], optional[PARTS], address(drives), address(dz), address(w.vz), address(moved), address(forces), 0, 0)
+        joints.spread(w.scene.links, forces, r)
 
 
 @entry
@@ -329,27 +316,19 @@ def inertia(w, instant, v, a, r, p, q, rates):
     slow, force = pairs(w, v), pairs(w, r)
     clear(force)
     momentum(w, pairs(w, a), force)
-    add_forces(w.scene, w.damp, None, w.drives[instant], pairs(w, q), slow, 0.0, force)
-    add_law_damping(w, w.laws, w.drives[instant], w.dz[stage(w, instant)], slow, force)
+    add_slowing(w, pairs(w, q), slow, 0, force)
+    add_law_damping(w, w.drives[instant], w.dz[stage(w, instant)], slow, force)
     if p:
         impulse = pairs(w, p)
         clear(impulse)
         momentum(w, slow, impulse)
     if rates:
         joints.point_values(w.scene.links, slow, w.points[DX])
-        row_rates(
-            w.scene.links, w.tie, w.drives[instant], w.dz[stage(w, instant)], w.points[DX], carray(pointer(rates), (2, w.level.shape[0]))
-        )
+        links, dz, out = w.scene.links, w.dz[stage(w, instant)], carray(pointer(rates), (2, w.level.shape[0]))
+        joints.joint_jacobian(links, w.drives[instant], dz, w.tie.slopes)
+        for k in range(out.shape[1]):
+            out[1, k] = joints.along(links, w.tie.slopes, k, w.points[DX])
     return DONE
-
-
-@part
-def row_rates(s, t, drives, dz, vz, rates):
-    """rates[1] = B v, unless there are no rows (t is None)."""
-    if t is not None:
-        joints.joint_jacobian(s, drives, dz, t.slopes)
-        for k in range(rates.shape[1]):
-            rates[1, k] = joints.along(s, t.slopes, k, vz)
 
 
 @entry
@@ -357,7 +336,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam of the equations of motion."""
     k, drives, u, speed, forces = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]
     kernels.equilibrium(w.scene, drives, u, w.still, w.level, forces, w.spare, w.rotation[k], w.dz[k], w.forces)
-    add_forces(w.scene, w.damp, w.laws, drives, u, speed, 1.0, forces)
+    add_forces(w, drives, u, speed, forces)
     out = pairs(w, a)
     for i in range(out.shape[0]):
         total = 0.0j
@@ -396,9 +375,9 @@ class SceneStages:
         self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
         self.w = {
             "scene": model.arrays,
-            "tie": constraint_projection(model) if model.m else None,
-            "damp": np.zeros(nodes) if model.damped else None,
-            "laws": model.laws,
+            "tie": constraint_projection(model),
+            "damp": np.zeros(nodes if model.damped else (0, 2)),
+            "optional": optional_kernels(model, LAW_FORCES, LAW_DAMPING, RELAXING),
             "moves": numbers,
             "drives": np.zeros(instants),
             "gains": np.zeros(instants),
@@ -444,7 +423,7 @@ class SceneStages:
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
         if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = c_address(prepare, self.kind)
+            self.functions[of.PREPARE] = table_address(prepare, self.kind)
 
     def _prepare(self, model, first, times, *_):
         try:
@@ -476,7 +455,7 @@ class SceneStages:
         if kind != self.kind:
             self.kind = kind
             for number, function in self.entries.items():
-                self.functions[number] = c_address(function, kind)
+                self.functions[number] = table_address(function, kind)
             self._compile_prepare()
 
     def end_reason(self, ended, engine, control):

@@ -1,0 +1,124 @@
+"""Kernels that only some scenes need, called by address: those of force elements and of viscoelastic plates.
+
+They are compiled for the scenes that have such parts, once for all integrators; scenes without them compile nothing of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, typeof
+
+from polyida.assembly.arrays import SceneArrays
+from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces, take_damping_forces, take_midpoint_forces
+from polyida.assembly.relaxation import add_relaxation, add_relaxation_middle
+from polyida.errors import DONE
+from polyida.jit import entry, pack, part
+from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.user_functions import table_address
+
+# constants of compiled code
+PARTS, LAW_FORCES, LAW_SLOPES, LAW_DAMPING, LAW_MIDDLE, RELAXING, RELAXING_MIDDLE = range(7)  # of the addresses of a scene
+
+
+@pack
+class Parts(NamedTuple):
+    """What the kernels read: the scene, its laws and the number of its profiles."""
+
+    scene: SceneArrays
+    laws: Laws
+    profiles: int
+
+
+@part
+def nodal(w, at):
+    """The array (nodes, 2) at an address."""
+    return carray(pointer(at), w.scene.plates.weight.shape)
+
+
+@part
+def at_points(w, at):
+    """The array (points, 2) at an address."""
+    return carray(pointer(at), (w.scene.links.point_mass.shape[0], 2))
+
+
+@part
+def values(w, at):
+    """The values of the profiles at an address."""
+    return carray(pointer(at), (w.profiles, 3))
+
+
+@entry
+def law_forces(w, drives, u, v, r, d, e, f):
+    """Add the forces of the laws to r."""
+    add_own_forces(w.laws, w.scene.links, values(w, drives), nodal(w, u), nodal(w, v), nodal(w, r))
+    return DONE
+
+
+@entry
+def law_slopes(w, drives, dz, vz, c_v, own, e, f):
+    """Add K + c_v C of the laws to the blocks of the coupling; c_v: address of the number."""
+    coupling = w.scene.links.coupling
+    blocks, factor = carray(pointer(own), (coupling.columns.shape[0], 2, 2)), carray(pointer(c_v), (1,))[0]
+    add_own_curvature(w.laws, coupling, values(w, drives), at_points(w, dz), at_points(w, vz), 1.0, factor, blocks)
+    return DONE
+
+
+@entry
+def law_damping(w, drives, dz, vz, moved, forces, e, f):
+    """Add C moved of the laws to the forces at the points."""
+    take_damping_forces(w.laws, values(w, drives), at_points(w, dz), at_points(w, vz), at_points(w, moved), at_points(w, forces))
+    return DONE
+
+
+@entry
+def law_middle(w, drives, dz0, dz1, vz, half, forces, f):
+    """Add the forces of the laws in the middle of a step to the forces at the points."""
+    places = at_points(w, dz0), at_points(w, dz1)
+    take_midpoint_forces(w.laws, values(w, drives), places[0], places[1], at_points(w, vz), at_points(w, half), at_points(w, forces))
+    return DONE
+
+
+@entry
+def relaxing(w, still, u, v, r, d, e, f):
+    """Add the forces of relaxation to r; still: as of `add_relaxation`."""
+    add_relaxation(w.scene, w.scene.relaxation, nodal(w, u), None, nodal(w, v), float(still), nodal(w, r))
+    return DONE
+
+
+@entry
+def relaxing_middle(w, u0, u1, um, vm, r, e, f):
+    """Add the forces of relaxation in the middle of a step to r."""
+    add_relaxation_middle(w.scene, w.scene.relaxation, nodal(w, u0), nodal(w, u1), nodal(w, um), nodal(w, vm), nodal(w, r))
+    return DONE
+
+
+OF_LAWS = {LAW_FORCES: law_forces, LAW_SLOPES: law_slopes, LAW_DAMPING: law_damping, LAW_MIDDLE: law_middle}
+OF_RELAXATION = {RELAXING: relaxing, RELAXING_MIDDLE: relaxing_middle}
+
+
+def optional_kernels(model, *wanted):
+    """The addresses of those kernels of a scene that are wanted, (7,); 0 where the scene does not need one."""
+    addresses, parts = np.zeros(7, np.int64), model.once(_parts)
+    kernels = (OF_LAWS if len(model.laws.energies) else {}) | (OF_RELAXATION if model.strains else {})
+    addresses[PARTS] = parts.address
+    for number in kernels.keys() & set(wanted):
+        addresses[number] = table_address(kernels[number], typeof(parts))
+    return addresses
+
+
+def _parts(model):
+    return Parts(model.arrays, model.laws, len(model.profiles))
+
+
+@part
+def add_law_forces(optional, drives, u, v, r):
+    """Add the forces of the laws to r (nodes, 2), if there are any."""
+    if optional[LAW_FORCES] != 0:
+        call(optional[LAW_FORCES], optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
+
+
+@part
+def add_relaxing(optional, still, u, v, r):
+    """Add the forces of relaxation to r (nodes, 2), if there are any; still, 0 or 1: as of `add_relaxation`."""
+    if optional[RELAXING] != 0:
+        call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
