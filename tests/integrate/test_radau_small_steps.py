@@ -76,12 +76,15 @@ def test_newton_that_contracts_slowly_goes_on_to_its_tolerance(stages):
     assert abs(run.restart.state.memory["stages_e"][-1, 0] + 1e-12) < 1e-15
 
 
-def test_small_steps_take_two_iterations():
-    """The stages begin where the last prediction and its error lead; Newton ends at round-off of v. 3.5 iterations a step without either."""
+def test_small_steps_take_little_more_than_one_iteration():
+    """The stages begin where the last prediction and the errors of three predictions lead; Newton ends at round-off of v.
+
+    3.5 iterations a step without either, 2.1 with the error of the last prediction alone.
+    """
     scene = pi.Scene(gravity=(0.0, -9.81))
     upper = scene.add(pi.RigidBody.bar(1.0, 1.0, (0.0, 0.0), name="upper"))
     lower = scene.add(pi.RigidBody.bar(1.0, 1.0, (1.0, 0.0), name="lower"))
     scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), upper.at("left"), name="first pin"))
     scene.add(pi.Revolute(upper.at("right"), lower.at("left"), name="second pin"))
     counts = pi.solve(scene.build(), 0.2, pi.RadauIIA(h=1e-3)).counts
-    assert counts.newton_iterations <= 2.2 * counts.steps
+    assert counts.newton_iterations <= 1.2 * counts.steps

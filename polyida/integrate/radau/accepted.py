@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
-from polyida.integrate.radau.step import AGE, AHEAD, CONTRACTION, ERROR, LAST
+from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, MISSES
 from polyida.integrate.radau.tableau import through, through_zero
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, Stretch
@@ -38,11 +38,12 @@ class Collocation(NamedTuple):
 class StretchData(NamedTuple):
     """Data that the States of a stretch share: the Record, the state (t, q, v) at its start, c, where its factors were made, and the remaining memory.
 
-    counts_at: function (number of a step) -> {name: count}; states: the State objects in use, by number.
+    misses_before: {name: prediction errors of the steps before, newest first}. counts_at: function (number of a step) -> {name: count}; states: the State objects in use, by number.
     """
 
     record: Record
     begin: tuple
+    misses_before: dict
     c: np.ndarray
     factor_states: np.ndarray
     by_increments: bool
@@ -134,16 +135,16 @@ class StepState(State):
             "stages_v": r.dv[k],
             "a_end": r.stages_a[k, -1],
             "stages_lam": r.stages_lam[k],
-            "miss_e": r.miss_e[k],
-            "miss_lam": r.miss_lam[k],
-            "mu": r.mu[k],
-            "ahead": float(marks[AHEAD]),
+            "misses": marks[MISSES:],
             "step": float(marks[LAST]),
             "error": float(marks[ERROR]),
             "newton": marks[[CONTRACTION, AGE]],
             "factored": np.array([np.concatenate([[slots[H, slot]], s.factor_states[slot]]) for slot in order]),
             "prices": slots[[H, PRICE, LEAST]][:, order].T.copy(),
         }
+        for name, before in s.misses_before.items():
+            steps = getattr(r, name)[k::-1]
+            memory[name] = np.concatenate([steps, before])[: len(before)]
         if s.by_increments:
             memory |= {"phi": r.phi_start[k, 0], "rate": r.phi_start[k, 1]}
         return memory | s.memory | s.position_memory(k, r.level[k])

@@ -281,14 +281,14 @@ def record_step(o, k, target, h, y, x, z, slots, level, counts):
     for i in range(z.q.shape[0]):
         o.q[k, i], o.v[k, i], o.a[k, i] = z.q[i], z.v[i], z.a[i]
         for j in range(x.e.shape[0]):
-            o.e[k, j, i], o.dv[k, j, i], o.stages_a[k, j, i], o.miss_e[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i], y.miss_e[j, i]
+            o.e[k, j, i], o.dv[k, j, i], o.stages_a[k, j, i], o.miss_e[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i], y.miss_e[0, j, i]
     for e in range(z.lam.shape[0]):
         o.lam[k, e], o.phi_start[k, 0, e], o.phi_start[k, 1, e] = z.lam[e], y.phi_start[0, e], y.phi_start[1, e]
         for j in range(x.e.shape[0]):
-            o.stages_lam[k, j, e], o.miss_lam[k, j, e] = x.lam[j, e], y.miss_lam[j, e]
-    for j in range(y.mu.shape[0]):
-        for e in range(y.mu.shape[1]):
-            o.mu[k, j, e] = y.mu[j, e]
+            o.stages_lam[k, j, e], o.miss_lam[k, j, e] = x.lam[j, e], y.miss_lam[0, j, e]
+    for j in range(x.mu.shape[0]):
+        for e in range(x.mu.shape[1]):
+            o.mu[k, j, e] = x.mu[j, e]
     for i in range(MARKS):
         o.marks[k, i] = y.marks[i]
     for i in range(4):

@@ -207,7 +207,7 @@ def restarted(state):
         "miss_e",
         "miss_lam",
         "mu",
-        "ahead",
+        "misses",
         "step",
         "error",
         "phi",

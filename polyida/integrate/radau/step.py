@@ -39,9 +39,11 @@ NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if 
 MAX_PROJECTIONS = 3  # of q onto phi = 0
 AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
 Q, V, A, SHARES, PLACES = range(5)  # rows of Memory.past; PLACES: shares in |q|, without the integrals of states
-CONTRACTION, AGE, LAST, ERROR, AHEAD = range(5)  # of Memory.marks
-MARKS = 5
-UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no prediction error is known; its largest value
+CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; the weights of MISSES follow
+TERMS = 3  # prediction errors from which the next one is extrapolated
+MARKS = MISSES + 1 + TERMS
+LARGEST_WEIGHT = 4.0  # of a prediction error, above the 3 of the extrapolation by differences
+PARALLEL = 1e-9  # squared sine of the angle below which prediction errors are parallel
 MOVED, SPEED, EXTENDED = range(3)  # of Scratch.seen
 RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
 PHI, PHI_RATE = range(2)  # of rows
@@ -100,11 +102,11 @@ class Memory(NamedTuple):
     """Quantities that a step takes from the step before.
 
     past (5, n): q, v, v' of the last stage, shares of the coordinates in the mass and in |q|. lam (m,): of the last stage. stages_v (s, n), stages_lam
-    (s, m): of the last step. miss_e (s, n), miss_lam, mu (s, m): prediction errors of the last step: its e and lam minus the extrapolation from
-    the step before, and its mu, which is predicted as zero. phi_start (2, m): phi and phi' at the start of the step, for increments. marks:
-    CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration; LAST, length of the step before, s, 0 if
-    unknown; ERROR of that step, -1 if unknown; AHEAD, expected ratio of the next prediction error to this one for equal steps, UNKNOWN_MISS if
-    unknown.
+    (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
+    of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
+    start of the step, for increments. marks: CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration;
+    LAST, length of the step before, s, 0 if unknown; ERROR of that step, -1 if unknown; MISSES, number of known prediction errors, and the
+    weight of each in the expected next one.
     """
 
     past: np.ndarray
@@ -175,8 +177,8 @@ def compiled_tableau(tableau):
 def empty(stages, n, m, tied):
     """(Memory, Trial, Scratch) for n coordinates and m constraints."""
     each, closing, tie = (stages, n), (stages, m), (stages, m if tied else 0)
-    memory = Memory(*map(np.zeros, ((5, n), (m,), each, closing, each, closing, tie, (2, m), (MARKS,))))
-    memory.marks[AHEAD] = UNKNOWN_MISS
+    misses = ((TERMS, *shape) for shape in (each, closing, tie))
+    memory = Memory(*map(np.zeros, ((5, n), (m,), each, closing, *misses, (2, m), (MARKS,))))
     trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
     shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), closing, (2, 2, m), (2, stages, stages), (3,)
     modal = (n,), (n,), (2, m), (2, m)
@@ -270,36 +272,91 @@ def predict(t, h, y, x, z):
 @part
 def add_prediction_error(y, x, z):
     """Store the extrapolated stages in start_e and start_lam, and add the expected prediction error for a step of the same length."""
-    z.progress[EXTENDED], ahead = 1.0, max(y.marks[AHEAD], 0.0)
+    z.progress[EXTENDED] = 1.0
     for k in range(x.e.shape[0]):
         for i in range(x.e.shape[1]):
             x.start_e[k, i] = x.e[k, i]
-            x.e[k, i] += ahead * y.miss_e[k, i]
         for e in range(x.lam.shape[1]):
             x.start_lam[k, e] = x.lam[k, e]
-            x.lam[k, e] += ahead * y.miss_lam[k, e]
-        for e in range(x.mu.shape[1]):
-            x.mu[k, e] = ahead * y.mu[k, e]
+    for o in range(TERMS):
+        weight = y.marks[MISSES + 1 + o]
+        for k in range(x.e.shape[0] if weight != 0.0 else 0):
+            for i in range(x.e.shape[1]):
+                x.e[k, i] += weight * y.miss_e[o, k, i]
+            for e in range(x.lam.shape[1]):
+                x.lam[k, e] += weight * y.miss_lam[o, k, e]
+            for e in range(x.mu.shape[1]):
+                x.mu[k, e] += weight * y.mu[o, k, e]
 
 
 @fast
 def store_prediction_error(y, x, z):
-    """Store the prediction error of the step, and its expected ratio for the next step of the same length."""
+    """Store the prediction error of the step, and the weights of the errors in the next one: those that fit this one best to the ones before."""
+    known, weights = int(y.marks[MISSES]), y.marks[MISSES + 1 :]
+    weights[:] = 0.0
     if z.progress[EXTENDED] == 0.0:
-        y.marks[AHEAD] = UNKNOWN_MISS
+        y.marks[MISSES] = 0.0
         return
-    known, both, before = y.marks[AHEAD] != UNKNOWN_MISS, 0.0, 0.0
+    products = np.zeros((TERMS, TERMS + 1))
     for k in range(x.e.shape[0]):
         for i in range(x.e.shape[1]):
-            miss, share = x.e[k, i] - x.start_e[k, i], y.past[SHARES, i]
-            both += share * miss * y.miss_e[k, i]
-            before += share * y.miss_e[k, i] * y.miss_e[k, i]
-            y.miss_e[k, i] = miss
+            x.start_e[k, i] = x.e[k, i] - x.start_e[k, i]
+        for o in range(known):
+            for j in range(o, known + 1):
+                other, total = y.miss_e[j, k] if j < known else x.start_e[k], 0.0
+                for i in range(x.e.shape[1]):
+                    total += y.past[SHARES, i] * y.miss_e[o, k, i] * other[i]
+                products[o, j] += total
+    fit(products, known, weights)
+    for k in range(x.e.shape[0]):
+        put_first(y.miss_e[:, k], x.start_e[k])
         for e in range(x.lam.shape[1]):
-            y.miss_lam[k, e] = x.lam[k, e] - x.start_lam[k, e]
-        for e in range(x.mu.shape[1]):
-            y.mu[k, e] = x.mu[k, e]
-    y.marks[AHEAD] = min(max(both / before, 0.0), MOST_AHEAD) if known and before > 0.0 else 0.0
+            x.start_lam[k, e] = x.lam[k, e] - x.start_lam[k, e]
+        put_first(y.miss_lam[:, k], x.start_lam[k])
+        put_first(y.mu[:, k], x.mu[k])
+    y.marks[MISSES] = min(known + 1.0, TERMS)
+
+
+@part
+def put_first(rows, newest):
+    """Move rows down by one, and put the newest first."""
+    for o in range(rows.shape[0] - 1, 0, -1):
+        for i in range(newest.shape[0]):
+            rows[o, i] = rows[o - 1, i]
+    for i in range(newest.shape[0]):
+        rows[0, i] = newest[i]
+
+
+@part
+def fit(products, known, weights):
+    """Weights of up to `known` vectors in the least-squares fit to another one, the newest ones only if those of all are large or undetermined.
+
+    products (o, j): of vectors o and j >= o, and in column `known` of vector o and the other one. They become L D L^T of the vectors' products,
+    which is nested, and L^-1 of the column.
+    """
+    used = 0
+    for o in range(known):
+        pivot, right = products[o, o], products[o, known]
+        for j in range(o):
+            pivot -= products[j, o] * products[j, o] / products[j, j]
+            right -= products[j, o] * products[j, known] / products[j, j]
+        if not pivot > PARALLEL * products[o, o]:
+            break
+        for i in range(o + 1, known):
+            for j in range(o):
+                products[o, i] -= products[j, o] * products[j, i] / products[j, j]
+        products[o, o], products[o, known], used = pivot, right, o + 1
+    while used > 0:
+        most = 0.0
+        for o in range(used - 1, -1, -1):
+            weights[o] = products[o, known] / products[o, o]
+            for j in range(o + 1, used):
+                weights[o] -= products[o, j] / products[o, o] * weights[j]
+            most = max(most, abs(weights[o]))
+        if most <= LARGEST_WEIGHT:
+            return
+        used -= 1
+        weights[used] = 0.0
 
 
 @part

@@ -34,17 +34,16 @@ from polyida.integrate.radau.loop import (
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
 from polyida.integrate.radau.step import (
     AGE,
-    AHEAD,
     CONTRACTION,
     ERROR,
     FACTORS,
     LAST,
+    MISSES,
     MOVED,
     PLACES,
     SHARES,
     SPEED,
     UNKNOWN,
-    UNKNOWN_MISS,
     A,
     Method,
     Q,
@@ -143,8 +142,8 @@ class Steps:
         if known:
             y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
         y.marks[LAST], y.marks[ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
-        y.marks[AHEAD] = memory.get("ahead", UNKNOWN_MISS) if known else UNKNOWN_MISS
-        if y.marks[AHEAD] != UNKNOWN_MISS:
+        y.marks[MISSES:] = memory.get("misses", 0.0) if known else 0.0
+        if y.marks[MISSES]:
             y.miss_e[:], y.miss_lam[:], y.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.has_constraint_increments:
             y.phi_start[:] = start_values(model, state, self.clamp(state.t))
@@ -211,6 +210,7 @@ class Steps:
         while True:
             o = record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
             self.done[:], begin = 0, (state.t, state.q, state.v)
+            misses_before = {name: getattr(y, name).copy() for name in ("miss_e", "miss_lam", "mu")}
             control.now[REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
             table_arguments, run_arguments = (self.table.functions, self.table.workspace, first), (control, self.slots, fresh)
             with self.table.timed():
@@ -228,6 +228,7 @@ class Steps:
                     StretchData(
                         o,
                         begin,
+                        misses_before,
                         self.tableau.c,
                         self.factor_states,
                         bool(self.model.has_constraint_increments),
