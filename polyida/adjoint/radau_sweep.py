@@ -24,7 +24,7 @@ import numpy as np
 
 from polyida.errors import DONE
 from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
-from polyida.integrate.radau.step import A, Q, V
+from polyida.integrate.radau.step import FACTORS, A, Q, V
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
@@ -90,7 +90,7 @@ def solve_stages(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts,
         ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, fresh, y, x, z, counts)
         if ended == MAKE and f[MATRICES]:
             slot = reserve_slot(slots, h, b.t[k], y)
-            ended, counts[3] = make_factors(f, w, first, y, slot), counts[3] + 1
+            ended, counts[FACTORS] = make_factors(f, w, first, t, y, z, slot), counts[FACTORS] + 1
             if ended == DONE:
                 initial_stages(t.c, h, b, k, x)
                 ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, True, y, x, z, counts)

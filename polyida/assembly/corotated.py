@@ -62,17 +62,25 @@ def corotated(model, blocks, rotation, before=None):
 
     before: a Corotated of the model that is overwritten, if its numbers have the same type.
     """
-    fronts = model.once(symbolic_of, of_shape=True)
-    before = None if before is None or before.panels.dtype != single(blocks) else before
-    panels = factorize(fronts, blocks, panels=None if before is None else before.panels)
-    if before is None:
-        place = model.once(_column_places, of_shape=True)
-        compliance_columns = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
-        before = Corotated(fronts, panels, np.empty_like(rotation), place, compliance_columns, model.once(border, of_shape=True))
+    if before is None or before.panels.dtype != single(blocks):
+        before = empty_corotated(model, single(blocks))
+    factorize(before.fronts, blocks, panels=before.panels)
     fill_compliance_columns(
-        before, before.compliance_columns, rotation, model.once(unit_loads, of_shape=True), np.empty(2 * model.n_factored, panels.dtype)
+        before,
+        before.compliance_columns,
+        rotation,
+        model.once(unit_loads, of_shape=True),
+        np.empty(2 * model.n_factored, before.panels.dtype),
     )
     return before
+
+
+def empty_corotated(model, dtype):
+    """A Corotated of a model without numbers. dtype: of the panels."""
+    fronts, place = model.once(symbolic_of, of_shape=True), model.once(_column_places, of_shape=True)
+    columns = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), dtype)
+    panels, frame = np.empty(fronts.panel[-1], dtype), np.empty((model.n_factored, 2))
+    return Corotated(fronts, panels, frame, place, columns, model.once(border, of_shape=True))
 
 
 def _column_places(model):

@@ -26,7 +26,7 @@ class _Packed:
     @cached_property
     def address(self):
         """Address of the block, which lives as long as the tuple."""
-        block = np.array([word for value in self for word in _words(value)] or [0], np.uint64)
+        block = np.array([word for value in self for word in _words(value)] or [0], np.int64)
         return vars(self).setdefault("_block", block).ctypes.data  # if two threads meet here, both use the first block
 
     def __reduce__(self):
@@ -36,13 +36,12 @@ class _Packed:
 def _words(value):
     """The words of a field in the block."""
     if isinstance(value, np.ndarray):
-        words = [value.__array_interface__["data"][0], *value.shape, *value.strides]
-        return words if min(words) >= 0 else [word % 2**64 for word in words]
+        return value.__array_interface__["data"][0], *value.shape, *value.strides
     if value is None:
-        return []
+        return ()
     if isinstance(value, _Packed):
-        return [value.address]
-    return [int(value) % 2**64 if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.uint64))]
+        return (value.address,)
+    return (int(value) if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.int64)),)
 
 
 class PackType(types.BaseNamedTuple):

@@ -27,7 +27,7 @@ Further entries serve the s stages of Radau IIA. The instant of a step's beginni
 | TURN | r, back | rotate the residuals (s, n) into the frame of the middle stage, or corrections back; 0 without frames |
 | REAL, PAIR | r, rows, lam, dq, multipliers | the correction of a mode, radau/step.py; rows and multipliers (2, m), lam (m,) of the middle stage |
 | INERTIA | v, a, r, p, q, rows | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; rows (2, m): of ROWS, times v, or B v in place of a second block that is not there; p and rows may be 0 |
-| MATRICES | q, v, a, lam, slot | compute K, C and M of a state, stored under a number; 0 if the caller of the driver computes them |
+| MATRICES | q, v, a, lam, slot, c | compute K, C and M of a state, or the factors with c as of SELECT, stored under a number; 0 if the caller of the driver computes them |
 | SELECT | slot, c | use those of a number; c: of the real mode, real and imaginary part of the complex one, 0 without one |
 
 IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in some of its forms phi'' is a row.

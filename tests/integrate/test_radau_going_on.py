@@ -1,5 +1,6 @@
 """Radau IIA in files and at kinks: what its memory holds can be written and gone on from; long runs; what a failure names."""
 
+import pickle
 import tracemalloc
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.radau import accepted
+from polyida.integrate.radau.loop import MADE
 from polyida.integrate.radau.tables.scene import FEW
 from polyida.problems import plates
 
@@ -59,3 +61,28 @@ def test_a_run_that_becomes_singular_ends_with_what_its_last_stage_had(monkeypat
     assert model.n_nodes > FEW
     run = pi.solve(model, 0.01, pi.RadauIIA(h=1e-3), every=100)
     assert run.success and np.array_equal(run.a[-1], run.restart.state.memory["a_end"])
+
+
+def hanging():
+    """Three rigid bars in a row on a pin."""
+    scene, before = pi.Scene(gravity=(0.0, -9.81)), pi.ground.at((0.0, 0.0))
+    for k in range(3):
+        bar = scene.add(pi.RigidBody.bar(1.0, 1.0, (k, 0.0), name=f"bar {k}"))
+        scene.add(pi.Revolute(before, bar.at("left"), name=f"pin {k}"))
+        before = bar.at("right")
+    return scene.build()
+
+
+@pytest.mark.parametrize("settings", [{"rtol": 1e-6}, {"rtol": 1e-5, "stages": 2}, {"h": 2e-3}, {"h": 2e-3, "form": "index3"}], ids=str)
+def test_a_scene_whose_factors_compiled_code_makes_goes_on_from_any_step_bit_by_bit(settings):
+    """The memory of a state within a stretch holds where the factors made in this stretch were made; they are made again from it."""
+    model, method, counts = hanging(), pi.RadauIIA(**settings), pi.Counts()
+    begin = pi.solve(model, 0.01, method).state
+    states = list(method.steps(model, begin, 1.0, counts))
+    assert "h" in settings or 5 <= counts.tangents < MADE
+    for state in states[3 :: len(states) // 6]:
+        rest = list(method.steps(model, pickle.loads(pickle.dumps(state)), 1.0, pi.Counts()))
+        later = [other for other in states if other.t > state.t]
+        assert len(rest) == len(later)
+        for one, other in zip(rest, later):
+            assert np.array_equal(one.q, other.q) and np.array_equal(one.v, other.v) and np.array_equal(one.lam, other.lam)

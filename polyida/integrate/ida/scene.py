@@ -8,7 +8,8 @@ from polyida.assembly.stabilised_border import mass_columns, stabilised_workspac
 from polyida.errors import DONE
 from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau.tables import scene as stages
-from polyida.integrate.radau.tables.scene import DV, SceneStages, Solver, pairs, rows
+from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs, rows
+from polyida.integrate.radau.tables.scene_factors import Solver
 from polyida.jit import entry
 
 

@@ -36,7 +36,8 @@ class Collocation(NamedTuple):
 
 
 class StretchData(NamedTuple):
-    """Data that the States of a stretch share: the Record, the state (t, q, v) at its start, c, where its factors were made, and the remaining memory.
+    """Data that the States of a stretch share: the Record, the state (t, q, v) at its start, c, where the factors were made that it began with, and the
+    remaining memory.
 
     misses_before: {name: prediction errors of the steps before, newest first}. counts_at: function (number of a step) -> {name: count}; states: the State objects in use, by number.
     """
@@ -130,6 +131,7 @@ class StepState(State):
         s, k = self._stretch, self._k
         r, marks, slots = s.record, s.record.marks[k], s.record.slots[k]
         order = [slot for slot in np.argsort(slots[USED], kind="stable") if slots[H, slot]]
+        factor_states = {slot: s.factor_states[slot] for slot in order} | {int(row[1]): row[2:] for row in r.made if row[0] <= k}
         memory = {
             "stages_e": r.e[k],
             "stages_v": r.dv[k],
@@ -139,7 +141,7 @@ class StepState(State):
             "step": float(marks[LAST]),
             "error": float(marks[ERROR]),
             "newton": marks[[CONTRACTION, AGE]],
-            "factored": np.array([np.concatenate([[slots[H, slot]], s.factor_states[slot]]) for slot in order]),
+            "factored": np.array([np.concatenate([[slots[H, slot]], factor_states[slot]]) for slot in order]),
             "prices": slots[[H, PRICE, LEAST]][:, order].T.copy(),
         }
         for name, before in s.misses_before.items():

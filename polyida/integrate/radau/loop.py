@@ -9,6 +9,7 @@ from polyida.integrate.radau.step import (
     AGE,
     CONTRACTION,
     ERROR,
+    FACTORS,
     LAST,
     MARKS,
     PLACES,
@@ -30,6 +31,7 @@ from polyida.linear.lu import FACTORS as SLOTS
 from polyida.system import MATRICES, PREPARE, SELECT
 
 NEVER = 1e9  # LEAST of a factor that has solved no step; finite, since files need finite numbers
+MADE = 16  # most factors that the driver makes in a stretch
 FAILURES = 20.0  # most failed attempts in a row
 MIN_STEP = 16.0  # least step over the distance of neighbouring floating point times
 SHARE = 0.05  # Newton's tolerance over the local error, with fixed steps times the relative error to the power ERROR_POWER
@@ -83,7 +85,10 @@ class FactorSlots(NamedTuple):
 
 @pack
 class Record(NamedTuple):
-    """Results of the steps of a stretch, each array (steps, ...): states, stages, and what Memory and Control hold after each step."""
+    """Results of the steps of a stretch, each array (steps, ...): states, stages, and what Memory and Control hold after each step.
+
+    made (MADE, .): number of the step for which the driver made a factor, its slot, and the state as in FactorSlots; infinite without one.
+    """
 
     t: np.ndarray
     q: np.ndarray
@@ -102,6 +107,7 @@ class Record(NamedTuple):
     level: np.ndarray
     slots: np.ndarray
     counts: np.ndarray
+    made: np.ndarray
 
 
 def record(count, stages, n, m, tied):
@@ -109,7 +115,8 @@ def record(count, stages, n, m, tied):
     motion = (count,), (count, n), (count, n), (count, n), (count, m)
     each, closing = (count, stages, n), (count, stages, m)
     inner = each, each, each, closing, each, closing, (count, stages, m if tied else 0), (count, 2, m)
-    return Record(*map(np.empty, (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))))
+    sizes = (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
+    return Record(*map(np.empty, sizes), np.full((MADE, 3 + 3 * n + m), np.inf))
 
 
 def empty_slots(n, m):
@@ -239,12 +246,20 @@ def newton_tolerance(p, h, y):
 
 
 @part
+def selected(t, z):
+    """The argument of SELECT."""
+    return z.times[3 + t.c.shape[0] :]
+
+
+@part
 def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
     """Try a step from the state of y: (status, local error). The stages are in x."""
-    count, times = t.c.shape[0], z.times
+    count, times, select = t.c.shape[0], z.times, selected(t, z)
     times[0], times[1], times[2] = h, begin, clamp(p, begin)
     for i in range(count):
         times[3 + i] = clamp(p, begin + t.c[i] * h) if i < count - 1 else clamp(p, target)
+    for i in range(3):
+        select[i] = t.values[i] / h
     if f[PREPARE]:
         ended = call(f[PREPARE], w, first, address(times), 0, 0, 0, 0, 0)
         if ended != DONE:
@@ -255,9 +270,6 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
     if slots.table[READY, slot] == 0.0:
         return RESTORE, 0.0
     mark_used(slots, slot)
-    select = times[3 + count :]
-    for i in range(3):
-        select[i] = t.values[i] / h
     if f[SELECT]:
         call(f[SELECT], w, slot, address(select), 0, 0, 0, 0, 0)
     ended, iterations = solve_stages(f, w, first, p, t, h, y, x, z, newton_tolerance(p, h, y), counts)
@@ -300,12 +312,12 @@ def record_step(o, k, target, h, y, x, z, slots, level, counts):
 
 @entry
 def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
-    """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status).
+    """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status). PAUSE: `made` is full.
 
     f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at which the stretch begins; fresh: True
     if the factor of the first step was made for it; ends: the ends of equal steps.
     """
-    most, apart, now, taken = o.t.shape[0], t.c.shape[0] + 1, c.now, 0
+    most, apart, now, taken, made = o.t.shape[0], t.c.shape[0] + 1, c.now, 0, 0
     while taken < most and (not c.adaptive or now[TIME] < c.end):
         h, target, begin = c.h, now[TIME], now[TIME]
         if c.adaptive:
@@ -323,9 +335,13 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
         now[STEP], now[TARGET] = h, target
         at = first if f[PREPARE] else first + taken * apart
         ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
-        if ended == MAKE and f[MATRICES] and taken == 0:
+        if ended == MAKE and f[MATRICES] and made < MADE:
             slot = reserve_slot(slots, h, clamp(p, begin), y)
-            ended, counts[3] = make_factors(f, w, at, y, slot), counts[3] + 1
+            o.made[made, 0], o.made[made, 1] = taken, slot
+            for i in range(slots.states.shape[1]):
+                o.made[made, 2 + i] = slots.states[slot, i]
+            made += 1
+            ended, counts[FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[FACTORS] + 1
             fresh = True
             if ended == DONE:
                 ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
@@ -354,6 +370,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
 
 
 @part
-def make_factors(f, w, at, y, slot):
-    """Make the factors of a slot at the state of y. Returns a status."""
-    return call(f[MATRICES], w, at, address(y.past[Q]), address(y.past[V]), address(y.past[A]), address(y.lam), slot, 0)
+def make_factors(f, w, at, t, y, z, slot):
+    """Make the factors of a slot at the state of y, for the step of the last attempt. Returns a status."""
+    state = address(y.past[Q]), address(y.past[V]), address(y.past[A]), address(y.lam)
+    return call(f[MATRICES], w, at, state[0], state[1], state[2], state[3], slot, address(selected(t, z)))

@@ -210,6 +210,7 @@ class Steps:
         while True:
             o = record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
             self.done[:], begin = 0, (state.t, state.q, state.v)
+            self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
             misses_before = {name: getattr(y, name).copy() for name in ("miss_e", "miss_lam", "mu")}
             control.now[REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
             table_arguments, run_arguments = (self.table.functions, self.table.workspace, first), (control, self.slots, fresh)
@@ -217,11 +218,8 @@ class Steps:
                 accepted, ended = stretch(
                     *table_arguments, p, self.compiled_tableau, *run_arguments, y, self.trial, self.scratch, self.done, ends[taken:], o
                 )
-            if self.done[FACTORS]:
-                self.factor_states = None
             self.state, before = None, replace(self.counts)
             if accepted:
-                self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
                 memory = self._common_memory(), partial(position_memory, taken), self._lazy_motion()
                 counts_at = partial(self.counts_at, before, o.counts)
                 states = StretchStates(
@@ -242,6 +240,8 @@ class Steps:
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
             self.state = self.state or state
+            if self.done[FACTORS]:
+                self.factor_states = None
             taken, count, first = taken + accepted, count - accepted, first + accepted * (self.settings.stages + 1) * self.table.prepared
             self.table.raise_error()
             if ended in (loop.MAKE, loop.RESTORE):

@@ -20,32 +20,32 @@ from polyida.assembly.optional import LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, 
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
-from polyida.assembly.stabilised_border import StabilisedWorkspace, mass_columns, stabilised_border, stabilised_workspace
+from polyida.assembly.stabilised_border import mass_columns, stabilised_border, stabilised_workspace
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
-from polyida.integrate.radau.step import Q, V
+from polyida.integrate.radau.step import Q, V, compiled_tableau
+from polyida.integrate.radau.tables.scene_factors import (
+    FACTOR_FUNCTIONS,
+    SceneFactors,
+    Solver,
+    empty_solver,
+    makes_factors,
+    matrices,
+    scene_factors,
+)
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call, complex_pointer, pointer
 from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.dense import clear
+from polyida.linear.lu import SingularSystem
 from polyida.system.scene import add_forces, add_slowing
 
 START, VX, DX, DV = range(4)  # rows of SceneWork.points: displacements and velocities at the start of a step, and their increments
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 CALL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
-
-
-@pack
-class Solver(NamedTuple):
-    """Factor and workspace of a mode for kernels; c (1,): c of the mode; mass_columns, border: of the border with mu, or None."""
-
-    c: np.ndarray
-    factored: corotated.Corotated
-    workspace: corotated.SolveWorkspace
-    mass_columns: corotated.Corotated | None
-    border: StabilisedWorkspace | None
+UNUSED = 1e8  # iterations: new factors of rigid bodies are the same
 
 
 @pack
@@ -77,6 +77,7 @@ class SceneWork(NamedTuple):
     dz: np.ndarray
     level: np.ndarray
     spare: np.ndarray
+    factors: SceneFactors
     c: np.ndarray
     h: np.ndarray
     still: np.ndarray
@@ -366,13 +367,15 @@ def inverse_mass(model):
 class SceneStages:
     """The table of a scene without Python in it."""
 
-    longest, single, lifts, timed = of.STEPS, True, False, nullcontext
+    longest, lifts, timed = of.STEPS, False, nullcontext
 
     def __init__(self, model, tableau, tied):
         self.model, self.tableau, self.tied, s = model, tableau, tied, tableau.stages
         nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
         small, (numbers, self.formulas) = model.n_nodes <= FEW, moves(model)
         self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
+        # whether the matrices of one slot are at hand only, because Python makes them
+        self.single = s == 1 or not makes_factors(model)
         self.w = {
             "scene": model.arrays,
             "tie": constraint_projection(model),
@@ -390,6 +393,7 @@ class SceneStages:
             "dz": np.zeros((s, *points)),
             "level": np.zeros(model.m),
             "spare": np.zeros(model.m),
+            "factors": scene_factors(model, not self.single),
             "c": tableau.c,
             "h": np.zeros(1),
             "still": np.zeros(nodes),
@@ -398,7 +402,7 @@ class SceneStages:
             "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
-        self.renewal = PAIR + CALL / model.n
+        self.renewal = PAIR + CALL / model.n if self.single else PAIR if model.flexible else UNUSED
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
     def set_lift(self, lift):
@@ -409,6 +413,11 @@ class SceneStages:
 
     def begin(self, engine, state, control, ends):
         """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step."""
+        if self.work is None and not self.single:
+            solvers = [empty_solver(self.model, mode, self.tied) for mode in self.tableau.modes]
+            self.entries = self.entries | FACTOR_FUNCTIONS
+            self.set_solvers(*[None] * (2 - len(solvers)), *solvers)
+            engine.counts.backend = corotated.SceneStepMatrix.backend
         if not self.model.profiles:
             return 0
         self.prepared, self.clamp = not control.adaptive, engine.clamp
@@ -442,11 +451,20 @@ class SceneStages:
 
     def make(self, slot, h, made_at, counts):
         """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
+        if not self.single:
+            self._make_compiled(slot, h, made_at)
+            return
         known = self.slots.get(slot)
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
             known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
         counts.backend = known.backend
         self.set_solvers(known.real, known.pair)
+
+    def _make_compiled(self, slot, h, made_at):
+        c = compiled_tableau(self.tableau).values / h
+        q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([self.model.n] * 3)))
+        if matrices(self.work, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, c.ctypes.data) != DONE:
+            raise SingularSystem(REASONS[SINGULAR][1])
 
     def set_solvers(self, real, pair):
         """Use these Solvers of the modes, or None; functions are compiled for the type of the workspace."""

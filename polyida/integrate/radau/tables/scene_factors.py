@@ -1,0 +1,177 @@
+"""Factors of scenes of rigid and reduced bodies, made in compiled code and stored in slots: entries MATRICES and SELECT of their table.
+
+The step matrix is that of a scene without full plates, force elements and damping, so that its parts are K and M of the bodies alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray
+
+from polyida import system as of
+from polyida.assembly import compact, corotated
+from polyida.assembly.stabilised_border import StabilisedWorkspace, momenta, stabilised_workspace
+from polyida.errors import DONE, SINGULAR
+from polyida.jit import entry, pack, part
+from polyida.jit.intrinsics import pointer
+from polyida.linear.fronts import fill_panels
+from polyida.linear.lu import FACTORS
+
+KINDS = {False: (np.float32, float), True: (np.complex64, complex)}  # of the factors of a real and of a complex mode, and of their blocks
+
+
+@pack
+class Solver(NamedTuple):
+    """Factor and workspace of a mode for kernels; c (1,): c of the mode; mass_columns, border: of the border with mu, or None."""
+
+    c: np.ndarray
+    factored: corotated.Corotated
+    workspace: corotated.SolveWorkspace
+    mass_columns: corotated.Corotated | None
+    border: StabilisedWorkspace | None
+
+
+@pack
+class StoredFactors(NamedTuple):
+    """Factors of a mode in each slot, (slots, .) each: panels, columns, mass columns and frames. blocks, numbers, x: scratch of their types."""
+
+    panels: np.ndarray
+    columns: np.ndarray
+    mass_columns: np.ndarray
+    frames: np.ndarray
+    blocks: np.ndarray
+    numbers: np.ndarray
+    x: np.ndarray
+
+
+@pack
+class SceneFactors(NamedTuple):
+    """Factors that compiled code makes and stores, of scenes without full plates, forces and damping; of other scenes all sizes are zero.
+
+    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads, momenta: unit forces at the points and M times them. places: scratch.
+    """
+
+    real: StoredFactors
+    pair: StoredFactors
+    chosen: np.ndarray
+    K: np.ndarray
+    M: np.ndarray
+    loads: np.ndarray
+    momenta: np.ndarray
+    places: np.ndarray
+
+
+@entry
+def matrices(w, instant, q, v, a, lam, slot, c):
+    """Factor S of both modes at q, in the slot."""
+    x, u, values, bodies = w.factors, carray(pointer(q), w.still.shape), carray(pointer(c), (3,)), w.scene.compact
+    x.K[:], x.M[:], x.chosen[0] = 0.0, 0.0, slot
+    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, x.K)
+    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, x.M)
+    for b in range(bodies.drag.shape[0]):
+        compact.turn(bodies, b, u, w.turn[0])
+    good = factored(x, x.real, w.real, values[0], w.turn[0], slot)
+    return DONE if good and factored(x, x.pair, w.pair, complex(values[1], values[2]), w.turn[0], slot) else SINGULAR
+
+
+@part
+def factored(x, stored, mode, c, rotation, slot):
+    """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
+    return True if mode is None else factored_mode(x, stored, mode, mode.mass_columns, c, rotation, slot)
+
+
+@part
+def factored_mode(x, stored, mode, mass, c, rotation, slot):
+    """The same with a mode; mass: its mass columns, or None without mu."""
+    s = mode.factored
+    for k in range(x.K.shape[0]):
+        for i in range(2):
+            for j in range(2):
+                stored.blocks[k, i, j] = x.K[k, i, j] + c * c * x.M[k, i, j]
+    mode.c[0] = c
+    if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
+        return False
+    corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
+    if mass is not None:
+        corotated.fill_compliance_columns(s, mass.compliance_columns, s.frame[:0], x.momenta, stored.x)
+    exchange(stored, mode, mass, slot, True)
+    return True
+
+
+@part
+def exchange(stored, mode, mass, slot, store):
+    """Copy the factors of a mode to a slot, or from it."""
+    s = mode.factored
+    copy(s.panels, stored.panels[slot], store)
+    copy(s.compliance_columns.reshape(-1), stored.columns[slot], store)
+    copy(s.frame.reshape(-1), stored.frames[slot], store)
+    if mass is not None:
+        copy(mass.compliance_columns.reshape(-1), stored.mass_columns[slot], store)
+
+
+@part
+def copy(x, y, forward):
+    """y = x, or x = y."""
+    for i in range(x.shape[0]):
+        if forward:
+            y[i] = x[i]
+        else:
+            x[i] = y[i]
+
+
+@part
+def restored(stored, mode, c, slot):
+    """Use the factors of a slot, unless mode is None."""
+    if mode is not None:
+        mode.c[0] = c
+        exchange(stored, mode, mode.mass_columns, slot, False)
+
+
+@entry
+def select(w, slot, c, b, d, e, f, g):
+    """Use the factors of a slot."""
+    values = carray(pointer(c), (3,))
+    if w.factors.chosen[0] != slot:
+        w.factors.chosen[0] = slot
+        restored(w.factors.real, w.real, values[0], slot)
+        restored(w.factors.pair, w.pair, complex(values[1], values[2]), slot)
+    return DONE
+
+
+FACTOR_FUNCTIONS = {of.MATRICES: matrices, of.SELECT: select}
+
+
+def makes_factors(model):
+    """True if compiled code makes the factors of a scene."""
+    return not (model.bodies or model.damped or model.strains or model.own_forces)
+
+
+def scene_factors(model, used):
+    """The SceneFactors of a scene. used: False if compiled code makes none."""
+    panels = columns = size = blocks = numbers = places = 0
+    loads = np.empty((2, 0, 0, 2))
+    if used:
+        empty, size, blocks = corotated.empty_corotated(model, float), 2 * model.n_factored, len(model.pattern[1])
+        fronts, panels, columns = empty.fronts, empty.panels.size, empty.compliance_columns.size
+        numbers, places = fronts.size**2 + fronts.depth, len(fronts.nodes) + len(fronts.children)
+        loads = model.once(corotated.unit_loads, of_shape=True), model.once(momenta)
+    modes = [
+        StoredFactors(
+            *(np.empty((FACTORS, count), kind) for count in (panels, columns, columns)),
+            np.empty((FACTORS, size)),
+            np.empty((blocks, 2, 2), wide),
+            np.empty(numbers, wide),
+            np.empty(size, kind),
+        )
+        for kind, wide in KINDS.values()
+    ]
+    return SceneFactors(*modes, np.full(1, -1), *np.empty((2, blocks, 2, 2)), *loads, np.empty(places, np.int32))
+
+
+def empty_solver(model, mode, tied):
+    """A Solver of a mode for factors that compiled code makes."""
+    c = np.array([mode.value])
+    factors = corotated.empty_corotated(model, KINDS[mode.paired][0])
+    mass = factors._replace(compliance_columns=np.zeros_like(factors.compliance_columns)) if tied else None
+    border = stabilised_workspace(model, c.dtype.type) if tied else None
+    return Solver(c, factors, corotated.solve_workspace(model, factors), mass, border)
