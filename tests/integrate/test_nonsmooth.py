@@ -107,6 +107,18 @@ def test_a_section_of_a_plate_slides_on_a_floor():
     assert np.diff(run.energy.total).max() < 1e-4 * run.energy.total[0]
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_plate_comes_to_rest_under_a_load(friction):
+    """Contacts that carry a force stay closed: a rate that is round-off must not open them, whatever the speed."""
+    scene, material = pi.Scene(), pi.Material(E=1e6, nu=0.3, rho=1000.0, viscosity=3e-2)
+    plate = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.4, 5, 3), material, 0.01, origin=(0.0, 0.2), name="plate"))
+    scene.add(pi.Contact(plate.section("bottom"), pi.ground.at((0.0, 0.0)), friction=friction, name="floor"))
+    scene.add(pi.EdgeTraction(plate.section("top"), (0.0, -2e4), pi.profile.quintic(0.0, 1.0, 1.0)))
+    run = pi.solve(scene.build(), 4.0, pi.NonsmoothAlpha(h=1e-2, rho_inf=0.0))
+    assert run.success, run.message
+    assert np.abs(run.v[-100:]).max() < 1e-9 and run.reaction("floor")[-1].sum() == pytest.approx(-200.0)
+
+
 @pytest.mark.parametrize(
     "integrator, error", [(RADAU, 1e-6), (pi.NonsmoothAlpha(h=1e-3), 2e-2), (pi.MoreauJean(h=1e-3), 2e-2)], ids=lambda x: type(x).__name__
 )

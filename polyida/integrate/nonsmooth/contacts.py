@@ -7,7 +7,7 @@ the change Y of the equations' multipliers. Rates are u = G p + b with `G = B X`
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.nonsmooth.cone import CONTACT, FRICTION, Cone, solve_cone
+from polyida.integrate.nonsmooth.cone import CONTACT, FRICTION, OPEN, STICKS, Cone, solve_cone
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
 
@@ -130,10 +130,11 @@ class Contacts:
         a, lam, p, _ = self.accelerations(t, q, v, closed)
         return State(t, q, v, a, self.all(lam, p), {"closed": closed, "p": p, "a_alg": a})
 
-    def accelerations(self, t, q, v, closed, p=None, begins=0.0):
+    def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None):
         """(a, lam of the equations, p, status): consistent accelerations and forces.
 
-        closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip.
+        closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip. status: of
+        the rows, if it is known which stick; their rates are round-off then.
         """
         model = self.model
         force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
@@ -143,7 +144,7 @@ class Contacts:
         if not active.any():
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
         rate = model.phi_rate(t, q, v)[self.rows]
-        slip = self.slip(rate, q, v)
+        slip = self.slip(rate, q, v) if status is None else np.where(status == STICKS, 0.0, self.slip(rate, q, v))
         slip = np.where(slip == 0.0, begins, slip)
         B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
         (X, Y), now = self.columns(mass.solve, B), B @ a + bias[self.rows][active]
@@ -153,7 +154,7 @@ class Contacts:
         return a + X @ p[active], lam + Y @ p[active], p, status
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
-        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact, or a step's end.
+        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact, or a step's end; a contact that rebounds is OPEN.
 
         v: velocities with the impulses h p and h lam. before: rates of the rows with laws before the impact. closed: the contacts at which
         velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
@@ -175,6 +176,7 @@ class Contacts:
         back = back if wanted is None else back - wanted[active]
         P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B), slip, h)
         change = P[active] - h * p[active]
+        status[np.flatnonzero(active)[self.contact[active] & (back != 0.0)]] = OPEN
         return v + X @ change, P, Y @ change, status
 
     def reversals(self, state, t, q, v, before, closed, p):

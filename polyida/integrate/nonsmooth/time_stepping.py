@@ -21,6 +21,7 @@ import numpy as np
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients
 from polyida.integrate.discontinuities import Grid, at_kink, number_of_steps, pieces
+from polyida.integrate.nonsmooth.cone import CLOSED
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.state import Counts, Integrator, State
@@ -241,12 +242,12 @@ class _Steps:
         if wanted is not None:
             v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
         rate = model.phi_rate(t, q, v)[contacts.rows]
-        still = touching & (rate <= contacts.still(q, v))
+        still = touching & ((rate <= contacts.still(q, v)) | (status == CLOSED))  # whose rate is round-off if they carry a force
         impacts = _impacts(contacts, touching & ~closed, P, free, rate)
         lam, p, memory = lam + change / h, P / h, {"a_alg": a_alg, "closed": still, "p": p, "status": status} | impacts
         total = contacts.all(lam, p)
         if (still != closed).any() or (status != state.memory.get("status", status))[~contacts.contact].any():
-            a, _, p, _ = contacts.accelerations(t, q, v, still, memory["p"])
+            a, _, p, _ = contacts.accelerations(t, q, v, still, memory["p"], status=status)
             memory |= {"a_alg": a, "p": p}
         return self._accepted(t, q, v, a, total, memory)
 
