@@ -7,6 +7,7 @@ import numpy as np
 
 from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
 from polyida.assembly.compact import Compact
+from polyida.assembly.edge_rows import EdgeRows
 from polyida.assembly.own_laws import laws_of
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.body.body import Body, points_of
@@ -35,13 +36,13 @@ class RowTable:
     """Collects the rows of phi and the velocity rows. labels, units: of each row; rows: {name: slice of its rows}; joints: {name: joint or body}.
 
     points, drives: number the attachments and the profiles. size: of the scene, m. left_out: numbers, among all rows, of rows to omit.
-    laws: a RowLaw of each row with a law.
+    laws: a RowLaw of each row with a law. edges: EdgeRows.
     """
 
     def __init__(self, points, drives, size, left_out=()):
         self._points, self._drives, self._size, self._left_out, self._count = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
-        self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws = [], [], {}, {}, [], []
+        self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws, self.edges = [], [], {}, {}, [], [], []
 
     def add(self, name, part, held=False):
         """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold at rest and need to (held: False)."""
@@ -50,7 +51,10 @@ class RowTable:
             rows = rows + given_rows(name, part, "velocity_rows")
             if not rows:
                 raise InputError(f"{name}: rows() of {type(part).__name__}: it must give a list of rows, at least one, or velocity_rows()")
-        numbers = {}
+        numbers, edges = {}, None
+        if isinstance(part, Contact) and part.edges and self._count not in self._left_out:
+            edges = EdgeRows(first, part, self._points, self._size)
+            self.edges.append(edges)
         for number, row in enumerate(rows):
             self._count += 1
             if self._count - 1 in self._left_out:
@@ -60,7 +64,10 @@ class RowTable:
                 raise InputError(f"{name}: its sides are {-at_rest:.3g} m within each other at rest; {_how_to_close(part)}")
             if not (row.rate or row.driven or row.gap or held) and abs(at_rest) > CLOSED * self._size:
                 raise InputError(f"{name}: it does not hold at rest, phi = {at_rest:.3g}; {_how_to_close(part)}")
-            self._append(name, row, held)
+            if edges:
+                self._append_any(row, edges.numbers)
+            else:
+                self._append(name, row, held)
             numbers[number] = len(self.labels)
             if row.law:
                 on = tuple(numbers[k] for k in row.law.on if k in numbers)
@@ -95,6 +102,13 @@ class RowTable:
                     vectors.append(len(self._vectors))
                     self._vectors.append((piece.rest, self._weights(piece)))
                 self._products.append((number, *vectors, drive, product.one_way, product.unrotated.rate))
+
+    def _append_any(self, row, points):
+        """Append a row without products that may depend on these points."""
+        if row.rate:
+            self._velocity_rows.append(len(self._constants))
+        self._constants.append(row.constant)
+        self._slopes.append(dict.fromkeys(points.tolist(), 0j))
 
     def _weights(self, piece):
         """{point: weight} of a piece of a formula."""

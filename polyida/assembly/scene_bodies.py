@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
+from polyida.assembly.edge_rows import links_at
 from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of
@@ -23,8 +24,8 @@ from polyida.validation import complex_of_pairs, on_pairs, pairs_of
 class Constraints(Model):
     """`phi(t, q)` of a scene and its derivatives: `phi = rows(A q)`, A the weights of the points.
 
-    It needs `parts`, `joints` and `places` of the bodies, `arrays` of the kernels, `profiles`, `labels` and `rows` of phi, `needs`, n, m,
-    n_nodes and n_points.
+    It needs `parts`, `joints` and `places` of the bodies, `arrays` of the kernels, `profiles`, `labels` and `rows` of phi, `edge_rows`,
+    `needs`, n, m, n_nodes and n_points.
     """
 
     def drives(self, t):
@@ -62,8 +63,25 @@ class Constraints(Model):
     def phi(self, t, q):
         """Constraints, (m,): of points in m, of motors |d_A| |d_B| sin(angle error)."""
         phi, dz = np.empty(self.m), self.dz(q)
-        joints.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
+        joints.joint_forces(self._links(dz), self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
         return phi
+
+    def facing(self, q):
+        if not self.edge_rows:
+            return self
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__, _facing=(None, self._links(self.dz(q))))
+        return other
+
+    def _links(self, dz):
+        """The Links at displacements of the points; those of the last position are kept."""
+        if not self.edge_rows:
+            return self.arrays.links
+        at, links = self._facing
+        if at is not None and at != (key := dz.tobytes()):
+            links = links_at(self.arrays.links, self.edge_rows, dz)
+            self._facing = key, links
+        return links
 
     def phi_q(self, t, q):
         """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
@@ -95,9 +113,10 @@ class Constraints(Model):
 
     def slope_values(self, t, q):
         """The entries of phi_z that may differ from zero, row after row."""
-        s = self.arrays.links
+        dz = self.dz(q)
+        s = self._links(dz)
         slopes = np.empty(len(s.row_columns))
-        joints.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
+        joints.joint_jacobian(s, self.drives(t), dz, slopes)
         return slopes
 
     def small_phi_q(self, t, q):
@@ -124,8 +143,8 @@ class Constraints(Model):
         return self._rates(t, q, v)[2] if self.needs.driven or self.needs.phi_q_varies else np.zeros(self.m)
 
     def _rates(self, t, q, v):
-        rates = np.zeros((3, self.m))
-        joints.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), *rates)
+        rates, dz = np.zeros((3, self.m)), self.dz(q)
+        joints.joint_rates(self._links(dz), self.drives(t), dz, self.dz(v), *rates)
         return rates
 
     def phi_rate_q(self, t, q, v):
@@ -236,7 +255,20 @@ class Constraints(Model):
         whole: (fx, fy, m) of any joint. For a body: the multipliers of its own rows.
         """
         reaction = self.reaction_of(name, whole)
+        edges = next((one for one in self.edge_rows if one.first == self.rows[name].start), None)
+        if edges:
+            return self._reactions_of_edges(edges, name, q, lam, whole)
         return lam.copy() if reaction is None else reaction(np.broadcast_to(t, len(q)), lam, lambda place: self.place(place, q))
+
+    def _reactions_of_edges(self, edges, name, q, lam, whole):
+        """`reactions` of a contact between edges: the sum of the forces on the points of its second side."""
+        result = []
+        for at, forces in zip(q, lam):
+            on_points = -(self._slopes(0.0, at)[self.rows[name]].T @ forces).reshape(-1, 2)[edges.b]
+            arms = edges.rest[edges.points :] + self.dz(at)[edges.b] - self.position(self.joints[name].b, at[None])[0]
+            moment = arms[:, 0] @ on_points[:, 1] - arms[:, 1] @ on_points[:, 0]
+            result.append([*on_points.sum(axis=0), *[moment] * whole])
+        return np.array(result).reshape(len(q), -1)
 
     def reaction_of(self, name, whole=False):
         """The Reaction of a joint; None for a body."""

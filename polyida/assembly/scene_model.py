@@ -99,7 +99,7 @@ class SceneModel(SceneBodies):
             mass_varies=False,
             velocity_forces=self.damped or bool(elements or self.strains),
             driven=bool(len(self.motor_profiles) or len(self.path_profiles) or links.row_constant[self.velocity_rows].any()),
-            phi_q_varies=bool(((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
+            phi_q_varies=bool(self.edge_rows or ((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
         )
         forces = (OwnForce(name, element, self) for name, element in elements.items())
         self.own_forces = (*forces, *(Elastic(own, self.n_nodes) for own in elastic))
@@ -194,7 +194,7 @@ class SceneModel(SceneBodies):
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.m, self.n_points, self._derived, self._derived_of_shape, self._reactions = len(self.labels), len(points.nodes), {}, {}, {}
         links = self.arrays.links
-        self.velocity_rows, self.row_laws = links.velocity_rows, tuple(table.laws)
+        self.velocity_rows, self.row_laws, self.edge_rows, self._facing = links.velocity_rows, tuple(table.laws), table.edges, (b"", links)
         self.motor_profiles, self.path_profiles = np.unique(links.product_drive[links.product_drive >= 0]), np.unique(links.shift_drive)
 
     @property
@@ -271,7 +271,8 @@ class SceneModel(SceneBodies):
         rotation = np.empty((0, 2)) if rotation is None else rotation
         dz, forces = np.empty((2, self.n_points, 2))
         state = self.drives(t), self._nodal(q), self._nodal(a), self._flat(lam)
-        det, cosine = compiled.equilibrium(self.arrays, *state, r, phi, rotation, dz, forces)
+        arrays = self.arrays._replace(links=self._links(self.dz(q))) if self.edge_rows else self.arrays
+        det, cosine = compiled.equilibrium(arrays, *state, r, phi, rotation, dz, forces)
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):

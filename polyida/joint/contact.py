@@ -1,9 +1,11 @@
 """Contact without stiffness: gaps that carry pressure alone, and may open."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, labelled, require_directions, require_places
+from polyida.joint.edges import FacingEdges
 from polyida.joint.formula import Row, Vector, cross, dot
 from polyida.joint.joint import FORCE, Joint
 from polyida.validation import named_keywords, number, positive, settle
@@ -19,12 +21,16 @@ def require_contact(label, joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Contact(Joint):
-    """Unilateral contact without stiffness, of a point or of all nodes of a section, with a line, or with a circle from outside.
+    """Unilateral contact without stiffness, of a point or the nodes of a section, with a line, a circle from outside, or edges of a plate.
 
     A gap for each point, `phi = d_B x (x_A - x_B) >= 0`, m, on the left of the line through b along its direction; about b with a radius R
     `phi = (w . w - R^2) / (2 R) >= 0`, w = x_A - x_B. With `0 <= -lam`, `lam phi = 0`, and impacts with `phi' = -e phi'` of before. With
     friction also the slip `psi` of each point, m/s, with `|nu| <= mu |lam|` (Coulomb): `psi = (d_B . (x_A - x_B))'` on the line, on the
     circle `psi = w x w' / R - R w_B`, w_B the angular velocity of b. The line or circle moves with its body.
+
+    If b is a section of a full plate, a point has its distance from each edge that it faces, and a node of a section of a full plate the mean
+    `phi = int N gap ds / int N ds` over what faces b, N its hat function (mortar); slips likewise. Mean gaps are for sides that lie along each
+    other: a corner that may touch a side is a point of its own, `plate.node(...)`. Such models need `NonsmoothAlpha` or `MoreauJean`.
 
     Reaction on b, (2,): the sum of the forces, N.
 
@@ -34,7 +40,7 @@ class Contact(Joint):
         The point; of a section of a full plate, every node.
     b : Attachment or Ground
         Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
-        centre of the circle.
+        centre of the circle. A section of a full plate: its edges.
     restitution : float
         e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
     friction : float
@@ -49,12 +55,14 @@ class Contact(Joint):
     Raises
     ------
     InputError
-        For a wrong number, a line, `contact_mass` of a body that is no full plate, or a circle with friction, whose side has no direction, a start in penetration, and as for Joint.
+        For a wrong number, a line, `contact_mass` of a body that is no full plate, or a circle with friction, whose side has no direction, a
+        section of edges with a corner or a node without an edge, a start in penetration, and as for Joint.
 
     Notes
     -----
     `run.lam[:, model.rows[name]]` has the force of each node. `PenaltyContact` is contact by a stiffness.
 
+    Puso, Laursen, Comput. Methods Appl. Mech. Engrg. 193 (2004) 601-629 (mortar);
     Acary, Brogliato, Numerical Methods for Nonsmooth Dynamical Systems (2008).
     """
 
@@ -73,21 +81,30 @@ class Contact(Joint):
         require_contact(label, self)
         if self.radius is not None:
             settle(self, radius=positive(label, "radius", self.radius, "metres"))
-        if self.radius is None or self.friction:
+        if self.edges is None and (self.radius is None or self.friction):
             require_directions(label, self.b)
         if not 0.01 <= number(label, "contact_mass", self.contact_mass, "no unit") <= 1.0:
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r} must be in [0.01, 1]")
         if self.contact_mass < 1.0 and (isinstance(self.a, Ground) or self.a.body.few):
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r}, but {self.a!r} is not of a full plate")
 
+    @cached_property
+    def edges(self) -> FacingEdges | None:
+        """What faces what if b is a section of a full plate, else None."""
+        a, b = self.a, self.b
+        if self.radius is not None or isinstance(b, Ground) or b.body.few or len(b.nodes) == 1:
+            return None
+        return FacingEdges(labelled("Contact", self.name), a, b)
+
     def rows(self) -> list[Row | Vector]:
-        """The gap of each point of a, and with friction its slip."""
-        a, b, R = self.a, self.b, self.radius
+        """The gap of each point of a, and with friction its slip. With edges, gaps are those at rest; the model finds them at each position."""
+        a, b, R, edges = self.a, self.b, self.radius, self.edges
         rows: list[Row | Vector] = []
-        points = [a] if isinstance(a, Ground) or a.body.few else a.each()
+        points = edges.count * [a] if edges else [a] if isinstance(a, Ground) or a.body.few else a.each()
+        at_rest = edges.gaps(1.0) if edges else ()
         for k, point in enumerate(points):
             w, which = point.x - b.x, f" {k}" if len(points) > 1 else ""
-            gap = cross(b.d, w) if R is None else (dot(w, w) - R * R) / (2.0 * R)
+            gap = Row((), float(at_rest[k])) if edges else cross(b.d, w) if R is None else (dot(w, w) - R * R) / (2.0 * R)
             rows.append(gap.named(f"gap{which}", "N").opens(self.restitution))
             if self.friction:
                 slip = dot(b.d, w) if R is None else cross(w, w.rate) / R - R * cross(b.d, b.d.rate)

@@ -287,6 +287,10 @@ class Model:
         """Return why the state at the end of a step cannot be accepted, or None; the step is then halved or fails."""
         return None
 
+    def facing(self, q: NDArray) -> Any:
+        """Return the model in which edges of plates face what they face at q, whatever moves: smooth rows for Newton's method in a step."""
+        return self
+
     def sticks(self, q: NDArray) -> NDArray:
         """Return line segments (segments, 2, 2), m, that show bodies without a mesh."""
         return np.zeros((0, 2, 2))

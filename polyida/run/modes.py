@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polyida.errors import StepFailure
+from polyida.errors import InputError, StepFailure
 from polyida.event import Events, Happened
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
@@ -47,6 +47,10 @@ class Modes(Happenings):
 
     def __init__(self, model, method, happened=None):
         self.whole, self.method, self.contacts = guard(model), method, Contacts(guard(model))
+        if self.whole.is_scene and self.whole.edge_rows:
+            names = ", ".join(law.name for law in self.whole.row_laws if law.row in [rows.first for rows in self.whole.edge_rows])
+            why = "their rows are not smooth, which takes polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
+            raise InputError(f"{method.class_name()}: the contacts of {names} are with edges of plates; {why}")
         self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))

@@ -253,3 +253,17 @@ def test_friction_of_a_slide_that_a_motor_drives(integrator):
     forces = np.asarray(run.lam)[:, run.model.rows["guide"].stop - 1]
     away = (np.abs(run.t - 0.1) > 2.5e-3) & (run.t > 0.0)  # the slip reverses
     assert forces[away] == pytest.approx(0.3 * G * np.sign(0.1 - run.t[away]), rel=1e-6)
+
+
+def test_two_nearly_parallel_floors():
+    """A ball that penetrates both within a step is put back onto one of them: the other pushes, and does not pull."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    ball = scene.add(body("ball", (0.3, 0.1)))
+    for name, rise in (("level", 0.0), ("steep", 1e-3)):
+        scene.add(pi.Contact(ball.at("c"), pi.ground.at((0.0, 0.0), direction=(1.0, rise)), name=name))
+    run = pi.solve(scene.build(), 0.3, STEPS)
+    assert run.success, run.message
+    place = run.position(ball.at("c"))
+    landed = int(np.searchsorted(run.t, run.events[0].t))
+    assert place[landed] == pytest.approx([0.3, 3e-4], abs=1e-5) and place[:, 1].max() <= 0.1 + 1e-12
+    assert run.energy.total.max() <= run.energy.total[0] + 1e-12

@@ -15,7 +15,9 @@ TOUCH = 1e-9  # of the model's extent: a smaller gap is closed
 OPENED = 1e-6  # of the model's extent: deeper penetration at the start is a mistake
 ROUND_OFF = 1e-12  # of the model's extent: penetration that is left
 ROUNDS = 20
+KEPT = 8  # sets of rows whose columns by the masses are kept
 FIXED = 1e-13  # of the mobility: a row that the equations hold
+DEPENDENT = 1e-10  # of G_ii: a row that others determine
 MOVES = 1e-9  # of the accelerations: round-off of that of a row
 LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
 
@@ -32,6 +34,7 @@ class Contacts:
         self.contact = np.array([law.is_contact for law in laws], bool)
         self.restitution = np.array([law.restitution or 0.0 for law in laws])
         self.mu, self.constant = (np.array([getattr(law, key) for law in laws], float) for key in ("mu", "constant"))
+        self._kept = {}
         masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
         self.inertia = float(masses.max()) or 1.0
         place = {int(row): k for k, row in enumerate(self.rows)}
@@ -51,11 +54,19 @@ class Contacts:
         pressed[self.on_laws[closed[self.on_laws[:, 1]], 0]] = True
         return np.where(self.contact, closed, pressed)
 
-    def slopes(self, t, q, which):
-        """phi_q of the rows with laws that `which` selects, a mask or their numbers, (k, n), dense."""
-        if self.model.is_scene and self.model.small:
-            return self.model.small_phi_q(t, q)[self.rows[which]]
-        return dense(self.model.phi_q(t, q)[self.rows[which]]) if len(self.rows[which]) else np.zeros((0, self.model.n))
+    def slopes(self, t, q, which, model=None):
+        """phi_q of the rows with laws that `which` selects, a mask or their numbers, (k, n), dense; of the model `facing` a position if given."""
+        model = model or self.model
+        if model.is_scene and model.small:
+            return model.small_phi_q(t, q)[self.rows[which]]
+        rows = self.rows[which]
+        if not (model.is_scene and len(rows)):
+            return dense(model.phi_q(t, q)[rows]) if len(rows) else np.zeros((0, model.n))
+        B, result = model.phi_q(t, q), np.zeros((len(rows), model.n))
+        counts, first = np.diff(B.indptr)[rows], B.indptr[rows]
+        entries = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
+        result[np.repeat(np.arange(len(rows)), counts), B.indices[entries]] = B.data[entries]
+        return result
 
     def mobility(self, B):
         """Squares of the rows B over the largest mass, (k,)."""
@@ -69,10 +80,19 @@ class Contacts:
         """(X (n, k), Y (equations, k)) of rows B (k, n): changes of q and lam for unit pressures, by solve(r (n, k), phi)."""
         return solve(-B.T, np.zeros((len(self.equations), len(B)))) if len(B) else (B.T, np.zeros((len(self.equations), 0)))
 
+    def mass_columns(self, t, q, B):
+        """`columns` by the masses. Where masses and equations do not change, those of the last rows are kept, as on a line of the ground."""
+        needs, key = self.base.needs, B.tobytes()
+        if needs.mass_varies or needs.phi_q_varies or needs.driven or key not in self._kept:
+            if len(self._kept) >= KEPT:
+                self._kept.clear()
+            self._kept[key] = self.columns(self.base.mass_system(t, q).solve, B)
+        return self._kept[key]
+
     def mobilities(self, t, q, numbers):
         """(G (k, k), a typical G_ii without equations (k,), Y) of the rows with laws of these numbers, by the masses."""
         B = self.slopes(t, q, numbers)
-        X, Y = self.columns(self.base.mass_system(t, q).solve, B)
+        X, Y = self.mass_columns(t, q, B)
         return B @ X, self.mobility(B), Y
 
     def solve(self, t, active, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
@@ -147,7 +167,7 @@ class Contacts:
         slip = self.slip(rate, q, v) if status is None else np.where(status == STICKS, 0.0, self.slip(rate, q, v))
         slip = np.where(slip == 0.0, begins, slip)
         B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
-        (X, Y), now = self.columns(mass.solve, B), B @ a + bias[self.rows][active]
+        (X, Y), now = self.mass_columns(t, q, B), B @ a + bias[self.rows][active]
         passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
         p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, slip, slips=True)
@@ -160,14 +180,13 @@ class Contacts:
         velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
         restitution.
         """
-        model, rate, active, mass = self.model, self.model.phi_rate(t, q, v), self.active(closed), None
+        model, rate, active = self.model, self.model.phi_rate(t, q, v), self.active(closed)
         if rate[self.equations].any():
-            mass = self.base.mass_system(t, q)
-            v = v + mass.solve(np.zeros(model.n), rate[self.equations])[0]
+            v = v + self.base.mass_system(t, q).solve(np.zeros(model.n), rate[self.equations])[0]
         if not active.any():
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
-        B, mass = self.slopes(t, q, active), mass or self.base.mass_system(t, q)
-        X, Y = self.columns(mass.solve, B)
+        B = self.slopes(t, q, active)
+        X, Y = self.mass_columns(t, q, B)
         G, rate = B @ X, model.phi_rate(t, q, v)[self.rows]
         free, slip = rate[active] - h * (G @ p[active]), self.slip(rate, q, v)
         back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
@@ -208,6 +227,19 @@ class Contacts:
         """Rate below which a row of friction sticks."""
         return 1e-10 * max(float(np.abs(v).max(initial=0.0)), np.sqrt(self.model.free_fall * (self.model.extent or 1.0)), 1e-6)
 
+    def _pushes(self, t, rows, G, b, pressed):
+        """p of contacts with `G p + b = 0` if pressed, of least norm, else `0 <= p`, `G p + b >= 0`, their product 0."""
+        p, free = np.zeros(len(b)), ~pressed
+        inverse = np.linalg.pinv(G[np.ix_(pressed, pressed)], rcond=1e-11, hermitian=True)
+        onto = G[np.ix_(free, pressed)] @ inverse
+        if free.any():
+            rest, right, chosen = G[np.ix_(free, free)] - onto @ G[np.ix_(pressed, free)], b[free] - onto @ b[pressed], np.array(rows)
+            chosen[rows] = free
+            size, none = DEPENDENT / FIXED * G.diagonal()[free], np.zeros(len(self.equations))
+            p[free] = self.solve(t, chosen, rest, right, p[free], none, np.outer(none, right), size, np.zeros(len(rows)))[0][chosen]
+        p[pressed] = -inverse @ (b[pressed] + G[np.ix_(pressed, free)] @ p[free])
+        return p
+
     def place(self, t, q, pressed, size):
         """(q, contacts that touch): q moved in the metric of M, so that the equations and the pressed contacts hold and no gap is negative.
 
@@ -218,15 +250,14 @@ class Contacts:
             phi = model.phi(t, q)
             gaps = np.where(self.contact, phi[self.rows], 1.0)
             touching = self.contact & (pressed | (gaps < ROUND_OFF * size))
-            pushed = pushed | touching
             wrong = np.abs(phi[self.equations]).max(initial=0.0), np.abs(gaps[pressed]).max(initial=0.0), -gaps.min(initial=0.0)
             if max(wrong) <= ROUND_OFF * size:
                 break
             mass, B = self.base.mass_system(t, q), self.slopes(t, q, touching)
             shift = mass.solve(np.zeros(model.n), phi[self.equations])[0] if len(self.equations) else np.zeros(model.n)
             if touching.any():
-                X, _ = self.columns(mass.solve, B)
-                push = np.linalg.lstsq(B @ X, -gaps[touching] - B @ shift, rcond=1e-11)[0]
-                shift = shift + X @ np.where(pressed[touching], push, np.maximum(push, 0.0))
+                X, _ = self.mass_columns(t, q, B)
+                push = self._pushes(t, touching, B @ X, gaps[touching] + B @ shift, pressed[touching])
+                shift, pushed[touching] = shift + X @ push, pushed[touching] | (push > 0.0)
             q = q + shift
         return q, pushed | (self.contact & (self.gaps(t, q) <= TOUCH * size))

@@ -158,7 +158,7 @@ class _Steps:
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.contacts = settings, model, counts, Contacts(model)
-        self.base, self.system, self.factored_for = self.contacts.base, None, None
+        self.base, self.system, self.factored_for, self.shares = self.contacts.base, None, None, None
         self.impulsive = isinstance(settings, MoreauJean)
 
     def restarted(self, state, t):
@@ -189,17 +189,20 @@ class _Steps:
     def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
         """(q, v, a, lam, p) with r = 0 and the laws at the rates of the end.
 
-        start: the first guess. rates: (c_m, dv/dq, da/dq). residual: of (q, v, a, lam of all rows). back: rates after impacts are at least
-        -back. scale: of the friction's constant.
+        start: the first guess. rates: (c_m, dv/dq, da/dq). residual: of (model, q, v, a, lam of all rows). back: rates after impacts are at
+        least -back. scale: of the friction's constant.
         """
-        contacts, model, tolerance = self.contacts, self.model, self.settings.tolerance
         (q, v, a, lam, p), (c_m, to_v, to_a) = start, rates
-        fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, weights(model, q), 0, 1.0
+        contacts, model, tolerance = self.contacts, self.model.facing(q), self.settings.tolerance
+        if self.shares is None or model.needs.mass_varies:
+            self.shares = weights(model, q)
+        fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, self.shares, 0, 1.0
         for _ in range(self.settings.max_iterations):
             if fresh:
                 self._factor(h, (c_m, to_v), t, q, v, a, lam)
                 fresh, last, count = False, 0.0, 0
-            r, rate, B = residual(q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v, contacts.slopes(t, q, active)
+            r, rate = residual(model, q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v
+            B = contacts.slopes(t, q, active, model)
             try:
                 dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
                 X, Y = self._columns(t, q, lam, active, B, count > 2 and fall > SLOW)
@@ -232,7 +235,7 @@ class _Steps:
         ahead = (a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)  # for q'' = a0
         q = q0 + h * v0 + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
         v = v0 + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
-        residual = lambda *state: model.residual(t, *state)  # noqa: E731
+        residual = lambda model, *state: model.residual(t, *state)  # noqa: E731
         q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, p), active, (to_a, to_v, to_a), residual, size)
         a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)
         q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
@@ -259,7 +262,7 @@ class _Steps:
         active = contacts.active(closed)
         lam, p = state.lam[contacts.equations] / theta, np.where(active, -state.lam[contacts.rows] / theta, 0.0)
         back = np.where(closed, contacts.restitution * np.minimum(before, 0.0), 0.0)
-        residual = lambda q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
+        residual = lambda model, q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
         start = q0 + h * v0, v0, np.zeros(model.n), lam, p
         q, v, a, lam, p = self._newton(t, h, start, active, (to_v * to_v, to_v, to_v / h), residual, size, back, 1.0 / theta)
         p, approaching = theta * p, closed & (before < -contacts.still(q0, v0))

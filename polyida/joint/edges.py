@@ -1,0 +1,195 @@
+"""Edges of a plate, or a point, that face the edges of another plate: pieces of both sides and mortar weights of gaps.
+
+A point has a gap for each edge on which its projection lies, its distance. A node i of a side has the gap `g_i = int N_i gap ds / int N_i ds`,
+m, over what faces the second side; N_i is its hat function, gap the distance from the line of the facing edge. Each edge of the first side is cut where nodes of the second side project onto it, along its
+normal; two Gauss points a piece integrate exactly while both sides are nearly parallel. The derivative of a gap by q with constant weights is
+exact where the gap is zero.
+
+Puso, Laursen, Comput. Methods Appl. Mech. Engrg. 193 (2004) 601-629; Popp, Gee, Wall, Int. J. Numer. Meth. Engng. 79 (2009) 1354-1391.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.jit import entry, part
+from polyida.mesh.sections import edges_within
+
+OPPOSED = 0.3  # least cosine of the angle between an edge and the reverse of one that it faces
+SHORT = 1e-9  # of an edge: a piece that is shorter is left out
+GAUSS = 0.5 / np.sqrt(3.0)  # of a piece, from its middle
+CORNER = 1.0  # rad: a section that turns by more at a node has a corner there
+BESIDE = 1e-6  # of an edge: a point faces it up to so far beyond its ends
+
+
+class Pieces(NamedTuple):
+    """Products of rows: row (k,), edge (k,) of the second side, points (k, 2) of the first side, weights (k, 4) of these and of the edge's ends.
+
+    `w = sum of weights times points` is the part of the mean vector from the second side to the first one that the row has on this edge.
+    """
+
+    row: np.ndarray
+    edge: np.ndarray
+    points: np.ndarray
+    weights: np.ndarray
+
+
+class FacingEdges:
+    """Two sides: edges (k, 2) of numbers among the points of the first side, (0, 0) if that is a point; others: of the second side.
+
+    first, second: nodes of the sides, attachments. count: rows. reach: deepest penetration that counts, m.
+    """
+
+    def __init__(self, label, a, b):
+        alone = a.body is None or a.body.few or len(a.nodes) == 1
+        self.first, self.second = [a] if alone else a.each(), b.each()
+        self.edges = np.zeros((1, 2), np.int64) if alone else _edges(label, a)
+        if not alone:
+            _require_smooth(label, a, self.edges)
+        self.others = _edges(label, b)
+        self.count = len(self.others) if alone else len(self.first)
+        self.rest = tuple(np.array([node.point for node in side]) for side in (self.first, self.second))
+        sides = zip(self.rest, (self.edges, self.others))
+        self.reach = 0.5 * max(float(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1).max()) for x, edges in sides)
+
+    def pieces(self, x, y):
+        """The Pieces of points x (k, 2) of the first side and y of the second side."""
+        most = 4 * len(self.edges) * len(self.others)
+        found = Pieces(*(np.empty(most, np.int64) for _ in range(2)), np.empty((most, 2), np.int64), np.empty((most, 4)))
+        count = find_pieces(x, self.edges, y, self.others, self.reach, *found)
+        return Pieces(*(values[:count] for values in found))
+
+    def gaps(self, far):
+        """Gaps at rest, (rows,), `far` where nothing faces."""
+        (x, y), result = self.rest, np.full(self.count, far)
+        pieces = self.pieces(x, y)
+        result[pieces.row] = 0.0
+        d, w = directions(self, y, pieces), np.einsum("ki,kij->kj", pieces.weights, self.places(x, y, pieces))
+        np.add.at(result, pieces.row, d[:, 0] * w[:, 1] - d[:, 1] * w[:, 0])
+        return result
+
+    def places(self, x, y, pieces):
+        """The four points of each product, (k, 4, 2)."""
+        return np.concatenate([x[pieces.points], y[self.others[pieces.edge]]], axis=1)
+
+
+def directions(sides, y, pieces):
+    """Unit vectors, (k, 2), along the edges of the second side, which is on their right."""
+    ends = y[sides.others[pieces.edge]]
+    along = ends[:, 0] - ends[:, 1]
+    return along / np.hypot(*along.T)[:, None]
+
+
+def _edges(label, side):
+    """(k, 2) numbers among the nodes of a section of the edges in it, with the plate on their left. Raises InputError if there are none."""
+    number = {int(node): k for k, node in enumerate(side.nodes)}
+    edges = [[number[a], number[b]] for a, b in edges_within(side.body.mesh, side.nodes).tolist()]
+    if missing := set(range(len(number))) - {k for edge in edges for k in edge}:
+        raise InputError(f"{label}: node {side.nodes[min(missing)]} of {side!r} has no edge of the plate's rim within the section")
+    return np.array(edges, np.int64)
+
+
+def _require_smooth(label, side, edges):
+    """Raise InputError for a corner within a section, where mean gaps let it penetrate."""
+    x = side.body.placed.points[side.nodes]
+    for i, j in edges:
+        for k in edges[edges[:, 0] == j, 1]:
+            (ax, ay), (bx, by) = x[j] - x[i], x[k] - x[j]
+            angle = abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+            if angle > CORNER:
+                advice = "give each side a contact of its own, and corners that may touch one as points, plate.node(...)"
+                raise InputError(f"{label}: {side!r} turns by {np.degrees(angle):.0f} degrees at node {side.nodes[j]}; {advice}")
+
+
+@part
+def gap_at(px, py, y, others, f):
+    """Distance of a point from the line of edge f, positive outside of the second side."""
+    bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
+    dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+    return ((px - bx) * dy - (py - by) * dx) / np.sqrt(dx * dx + dy * dy)
+
+
+@part
+def place_on(px, py, y, others, f):
+    """Where a point projects onto edge f: 0 at its first end, 1 at its second one."""
+    bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
+    dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+    return ((px - bx) * dx + (py - by) * dy) / (dx * dx + dy * dy)
+
+
+@part
+def add(weights, at, w, xi, eta):
+    """Add to the weights of product `at` w times the vector from the edge of the second side at eta to that of the first one at xi."""
+    weights[at, 0] += w * (1.0 - xi)
+    weights[at, 1] += w * xi
+    weights[at, 2] -= w * (1.0 - eta)
+    weights[at, 3] -= w * eta
+
+
+@entry
+def find_pieces(x, edges, y, others, reach, row, edge, points, weights):
+    """Fill the products of all rows. Returns their number."""
+    count, others_count = 0, others.shape[0]
+    total = np.zeros(max(x.shape[0], others_count))
+    low, high, cuts = np.empty(others_count), np.empty(others_count), np.empty(2 * others_count)
+    for e in range(edges.shape[0]):
+        i, j = edges[e, 0], edges[e, 1]
+        px, py = x[i, 0], x[i, 1]
+        if i == j:
+            for f in range(others_count):
+                gap, eta = gap_at(px, py, y, others, f), place_on(px, py, y, others, f)
+                at, inside = min(max(eta, 0.0), 1.0), False  # inside: in the wedge behind a reentrant corner, beyond both of its edges
+                if gap <= 0.0 and eta != at:
+                    for g in range(others_count):
+                        if others[g, 0] == others[f, 1] and eta > 1.0:
+                            inside = place_on(px, py, y, others, g) < 0.0
+                        elif others[g, 1] == others[f, 0] and eta < 0.0:
+                            inside = place_on(px, py, y, others, g) > 1.0
+                if gap >= -reach and (abs(eta - at) <= BESIDE or inside):
+                    row[count], edge[count], points[count, :], weights[count, :] = f, f, i, 0.0
+                    add(weights, count, 1.0, 0.0, at)
+                    total[f], count = 1.0, count + 1
+            continue
+        tx, ty = x[j, 0] - px, x[j, 1] - py
+        length = np.sqrt(tx * tx + ty * ty)
+        tx, ty, marks = tx / length, ty / length, 0
+        for f in range(others_count):
+            bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
+            dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+            start = ((bx - px) * tx + (by - py) * ty) / length
+            end = start + (dx * tx + dy * ty) / length
+            low[f], high[f] = max(0.0, end), min(1.0, start)
+            if tx * dx + ty * dy < -OPPOSED * np.sqrt(dx * dx + dy * dy) and high[f] - low[f] > SHORT:
+                cuts[marks], cuts[marks + 1], marks = low[f], high[f], marks + 2
+            else:
+                high[f] = -1.0
+        cuts[:marks].sort()
+        for k in range(marks - 1):
+            if cuts[k + 1] - cuts[k] <= SHORT:
+                continue
+            middle, best, least = 0.5 * (cuts[k] + cuts[k + 1]), -1, np.inf
+            for f in range(others_count):
+                if low[f] <= middle <= high[f]:
+                    gap = gap_at(px + middle * length * tx, py + middle * length * ty, y, others, f)
+                    if -reach <= gap < least:
+                        best, least = f, gap
+            if best < 0:
+                continue
+            bx, by = y[others[best, 0], 0], y[others[best, 0], 1]
+            dx, dy = y[others[best, 1], 0] - bx, y[others[best, 1], 1] - by
+            for one, node in ((count, i), (count + 1, j)):
+                row[one], edge[one], points[one, 0], points[one, 1], weights[one, :] = node, best, i, j, 0.0
+            w = 0.5 * (cuts[k + 1] - cuts[k]) * length
+            for sign in (-1.0, 1.0):
+                xi = middle + sign * GAUSS * (cuts[k + 1] - cuts[k])
+                eta = ((px - bx) * tx + (py - by) * ty + xi * length) / (dx * tx + dy * ty)
+                add(weights, count, w * (1.0 - xi), xi, eta)
+                add(weights, count + 1, w * xi, xi, eta)
+                total[i] += w * (1.0 - xi)
+                total[j] += w * xi
+            count += 2
+    for k in range(count):
+        for c in range(4):
+            weights[k, c] /= total[row[k]]
+    return count

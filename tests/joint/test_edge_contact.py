@@ -1,0 +1,123 @@
+"""Contact with the edges of plates: mortar gaps of sections, points that face edges; patch test, balances, derivatives, wrong input."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.io.scene_data import from_data, to_data
+
+STEPS = pi.NonsmoothAlpha(h=1e-2, rho_inf=0.0)
+PRESSURE = 2e4  # Pa
+
+
+def plate(width, cells, y, name, x=0.0, viscosity=0.0, **motion):
+    """A plate of soft material, 0.4 m high, its lower left corner at (x, y)."""
+    material = pi.Material(E=1e6, nu=0.3, rho=1000.0, viscosity=viscosity)
+    return pi.Plate(pi.mesh.quads(width, 0.4, cells, 2), material, 0.01, origin=(x, y + 0.2), name=name, **motion)
+
+
+def stack(low_cells, high_cells, friction=0.0, gap=0.0):
+    """Two plates of 1 m width above each other; the upper one is the first side of the contact "between"."""
+    scene = pi.Scene()
+    low, high = (
+        scene.add(plate(1.0, n, y, name, viscosity=3e-2)) for name, n, y in (("low", low_cells, 0.0), ("high", high_cells, 0.4 + gap))
+    )
+    scene.add(pi.Contact(high.section("bottom"), low.section("top"), friction=friction, name="between"))
+    return scene, low, high
+
+
+@pytest.mark.parametrize("cells", [(5, 7), (7, 5), (20, 27)])
+def test_patch(cells):
+    """Two plates with unlike edges between a floor and a pressure: the stress is uniform, -p of the width at rest."""
+    scene, low, high = stack(*cells)
+    scene.add(pi.Contact(low.section("bottom"), pi.ground.at((0.0, 0.0)), name="floor"))
+    scene.add(pi.EdgeTraction(high.section("top"), (0.0, -PRESSURE), pi.profile.quintic(0.0, 1.0, 1.0)))
+    run = pi.solve(scene.build(), 2.5, STEPS)
+    assert run.success, run.message
+    stress = run.stress(-1) / PRESSURE
+    assert np.abs(stress[:, 1] - stress[:, 1].mean()).max() < 1e-6 and np.abs(stress[:, [0, 2]]).max() < 1e-6
+    for name in ("floor", "between"):
+        assert np.abs(run.reaction(name)[-1] + [0.0, 0.01 * PRESSURE]).max() < 1e-6 * 0.01 * PRESSURE
+
+
+def test_derivatives_and_balance():
+    """phi_q is the derivative of closed gaps; forces of closed gaps are in balance, and rigid motions do not change gaps."""
+    scene, *_ = stack(5, 7, friction=0.3)
+    model, random = scene.build(), np.random.default_rng(0)
+    q, v, lam, step = *random.standard_normal((2, model.n)), random.standard_normal(model.m), 1e-7
+    closed = np.arange(0, model.m, 2)
+    rate = (model.phi(0.0, step * v) - model.phi(0.0, -step * v))[closed] / (2 * step)
+    assert np.abs(rate - model.phi_rate(0.0, 0.0 * q, v)[closed]).max() < 1e-5
+    q = 1e-2 * q
+    assert np.abs(model.phi_q(0.0, q) @ v - model.phi_rate(0.0, q, v)).max() < 1e-12
+    x, force = model.reference + q.reshape(-1, 2), (model.phi_q(0.0, q).T @ lam).reshape(-1, 2)
+    moment = np.sum(x[:, 0] * force[:, 1] - x[:, 1] * force[:, 0])
+    assert np.abs(force.sum(axis=0)).max() < 1e-12 and abs(moment + lam[1::2] @ model.phi(0.0, q)[closed]) < 1e-12  # slips across open gaps
+    residual = model.residual(0.0, q, 0.0 * v, 0.0 * v, lam) - model.residual(0.0, q, 0.0 * v, 0.0 * v, 0.0 * lam)
+    assert np.abs(residual - force.ravel()).max() < 1e-9 * np.abs(force).max()
+    turned = x @ np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]]) + [0.3, -0.2] - model.reference
+    assert np.abs(model.phi(0.0, turned.ravel()) - model.phi(0.0, q)).max() < 1e-12
+
+
+@pytest.mark.parametrize("mass", [1.0, 0.1])
+def test_plates_collide_and_slide(mass):
+    """Nothing acts from outside: momenta stay, energy does not grow, no mean gap is negative, friction is within its cone."""
+    scene = pi.Scene()
+    low = scene.add(plate(1.0, 7, 0.0, "low", velocity=(0.0, 0.5)))
+    high = scene.add(plate(0.5, 3, 0.41, "high", 0.1, velocity=(1.0, -0.5)))
+    scene.add(pi.Contact(high.section("bottom"), low.section("top"), friction=0.3, contact_mass=mass, name="hit"))
+    model = scene.build()
+    for integrator, depth in ((pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5), 1e-11), (pi.MoreauJean(h=1e-3), 2e-3)):
+        run = pi.solve(model, 0.06, integrator)
+        assert run.success and [one.name for one in run.events][0] == "hit", run.message
+        assert np.abs(run.momentum - run.momentum[0]).max() < 1e-7 * run.momentum[0].max()
+        assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
+        assert min(model.phi(t, q)[::2].min() for t, q in zip(run.t, run.q)) > -depth
+        lam = np.asarray(run.lam)
+        assert lam[:, ::2].max() <= 0.0 and (np.abs(lam[:, 1::2]) <= 0.3 * np.abs(lam[:, ::2]) + 1e-9).all()
+        before = model.mass() @ run.v[0]
+        impulse = (model.mass() @ run.v[-1] - before).reshape(-1, 2)[: low.mesh.n_nodes].sum(axis=0)
+        assert np.abs(1e-3 * run.reaction("hit")[1:].sum(axis=0) - impulse).max() < 5e-3 * np.abs(impulse).max()
+
+
+def test_points_face_edges():
+    """A rigid body and a place of the ground hit the middle of a plate: the edge stops them; a point beside the edge passes."""
+    scene = pi.Scene()
+    beam = scene.add(plate(1.0, 6, 0.0, "beam", velocity=(0.0, 0.2)))
+    ball = scene.add(pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)}, origin=(0.5, 0.41), velocity=(0.1, -1.0), name="ball"))
+    away = scene.add(pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)}, origin=(1.1, 0.41), velocity=(0.0, -1.0), name="away"))
+    for name, body in (("hit", ball), ("none", away)):
+        scene.add(pi.Contact(body.at("c"), beam.section("top"), name=name))
+    model = scene.build()
+    run = pi.solve(model, 0.2, pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5))
+    assert run.success and {one.name for one in run.events} == {"hit"}, run.message
+    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-8
+    edge = model.position(beam.section("top").each()[3], run.q)
+    assert (run.position(ball.at("c"))[:, 1] - edge[:, 1]).min() > -2e-3 and run.position(away.at("c"))[-1, 1] == pytest.approx(0.21)
+
+
+@pytest.mark.parametrize("x", [0.5, 0.501])
+def test_a_plate_on_a_peg(x):
+    """The peg presses a notch into the edge: it touches two edges there, and does not slip through their corner."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    beam = scene.add(plate(1.0, 6, 0.0, "beam", viscosity=3e-2))
+    scene.add(pi.Contact(pi.ground.at((x, -0.001)), beam.section("bottom"), friction=0.3 if x > 0.5 else 0.0, name="peg"))
+    run = pi.solve(scene.build(), 0.4, pi.NonsmoothAlpha(h=4e-3, rho_inf=0.0))
+    assert run.success, run.message
+    assert run.reaction("peg")[-1, 1] == pytest.approx(0.4 * 0.01 * 1000.0 * 9.81, rel=2e-2)
+
+
+def test_wrong_input_and_files():
+    scene, low, high = stack(5, 7)
+    model = scene.build()
+    with pytest.raises(pi.InputError, match="the contacts of between are with edges of plates"):
+        pi.solve(model, 0.1, pi.RadauIIA())
+    parts, _ = from_data(*to_data(model)[:2])
+    assert parts["between"].edges.others.shape == (5, 2)
+    with pytest.raises(pi.InputError, match=r"between: its sides are 0\.01 m within each other"):
+        stack(5, 7, gap=-0.01)[0].build()
+    inner = high.node((0.43, 0.0)).nodes[0]
+    with pytest.raises(pi.InputError, match="has no edge of the plate's rim"):
+        pi.Contact(high.section([*high.section("bottom").nodes, inner]), low.section("top"))
+    with pytest.raises(pi.InputError, match="turns by 90 degrees at node"):
+        pi.Contact(high.section(np.union1d(high.section("left").nodes, high.section("bottom").nodes)), low.section("top"))
