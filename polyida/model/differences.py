@@ -91,7 +91,11 @@ def beside(t, side):
 
 
 def cubic(x0, v0, x1, v1, h, s):
-    """(x, x') at the part s of an interval of length h, from values x0, x1 and slopes v0, v1 at its ends: Hermite's polynomial."""
-    move = x1 - x0
+    """(x, x') at the part s of an interval of length h, from values x0, x1 and slopes v0, v1 at its ends: Hermite's polynomial.
+
+    x' is linear where x1 - x0 differs from the mean slope by round-off alone, which 1/h would enlarge.
+    """
+    move, mean = x1 - x0, 0.5 * h * (v0 + v1)
     x = x0 + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
-    return x, 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
+    bend = np.where(np.abs(move - mean) > 4 * np.finfo(float).eps * (np.abs(x0) + np.abs(x1)), move - mean, 0.0)
+    return x, (1 - s) * v0 + s * v1 + 6 * s * (1 - s) / h * bend

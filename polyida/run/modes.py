@@ -102,13 +102,23 @@ class Modes(Happenings):
         return super()._first(before, after)
 
     def _crossing(self, event, side, values, offset, before, after):
-        """As of all events; a slip or an opening that began in the wrong direction, by more than round-off, ends with the step."""
+        """As of all events; a slip or an opening that began in the wrong direction and goes on so, by more than round-off, ends with the step."""
         if side > 0.0:
             return super()._crossing(event, side, values, offset, before, after)
         is_gap = self.contacts.contact[event.law]
         round_off = TOUCH * (self.whole.extent or 1.0) if is_gap else self.contacts.still(after.q, after.v)
         t, side = super()._crossing(event, 0.0, values, max(offset, round_off), before, after)
-        return (after.t, side) if t is None and side < 0.0 else (t, side)
+        if t is None and side < 0.0:
+            return (after.t, side) if self._change_of(event, after) < 0.0 else (None, 0.0)  # else it is an error of the integrator
+        return t, side
+
+    def _change_of(self, event, state):
+        """Rate of a gap, or of the speed at which a row slips, at a state."""
+        whole, row, at = self.whole, self.whole.row_laws[event.law].row, (state.t, state.q, state.v)
+        if self.contacts.contact[event.law]:
+            return float(whole.phi_rate(*at)[row])
+        change = self.contacts.slopes(state.t, state.q, [event.law])[0] @ state.a + whole.phi_bias(*at)[row]
+        return SIGNS[self.status[event.law]] * float(change)
 
     def _all_forces(self, state):
         """lam of all rows at a state of the mode."""

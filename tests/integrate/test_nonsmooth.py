@@ -141,6 +141,13 @@ def test_pin_friction_to_second_order():
     assert abs(angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.RadauIIA(rtol=1e-8))) - PENDULUM) < 1e-7
 
 
+def test_slip_reverses_within_steps_that_round_off_dominates():
+    """IDA begins anew with steps of 1e-9 s, in which velocities from differences of positions are round-off: they hid the direction of slip."""
+    run = pi.solve(pendulum(1.0).build(), 3.0, pi.IDA(rtol=1e-9))
+    assert run.success, run.message
+    assert len(run.events) == 3 and abs(angle_of(run) - PENDULUM) < 1e-6
+
+
 def test_a_pendulum_sticks():
     run = pi.solve(pendulum(0.1).build(), 5.0, pi.NonsmoothAlpha(h=1e-2))
     assert np.abs(run.v[-1]).max() < 1e-12 and abs(angle_of(run) - PENDULUM_STICKS) < 5e-5 and run.drift.max() < 1e-11

@@ -72,6 +72,17 @@ def test_a_rod_after_painleve():
     assert np.diff(run.energy.total).max() < 1e-6 * run.energy.total[0]
 
 
+def test_a_rod_jams_behind_the_point_of_painleve():
+    """While it slides, friction has no unique force at 45 degrees, 0.8145 s; an impact without collision then turns it with 8.7 rad/s."""
+    scene = sliding_rod(np.radians(31.0), 0.0, speed=-30.0)
+    run = pi.solve(scene.build(), 0.83, pi.NonsmoothAlpha(h=1e-3))
+    assert run.success, run.message
+    low, middle = (run.position(scene.parts["rod"].at(name)) for name in ("low", "c"))
+    rate = np.gradient(np.arctan2(*(middle - low).T[::-1]), run.t)
+    assert abs(run.t[np.argmax(np.diff(rate))] - 0.8145) < 2.5e-3 and rate[-2] == pytest.approx(8.7, abs=0.1)
+    assert low[:, 1].min() > -1e-9 and np.diff(run.energy.total).max() < 1e-6 * run.energy.total[0]
+
+
 def test_events_end_where_friction_has_no_unique_force():
     """A rod at rest at 31 degrees but for its slip: 0.5551961971 rad at 0.5 s by DOP853 on its angle, 45 degrees at 0.8145 s."""
     scene = sliding_rod(np.radians(31.0), 0.0)

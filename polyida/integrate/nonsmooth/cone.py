@@ -5,8 +5,8 @@ contact:   p = max(0, p - rho u)
 friction:  p = clip(p - rho u, -c(p), c(p)),   c(p) = c_0 + mu |l_0 + L p|,   rho = 1/G_ii
 slip:      p = -sign c(p), if the direction of slip is known
 ```
-Semismooth Newton on these equations (Alart, Curnier 1991), an active-set method. If sets repeat, projected Gauss-Seidel sweeps go on, and
-Newton from there. Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
+Semismooth Newton on these equations (Alart, Curnier 1991), an active-set method. If sets repeat, Newton begins again with all rows at rest,
+then projected Gauss-Seidel sweeps go on, and Newton from there. Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
 """
 
 from typing import NamedTuple
@@ -136,6 +136,16 @@ def solve_cone(G, b, x, p, status):
     k = p.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
     error, count = newton(G, b, x, p, status, matrix, right, slope)
+    if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
+        for i in range(k):
+            right[i] = -b[i]
+            for j in range(k):
+                matrix[i, j] = G[i, j]
+            matrix[i, i] *= 1.0 + REGULAR
+        if solve_small(matrix, right):
+            p[:] = right
+            total += count
+            error, count = newton(G, b, x, p, status, matrix, right, slope)
     for _ in range(ROUNDS):
         total += count
         if error <= GOOD:

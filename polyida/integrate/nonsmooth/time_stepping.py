@@ -236,7 +236,14 @@ class _Steps:
         q = q0 + h * v0 + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
         v = v0 + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
         residual = lambda model, *state: model.residual(t, *state)  # noqa: E731
-        q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, p), active, (to_a, to_v, to_a), residual, size)
+        try:
+            q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, p), active, (to_a, to_v, to_a), residual, size)
+        except StepFailure as failure:
+            if failure.status not in ("contact", "newton") or not active.any():
+                raise
+            # friction has no force, as behind a point of Painleve's: contact acts by its impulse alone, to first order
+            none, free = np.zeros(len(p)), np.zeros(len(p), bool)
+            q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, none), free, (to_a, to_v, to_a), residual, size)
         a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)
         q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
         before, free = model.phi_rate(state.t, q0, v0)[contacts.rows], model.phi_rate(t, q, v)[contacts.rows]
