@@ -10,14 +10,16 @@ from polyida.study.rows import column, distinct, fit_slope, largest, pick, unfin
 from polyida.study.tasks import Study
 
 SEEDS = 20  # of a row
-BARS = [(40, 0.5, rho) for rho in (0.8, 0.3)] + [(cells, 0.5, 0.3) for cells in (20, 80)] + [(40, 0.25, 0.3), (40, 1.0, 0.3)]
+BARS = [(40, 0.5, 0.8, 2, 1.0), (40, 0.5, 0.8, 4, 0.1), (40, 0.5, 0.3, 4, 0.1), (40, 0.5, 0.3, 2, 1.0)]  # cells, CFL, rho_inf, across, mass
+BARS += [(20, 0.5, 0.3, 2, 1.0), (80, 0.5, 0.3, 2, 1.0), (40, 0.25, 0.3, 2, 1.0), (40, 1.0, 0.3, 2, 1.0)]
 LIMIT = 1e-13  # smaller errors are round-off
 
 
 def tasks(quick):
     seeds = [(first, e, 5 if quick else SEEDS) for e in (True, False) for first in range(0, 5 if quick else 200, SEEDS)]
     random = [{"part": "random", "first": first, "count": count, "bounces": e} for first, e, count in seeds]
-    bars = [{"part": "bar", "cells": cells, "courant": courant, "rho_inf": rho} for cells, courant, rho in (BARS[:2] if quick else BARS)]
+    names = ("cells", "courant", "rho_inf", "across", "contact_mass")
+    bars = [{"part": "bar"} | dict(zip(names, one)) for one in (BARS[:2] if quick else BARS)]
     return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars
 
 
@@ -129,7 +131,7 @@ def bar_figure(rows):
     of_part = pick(rows, part="bar", outcome="done")
     fig, (force, bottom) = panels(2, width=7.4, height=3.0)
     for i, row in enumerate(of_part[:2]):
-        style = marker_style(i) | {"marker": "", "label": f"{row['cells']} cells, rho {row['rho_inf']:g}"}
+        style = marker_style(i) | {"marker": "", "label": f"{row['across']} cells across, mass {row['contact_mass']:g}"}
         t = np.array(row["t"]) / bar.HIT
         force.plot(t, row["force"], **style)
         bottom.plot(t, row["bottom"], **style)
@@ -164,6 +166,9 @@ COLUMNS = (
     "cells",
     "courant",
     "rho_inf",
+    "across",
+    "contact_mass",
+    "energy_of_four",
     "touches_off",
     "leaves_off",
     "force_rms",
