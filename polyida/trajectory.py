@@ -142,7 +142,7 @@ class Trajectory:
         Without a name those of a user's model, (frames, k + algebraic). Raises InputError if it has none.
         """
         model = self.known_model("states")
-        if name is None and (own_states := getattr(guard(model), "own_states", None)):
+        if name is None and (own_states := model.own_states):
             return np.array([own_states.states(*frame) for frame in zip(self.t.tolist(), each(self.q), each(self.v))]).reshape(
                 -1, own_states.total
             )
@@ -424,16 +424,16 @@ class Trajectory:
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with a row for each frame.
 
-        Columns of a scene: `t`; places `NAME.x`, `NAME.y`, m, of masses, loads and joints; states `NAME.STATE` of force elements; reactions on side b, `NAME.force_x`, N,
-        `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other models: `t`, `q[0]`, ..., `v[0]`, ...,
-        `lam[0]`, ...
+        Columns of a scene: `t`; places `NAME.x`, `NAME.y`, m, of masses, loads and joints; states `NAME.STATE` of force elements; reactions on
+        side b, `NAME.force_x`, N, `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other models: `t`,
+        `q[0]`, ..., `v[0]`, ..., `lam[0]`, ..., and first-order and algebraic states `x[0]`, ...
         """
         return dataframe(self)
 
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over t: q, v, a (t, coordinate), lam (t, constraint), and values of sensors over step, at t_step.
 
-        Of a scene also position (t, point, axis), reaction (t, component), the energies and drift. Raises InputError if xarray is missing.
+        With states also x (t, state), named as in `to_dataframe`; q, v and a have the columns of states too. Of a scene also position (t, point, axis), reaction (t, component), the energies and drift. Raises InputError if xarray is missing.
         """
         return dataset(self)
 

@@ -217,7 +217,14 @@ def test_derivatives():
 @pytest.mark.parametrize("make", [lambda **c: type("Loaded", (Maxwell,), c), lambda **c: compiled(Maxwell, **c)])
 def test_statics(make):
     rest = pi.static(make(force=lambda self, t, q, v, x: 13.0 * q - 9.0 * x - 3.0)())
-    assert rest.q[0] == pytest.approx(0.75) and 0.2 * rest.v[1] == pytest.approx(0.75)  # x = q, so that 4 q = 3; v holds x over its size
+    assert rest.q[0] == pytest.approx(0.75) and rest.x == pytest.approx([0.75])  # x = q, so that 4 q = 3
+
+
+def test_tables_have_the_states():
+    run = pi.solve(Valve(), 0.1, pi.GeneralizedAlpha(h=0.01))
+    frame, data = run.to_dataframe(), run.to_xarray()
+    assert list(frame.columns) == ["t", "q[0]", "v[0]", "x[0]", "x[1]", "x[2]"]
+    assert np.array_equal(frame[["x[0]", "x[1]", "x[2]"]], run.states()) and np.array_equal(data.x, run.states())
 
 
 def written(**changes):

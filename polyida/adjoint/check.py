@@ -163,7 +163,7 @@ class ReplayedRun:
 
     def _edges(self, model):
         """Start and end times of the segments between kinks, for a model."""
-        return edges(model, float(self.run.t[0]), float(self.run.t[-1]))
+        return list(edges(model, float(self.run.t[0]), float(self.run.t[-1])))
 
 
 class ReplayedRadauRun(ReplayedRun):

@@ -142,7 +142,7 @@ def gradient(
         model = run.known_model("gradient")
         if not run.events.given:
             require_no_laws("gradient", guard(model), TIME_STEPPING)
-        if model.samples(float(run.t[0]), float(run.t[-1])):
+        if model.is_scene and model.controllers:
             raise InputError("gradient: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
         begin, end = float(run.t[0]), float(run.t[-1])
         kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))

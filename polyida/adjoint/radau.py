@@ -62,7 +62,7 @@ def step_history(run, model, memory_limit=MEMORY_LIMIT):
     else:
         history = replayed_history(run, model, memory_limit / STATE_SIZE, _replayed_states, True)
         steps = np.repeat([segment.h for segment in history.segments], [segment.count for segment in history.segments])
-    kinks, t, segments = np.array(edges(model, float(run.t[0]), float(run.t[-1]))), float(run.t[0]), []
+    kinks, t, segments = np.array([*edges(model, float(run.t[0]), float(run.t[-1]))]), float(run.t[0]), []
     for k, h in enumerate(steps.tolist()):
         last = segments[-1] if segments else None
         if last and abs(last.h - h) <= SAME * h and np.abs(kinks - t).min() > 0.5 * h:

@@ -310,7 +310,7 @@ class EventTimeSensitivity:
     def __init__(self, model, run, parameters):
         begin, end = float(run.t[0]), float(run.t[-1])
         moving = {name: parameter.kinks(begin, end) for name, parameter in parameters.items()}
-        self.model, self.edges = model, np.array(edges(model, begin, end))
+        self.model, self.edges = model, np.array([*edges(model, begin, end)])
         self.speeds = {name: self._speeds(kinks) for name, kinks in moving.items() if kinks}
         self.times, self.slopes, self.step_slopes = [], [], []
 

@@ -112,7 +112,7 @@ class OwnForce:
         states = self.all_states(t, x, speeds)
         outputs = self._call("sample", states[-1].shape, t, x[self.own_sides], speeds[self.own_sides], *states)
         if self.not_finite:
-            raise StepFailure("not finite", f"{self.not_finite} at t = {t:.9g} s", t)
+            raise StepFailure("not finite", self.not_finite, t)
         after[self.placed.columns[self.placed.own :]] = outputs / self.placed.units[self.placed.own :]
 
     def energy(self, x, v=None):

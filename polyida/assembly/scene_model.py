@@ -2,6 +2,9 @@
 
 from contextlib import suppress
 from functools import cached_property
+from heapq import merge
+from itertools import count, dropwhile, takewhile
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -70,10 +73,11 @@ class SceneModel(SceneBodies):
         self.n_factored = [*self.bodies, *self.few, *self.states.values()][-1].pairs.stop
         self.n_nodes = list(self.strains.values())[-1].pairs.stop if self.strains else self.n_factored
         self.n, all_states = 2 * self.n_nodes, [*self.states.values(), *self.strains.values()]
-        self.state_columns, self.state_units = (
+        self.state_columns, self.state_units, start = (
             concatenated([getattr(placed, name) for placed in all_states], dtype)
-            for name, dtype in (("columns", np.int64), ("units", float))
+            for name, dtype in (("columns", np.int64), ("units", float), ("start", float))
         )
+        self.state_start = start / self.state_units
         self.k = len(self.state_columns)
         compact = [*self.few, *all_states]
         self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in compact])
@@ -308,13 +312,11 @@ class SceneModel(SceneBodies):
         return np.concatenate([np.zeros(0, np.int64), *(np.arange(2 * one.pairs.start, 2 * one.pairs.stop) for one in placed)])
 
     def samples(self, t0, t1):
-        if not self.controllers:
-            return ()
-        times = set()
-        for period in {own.period for own in self.controllers}:
-            numbers = np.arange(np.floor(t0 / period), np.ceil(t1 / period) + 1.0) * period
-            times |= set(numbers[(numbers > t0) & (numbers < t1)].tolist())
-        return tuple(sorted(times))
+        def of_period(period):
+            times = (k * period for k in count(floor(t0 / period)))
+            return takewhile(lambda t: t < t1, dropwhile(lambda t: t <= t0, times))
+
+        return merge(*map(of_period, {own.period for own in self.controllers}))
 
     def sampled(self, t, q, v):
         due = [own for own in self.controllers if abs(round(t / own.period) * own.period - t) <= SAME_TIME * own.period]
@@ -341,9 +343,8 @@ class SceneModel(SceneBodies):
     def initial_velocity(self, t, q):
         """The velocities that the user gave to the bodies, as far as the joints permit, and the start of states, (n,)."""
         v = velocity_at(self, t, q)
-        for placed in self.states.values():
-            v[placed.columns] = placed.start / placed.units
-        return self.sampled(t, q, v)
+        v[self.state_columns] = self.state_start
+        return v
 
     def force_q(self, t, q, v):
         return self._forces_q(t, q, v, 0.0, 1.0)

@@ -9,6 +9,9 @@ method fails beyond half a turn. Such a cell is divided into eight, and so on, d
 distance of the samples; profiles of the package declare their shortest duration and need no sampling.
 """
 
+from bisect import bisect_left
+from heapq import merge
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +20,7 @@ from polyida.errors import StepFailure
 from polyida.model.differences import beside
 from polyida.profile import Profile
 
+SAME_TIME = 1e-12  # relative distance of times that is round-off
 PULSE = 4  # least number of steps of a piece behind a kink whose inputs are not straight lines
 INSIDE = (0.29, 0.5, 0.62)  # where these are sampled: a full sine is zero in the middle
 CONSTANT = 1e-3  # rad, or of the scene's size: a motor or path that moves by less than STRAIGHT of it is constant
@@ -29,16 +33,23 @@ AHEAD, CHUNK = 5, 256  # cells that a deviation is compared with; cells that are
 SAMPLES = 4096  # least number in a run whose integrator chooses its steps, of cells an eighth of the run
 
 
+def round_off(t0, t_end):
+    """Distance of times in a run from t0 to t_end that counts as round-off, s."""
+    return SAME_TIME * max(abs(t0), abs(t_end), t_end - t0)
+
+
 def edges(model, t0, t_end):
-    """[t0, the model's kinks and samples, t_end], without those that are within round-off of an end, or samples of a kink or each other."""
-    near, inner = 1e-12 * max(abs(t0), abs(t_end), t_end - t0), []
-    for t, is_sample in sorted([(t, False) for t in model.kinks(t0, t_end)] + [(t, True) for t in model.samples(t0, t_end)]):
-        if is_sample and inner and t - inner[-1][0] <= near:
-            continue
-        if not is_sample and inner and inner[-1][1] and t - inner[-1][0] <= near:
-            inner.pop()
-        inner.append((t, is_sample))
-    return [t0, *(t for t, _ in inner if t0 + near < t < t_end - near), t_end]
+    """Yield t0, the model's kinks and samples, t_end, without those that are within round-off of an end, or samples of a kink or each other."""
+    near, kinks, last = round_off(t0, t_end), model.kinks(t0, t_end), t0
+    yield t0
+    for t, is_sample in merge(((t, False) for t in kinks), ((t, True) for t in model.samples(t0, t_end))):
+        if is_sample:
+            kink = bisect_left(kinks, t - near)
+            is_near = t - last <= near or (kink < len(kinks) and kinks[kink] <= t + near)
+        if t0 + near < t < t_end - near and not (is_sample and is_near):
+            yield t
+            last = t
+    yield t_end
 
 
 def run_interval(state, t_end):
@@ -55,8 +66,7 @@ def pieces(model, t0, t_end, h, samples=PARTS, now=-np.inf):
 
     samples: in a cell. now: pieces that end before this time are left out. Raises StepFailure at a jump of a motor.
     """
-    times = edges(model, t0, t_end)
-    for begin, end in zip(times[:-1], times[1:]):
+    for begin, end in pairwise(edges(model, t0, t_end)):
         for first, last, most in _parts(model, begin, end, h, samples, now) if end > now else ():
             if last > now:
                 yield max(first, now), last, most

@@ -12,6 +12,7 @@ Schweizerhof, Wriggers 1986). The matrix is regular at turning points of the fac
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
-from polyida.integrate.static import FREE, Equilibrium, Loading, input_direction, whole_load
+from polyida.integrate.static import FREE, Equilibrium, Loading, input_direction, relaxed, start_of_unknowns, whole_load
 from polyida.linear.saddle import coordinate_sizes
 from polyida.model import Model
 from polyida.model.check import require_declared
@@ -103,9 +104,13 @@ class EquilibriumPath:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """An equilibrium on the path and the direction of the path there, of length one: `q' = dq/ds`, `lam'`, `rate = dfactor/ds`."""
+    """An equilibrium on the path and the direction of the path there, of length one: `q' = dq/ds`, `lam'`, `rate = dfactor/ds`.
+
+    q: the unknowns of Loading.
+    """
 
     factor: float
+    q: np.ndarray
     state: Equilibrium
     q_s: np.ndarray
     lam_s: np.ndarray
@@ -131,15 +136,15 @@ class ArcLength:
         size = float(np.sqrt(self.weights @ q_s**2))
         if not size > 0:
             raise StepFailure("singular", "the load moves nothing", loading.t)
-        return Point(factor, loading.equilibrium(q, lam, system.solve), q_s / size, lam_s / size, 1.0 / size)
+        return Point(factor, q, loading.equilibrium(q, lam, system.solve), q_s / size, lam_s / size, 1.0 / size)
 
     def next(self, point, length):
         """(the Point at the distance `length`, which may be negative, iterations). Raises StepFailure."""
-        loading, start = self.loading, point.state
-        q, lam, factor = start.q + length * point.q_s, start.lam + length * point.lam_s, point.factor + length * point.rate
+        loading = self.loading
+        q, lam, factor = point.q + length * point.q_s, point.state.lam + length * point.lam_s, point.factor + length * point.rate
         for iteration in range(1, loading.max_iterations + 1):
             r, phi = loading.residuals(q, lam, factor)
-            displacement = q - start.q
+            displacement = q - point.q
             dq, dlam = self._system(q, lam, displacement).solve(r, np.append(phi, (self.weights @ displacement**2 - length**2) / 2))
             loading.require_near(q, dq, iteration)
             q, lam, factor = q + dq, lam + dlam[:-1], factor + float(dlam[-1])
@@ -148,14 +153,14 @@ class ArcLength:
         else:
             raise StepFailure("newton", LOST, loading.t, iterations=loading.max_iterations)
         loading.require_accepted(q)
-        chord = (q - start.q) / length
+        chord = (q - point.q) / length
         system = self._system(q, lam, chord)
         q_s, lam_s = system.solve(np.zeros(len(q)), np.append(np.zeros(len(lam)), -1.0))
         size = float(np.sqrt(self.weights @ q_s**2))
         if min(self.weights @ (chord * point.q_s), 1.0 / size) < STRAIGHT:  # it may be a point of another path
             raise StepFailure("bent", LOST, loading.t)
         state = loading.equilibrium(q, lam, lambda r, phi: system.solve(r, np.append(phi, 0.0)))
-        return Point(factor, state, q_s / size, lam_s[:-1] / size, float(lam_s[-1]) / size), iteration
+        return Point(factor, q, state, q_s / size, lam_s[:-1] / size, float(lam_s[-1]) / size), iteration
 
     def _system(self, q, lam, displacement):
         """The factored matrix; displacement: the one whose length is prescribed."""
@@ -225,7 +230,7 @@ def equilibrium_path(
 
     Notes
     -----
-    Crisfield, Computers and Structures 13 (1981) 55-62.
+    Viscoelastic plates have their long-time modulus. Crisfield, Computers and Structures 13 (1981) 55-62.
 
     Examples
     --------
@@ -233,6 +238,12 @@ def equilibrium_path(
     >>> path.factors[list(path.turning)]
     """
     guarded = guard(model, "equilibrium_path")
+    if guarded.strains:
+        scene: Any = guarded
+        elastic, q = scene.elastic(relaxed=True), vector_of("q0", q0, scene)[: 2 * scene.n_factored]
+        force = None if load is None or isinstance(load, str) or callable(load) else vector_of("load", load, scene)[: len(q)]
+        path = equilibrium_path(elastic, load if force is None else force, t, q, first, until, count, start, tolerance, max_iterations)
+        return replace(path, model=model, states=tuple(relaxed(scene, state) for state in path.states))
     loading = whole_load("equilibrium_path", guarded, t, tolerance, max_iterations)
     for name, value in (("first", first), ("until", until), ("start", start)):
         if not is_number(value):
@@ -243,11 +254,12 @@ def equilibrium_path(
         raise InputError(f"equilibrium_path: until = {until!r} must be greater than start = {start!r}")
     if not is_whole(count, 2):
         raise InputError(f"equilibrium_path: count = {count!r} must be a whole number of at least 2")
-    q = vector_of("q0", q0, guarded)
+    q = start_of_unknowns(guarded, q0)
     require_declared(guarded, loading.t, q, np.zeros(guarded.n))
     if load is not None:
         zero = np.zeros(guarded.n)
-        at = State(loading.t, q, zero, zero, np.zeros(guarded.m))
+        place, v, _ = loading.at_rest(q)
+        at = State(loading.t, place, v, zero, np.zeros(guarded.m))
         direction = input_direction("equilibrium_path", guarded, at, load)
         if direction.row.any():
             raise InputError(f"equilibrium_path: {direction.label!r} moves constraints; only forces have a load factor")

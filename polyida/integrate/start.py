@@ -194,8 +194,8 @@ def rows_at(model, t, q):
 
 
 def vector_of(name, value, model):
-    """A copy of the value as n floats, zeros for None and behind a user's own coordinates. Raises InputError for anything else."""
-    own = model.n - len(model.state_start)
+    """A copy of the value as n floats, zeros for None and behind the coordinates of bodies or a user. Raises InputError for anything else."""
+    own = model.n - len(model.hidden)
     array = np.zeros(own) if value is None else floats(value)
     if array is None or array.shape not in ((model.n,), (own,)):
         shape = np.shape(value) if array is None and isinstance(value, np.ndarray) else getattr(array, "shape", "none")
@@ -207,7 +207,7 @@ def velocities_of(v0, x0, model, name="v0"):
     """A copy of v0 as n floats, zeros for None, with the states x0. Raises InputError for anything else."""
     v = vector_of(name, v0, model)
     if v0 is None or np.size(v0) < model.n:
-        v[model.n - len(model.state_start) :] = model.state_start
+        v[model.state_columns] = model.state_start
     if x0 is not None:
         x = floats(x0)
         if np.shape(x) != (model.k,):

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import asdict, dataclass, field
 from inspect import signature
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class State:
         """First-order states, (k,), in the order of `run.x`; empty without."""
         return self.v[self.states[0]] * self.states[1] if self.states else np.zeros(0)
 
-    def of(self, model: Model) -> "State":
+    def of(self, model: Model) -> Self:
         """This state with the states x of its model."""
         if not model.k or self.states:
             return self

@@ -168,7 +168,7 @@ class Loading:
             directions = negative_directions(self.stiffness(q, lam), model.phi_q(t, q))
         except SingularSystem:
             directions = None
-        return Equilibrium(t, place, v, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts)
+        return Equilibrium(t, place, v, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts).of(model)
 
     def small_displacements(self):
         """The Equilibrium of small displacements under the whole load. Raises InputError for redundant constraints, StepFailure."""
@@ -181,7 +181,7 @@ class Loading:
         if system.lu.doubtful():
             raise StepFailure("singular", FREE, self.t)
         q, lam = system.solve(r, phi)
-        return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True)
+        return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True).of(model)
 
 
 def whole_load(part, model, t, tolerance, max_iterations):
@@ -193,11 +193,24 @@ def whole_load(part, model, t, tolerance, max_iterations):
     if not (is_number(tolerance) and 0 < tolerance < 1):
         raise InputError(f"{part}: tolerance = {tolerance!r} must be between 0 and 1")
     require_no_laws(part, model, "put joints in their place, such as polyida.Slot for a closed contact, or let a damped run come to rest")
-    if model.strains:
-        raise InputError(f"{part}: it takes no viscoelastic plates yet: {', '.join(map(repr, model.strains))}; give them elastic materials")
     load = model.force(float(t), np.zeros(model.n), np.zeros(model.n))
     load = np.where(np.isfinite(load), load, 0.0)  # a model that is singular at q = 0 gets its whole load at once
     return Loading(model, float(t), load, -load, tolerance, max_iterations)
+
+
+def relaxed(model, elastic):
+    """The Equilibrium of a model of viscoelastic plates, from that of its `elastic(relaxed=True)`."""
+    q = np.append(elastic.q, np.zeros(model.n - len(elastic.q)))
+    v = relaxed_velocities(model, q)
+    v[: len(elastic.v)] = elastic.v
+    return replace(elastic, q=q, v=v, a=np.zeros(model.n), memory={}, model=unguarded(model), states=()).of(model)
+
+
+def start_of_unknowns(model, q0):
+    """The unknowns of Loading at a user's q0, with the states at the start of a run."""
+    q = vector_of("q0", q0, model)
+    q[model.state_columns] = model.state_start
+    return q
 
 
 @named_keywords
@@ -250,20 +263,14 @@ def static(
     """
     model = guard(model, "static")
     if model.strains:
-        count = 2 * model.n_factored
-        q0 = None if q0 is None else vector_of("q0", q0, model)[:count]
-        elastic = static(model.elastic(relaxed=True), t, q0, steps, tolerance, max_iterations, linear)
-        q = np.append(elastic.q, np.zeros(model.n - count))
-        v = relaxed_velocities(model, q)
-        v[:count] = elastic.v
-        return replace(elastic, q=q, v=v, a=np.zeros(model.n), memory={}, model=unguarded(model))
+        q = vector_of("q0", q0, model)[: 2 * model.n_factored]
+        return relaxed(model, static(model.elastic(relaxed=True), t, q, steps, tolerance, max_iterations, linear))
     loading = whole_load("static", model, t, tolerance, max_iterations)
     if not is_whole(steps):
         raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
     if not is_flag(linear):
         raise InputError(f"static: linear = {linear!r} must be True or False")
-    q = vector_of("q0", q0, model)
-    q[model.state_columns] = 0.0
+    q = start_of_unknowns(model, q0)
     require_declared(model, loading.t, q, np.zeros(model.n))
     if linear:
         return loading.small_displacements()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from copy import copy
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
@@ -128,7 +128,8 @@ class Model:
     velocity_rows = np.zeros(0, np.int64)  # rows of phi that are velocity rows: phi = 0, phi_q = W, phi_rate = psi
     state_columns = np.zeros(0, np.int64)  # coordinates whose velocities are states: x = state_units v[state_columns]
     state_units = np.zeros(0)
-    state_start = np.zeros(0)  # of a user's model: velocities of the states at the start of a run
+    state_start = np.zeros(0)  # velocities of the states at the start of a run
+    own_states: Any = None  # OwnStates of a user's model
     state_speed = 1.0  # the velocity that stands for a state of typical size
     looks_apart = 1  # states between checks of the independence of phi_q's rows
     dissipating = ()
@@ -315,7 +316,7 @@ class Model:
         """Return the sorted times in (t0, t1) at which a load or motor profile is not smooth; steps end there."""
         return ()
 
-    def samples(self, t0: float, t1: float) -> tuple[float, ...]:
+    def samples(self, t0: float, t1: float) -> Iterable[float]:
         """Return the sorted times in (t0, t1) at which controllers sample; steps end there."""
         return ()
 

@@ -268,7 +268,7 @@ def check_derivatives(
         t,
         random,
         [
-            None if x is None else _vector(name, x, model.n - len(model.state_start), len(model.state_start))
+            None if x is None else _vector(name, x, model.n - len(model.hidden), len(model.hidden))
             for name, x in (("q", q), ("v", v), ("a", a))
         ],
     )

@@ -124,12 +124,22 @@ def dataframe(run):
 def _columns(run):
     """{name: (frames,)}."""
     if run.model is None or not run.model.is_scene:
-        return {f"{part}[{k}]": values for part in ("q", "v", "lam") for k, values in enumerate(np.asarray(getattr(run, part)).T)}
-    elements = [own for own in run.model.own_forces if own.names]
-    states = {f"{own.name}.{one}": values for own in elements for one, values in zip(own.names, run.states(own.name).T)}
+        hidden = [] if run.model is None else run.known_model("to_dataframe").hidden
+        parts = {part: np.delete(np.asarray(getattr(run, part)), hidden, axis=1) for part in "qv"} | {"lam": np.asarray(run.lam)}
+        return {f"{part}[{k}]": values for part, numbers in parts.items() for k, values in enumerate(numbers.T)} | states_of(run)
     places = {f"{name}.{axis}": values for name in run.model.named for axis, values in zip("xy", run.position(name).T)}
     energies = {f"energy.{part}": getattr(run.energy, part) for part in ENERGIES}
-    return places | states | reactions(run) | energies | {"drift": run.drift}
+    return places | states_of(run) | reactions(run) | energies | {"drift": run.drift}
+
+
+def states_of(run):
+    """{"element.state": (frames,)} of the force elements of a scene with algebraic states and outputs, or {"x[0]": ...} of a user's model."""
+    if run.model is None:
+        return {}
+    if not run.model.is_scene:
+        return {f"x[{k}]": values for k, values in enumerate(run.states().T)} if run.known_model("states").own_states else {}
+    elements = [own for own in run.model.own_forces if own.names]
+    return {f"{own.name}.{one}": values for own in elements for one, values in zip(own.names, run.states(own.name).T)}
 
 
 def reactions(run):
@@ -180,6 +190,8 @@ def dataset(run):
         entries |= _of_scene(run)
         units = [quantity(run.model, name, k)[1] for name in run.model.joints for k in range(run.reaction(name).shape[1])]
         marks |= {"point": list(run.model.named), "axis": ["x", "y"], "component": list(reactions(run)), "unit": ("component", units)}
+    if states := states_of(run):
+        entries["x"], marks["state"] = (("t", "state"), np.stack([*states.values()], axis=1)), [*states]
     plain = {name: value for name, value in run.counts.as_dict().items() if isinstance(value, (int, str))}
     about = {"status": run.status, "message": run.message, "integrator": repr(run.integrator), "cpu_seconds": run.cpu_seconds}
     return Dataset(entries | _sensed(run), marks, about | plain)

@@ -16,6 +16,7 @@ from polyida.assembly.motion import hint_of_left_out
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
 from polyida.event import Event
+from polyida.integrate.discontinuities import round_off
 from polyida.integrate.start import consistent_state, require_state, restarted, vector_of, velocities_of
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT
@@ -231,7 +232,10 @@ def require_run(model, t_end, begin, integrator):
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
     h, apart = method.fixed_step(), math.ulp(max(abs(begin), abs(t_end)))
-    shortest = max(SHORTEST, APART * apart)
+    shortest, near = max(SHORTEST, APART * apart), 2.0 * round_off(begin, t_end)
+    for own in model.controllers if model.is_scene else ():
+        if own.period <= near:
+            raise InputError(f"{own.name}: period = {own.period!r} s must be above {near:.2g} s in a run to t_end = {t_end:g} s")
     if t_end - begin < shortest:
         raise InputError(f"solve: t_end = {t_end!r} s is {t_end - begin:.3g} s after the start; the shortest run there is {shortest:.3g} s")
     if h and t_end - begin > MOST_STEPS * h:

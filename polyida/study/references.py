@@ -345,7 +345,7 @@ def user_reference(study, ivp, reference):
         result |= {"x": model.states_of(np.asarray(result["v"], float))}
     for part, size in zip(ivp.parts, (model.n, model.n, model.m, model.k)):
         value = np.asarray(result.get(part, np.nan), float)
-        own = size - len(model.state_start) * (part in "qv")  # a user may leave out what is behind the coordinates of the model
+        own = size - len(model.hidden) * (part in "qv")  # a user may leave out what is behind the coordinates of the model
         if value.shape not in ((size,), (own,)) or not np.isfinite(value).all():
             raise InputError(f"{study}: reference[{part!r}] must be {own} finite numbers, at t = {ivp.t_end:g} s")
         result[part] = np.append(value, np.zeros(size - len(value)))

@@ -1,12 +1,16 @@
-"""A step with user-defined functions: in Python, compiled by `polyida.compiled`, and built in; with states. `python own_functions.py` prints it."""
+"""A step with user-defined functions: in Python, compiled by `polyida.compiled`, and built in; and with states over one without.
 
-from dataclasses import dataclass
+`PYTHONPATH=studies python studies/step_cost/own_functions.py [FUNCTION ...]` prints it.
+"""
+
+import sys
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 import polyida as pi
-from polyida.problems.plates import double_plate
+from polyida.problems.plates import RUBBER, double_plate
 from polyida.run.solve import solve
 from step_cost.side import NO_FRAMES, cells_for, cpu
 
@@ -113,9 +117,9 @@ def pendulum(body=None, force=None, *at_elbow):
     return scene.build()
 
 
-def plates(*forces):
-    """The model of two plates of about 1000 coordinates, with forces, functions of their joint."""
-    scene = double_plate(cells_for(1000))
+def plates(*forces, prony=()):
+    """The model of two plates of about 1000 coordinates, with forces, functions of their joint, and terms of relaxation."""
+    scene = double_plate(cells_for(1000), material=replace(RUBBER, prony=prony))
     for force in forces:
         scene.add(force(scene.parts["elbow"]))
     return scene.build()
@@ -151,6 +155,7 @@ CASES = {  # what: {variant: (what makes its model, options of solve)}
     "motor and PID, bars": {"without": (pendulum, {}), "with": (lambda: pendulum(None, None, driven, controlled), {})},
     "motor and PID, plates": {"without": (plates, {}), "with": (lambda: plates(driven, controlled), {})},
     "sample every 10 steps, plates": {"without": (plates, {}), "with": (lambda: plates(sampled), {})},
+    "relaxation, two terms": {"without": (plates, {}), "with": (lambda: plates(prony=[(0.2, 0.01), (0.1, 0.1)]), {})},
     "force": {
         "python": (lambda: spring(Spring), {}),
         "compiled": (lambda: spring(compiled(Spring)), {}),
@@ -180,7 +185,7 @@ def tasks(quick):
 
 
 def own_row(function, method, rounds):
-    """{variant: CPU microseconds of a step}, medians of rounds in which all variants alternate."""
+    """{variant: CPU microseconds of a step, "ratio": with over without}, medians of rounds in which all variants alternate."""
     models = {name: (make(), options) for name, (make, options) in CASES[function].items()}
     result: dict = {name: [] for name in models}
     short, long = STEPS[method]
@@ -188,13 +193,18 @@ def own_row(function, method, rounds):
         for name, (model, options) in models.items():
             ends = [cpu(lambda: solve(model, steps * H, METHODS[method], every=NO_FRAMES, **options))[0] for steps in (short, long)]  # noqa: B023
             result[name].append(1e6 * (ends[1] - ends[0]) / (long - short))
-    return {f"{name}_us": float(np.median(times[1:])) for name, times in result.items()}
+    row = {f"{name}_us": float(np.median(times[1:])) for name, times in result.items()}
+    if "without" in result:
+        row["ratio"] = float(np.median(np.divide(result["with"], result["without"])[1:]))
+    return row
 
 
 def notes(rows):
     """The times of a step."""
     return [
-        f"{row['function']}, {row['method']}: " + ", ".join(f"{name[:-3]} {row[name]:.3g} us" for name in row if name.endswith("_us"))
+        f"{row['function']}, {row['method']}: "
+        + ", ".join(f"{name[:-3]} {row[name]:.3g} us" for name in row if name.endswith("_us"))
+        + (f", with over without {row['ratio']:.3f}" if "ratio" in row else "")
         for row in rows
     ]
 
@@ -202,4 +212,5 @@ def notes(rows):
 if __name__ == "__main__":
     for task in tasks(False):
         task.pop("part")
-        print(*notes([task | own_row(**task)]), flush=True)
+        if task["function"] in sys.argv[1:] or not sys.argv[1:]:
+            print(*notes([task | own_row(**task)]), flush=True)

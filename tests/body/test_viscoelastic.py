@@ -114,6 +114,14 @@ def test_statics_take_the_long_time_modulus_and_runs_stay_there():
     assert run.stress(-1) == pytest.approx(pi.solve(elastic, 0.01, pi.GeneralizedAlpha(h=1e-3), state=known).stress(-1), rel=1e-8)
 
 
+def test_paths_of_equilibria_take_the_long_time_modulus():
+    loaded, elastic = bar(load=5.0, nu=0.3).build(), bar(terms=(), load=5.0, nu=0.3, E=0.4 * E).build()
+    path, known = pi.equilibrium_path(loaded, first=0.5), pi.equilibrium_path(elastic, first=0.5)
+    assert path.factors == pytest.approx(known.factors) and np.abs(path.q[:, : elastic.n] - known.q).max() < 1e-9
+    rest = pi.static(loaded, q0=path.states[-1].q)
+    assert path.model is loaded and path.states[-1].x.shape == rest.x.shape == (loaded.k,)
+
+
 def test_modes_take_the_modulus_of_a_sudden_strain():
     soft, hard = bar().build(), bar(terms=()).build()
     assert pi.modes(soft).frequencies == pytest.approx(pi.modes(hard).frequencies)

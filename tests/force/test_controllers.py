@@ -93,7 +93,7 @@ def test_outputs_that_act_on_rates(kind):
     for integrator in METHODS[1:3]:
         assert pi.solve(model, 1.0, integrator).position("c")[-1, 0] == pytest.approx(right, abs=1e-7)
     states = pi.solve(model, 0.1, METHODS[1]).states("control")
-    assert states.shape[1] == 2 and states[0, 1] == pytest.approx(KP * 0.3 - KD)  # the output at the start
+    assert states.shape[1] == 2 and states[0, 1] == 0.0 and states[1, 1] == pytest.approx(KP * 0.3 - KD)
 
 
 @pi.compiled
@@ -161,12 +161,50 @@ def test_wrong_controllers_are_refused_by_name(changes, words):
     assert words in str(refused.value)
 
 
-@pytest.mark.parametrize("output, words", [([1.0, 2.0], "shape (1,)"), ([np.nan], "not finite")])
-def test_wrong_outputs_are_refused_by_name(output, words):
-    model = cart(type("Wrong", (SampledPD,), {"sample": lambda *_: np.array(output)}))
-    with pytest.raises((pi.InputError, pi.StepFailure), match="control") as refused:
+def test_wrong_outputs_are_refused_by_name():
+    model = cart(type("Wrong", (SampledPD,), {"sample": lambda *_: np.array([1.0, 2.0])}))
+    with pytest.raises(pi.InputError, match=r"control: sample must return real numbers of shape \(1,\)"):
         pi.solve(model, 1.0, pi.GeneralizedAlpha(h=0.01))
-    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("integrator", METHODS, ids=lambda one: type(one).__name__)
+def test_a_run_stops_at_a_sample_that_is_not_finite(integrator):
+    model = cart(type("Wrong", (SampledPD,), {"sample": lambda self, t, *_: np.array([np.nan if t > 0.12 else 0.0])}))
+    run = pi.solve(model, 1.0, integrator)
+    assert run.status == "not finite" and run.message.startswith("sample of 'control' gave numbers that are not finite")
+    assert run.message.count("at t = 0.15 s") == 1 and run.t[-1] == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [*METHODS, pi.GeneralizedAlpha(h=0.01, form="stabilised"), pi.NonsmoothAlpha(h=0.01), pi.MoreauJean(h=0.01)],
+    ids=lambda one: type(one).__name__,
+)
+def test_each_sample_is_taken_once(integrator):
+    times = []
+
+    def count(self, t, x, v, s, u):
+        times.append(t)
+        return u + 1.0
+
+    run = pi.solve(cart(type("Counter", (SampledPD,), {"sample": count, "forces": lambda self, *_: np.zeros((1, 2))})), 0.22, integrator)
+    assert times == pytest.approx(PERIOD * np.arange(5))
+    before = np.ceil(np.round(run.t / PERIOD, 9))  # at the time of a sample the outputs before it
+    assert run.states("control")[:, 0] == pytest.approx(before, abs=1e-12)
+
+
+def test_a_period_that_times_do_not_resolve_is_refused():
+    model = cart(lambda at, name: SampledPD(at, period=1e-13, name=name))
+    with pytest.raises(pi.InputError, match="control: period = 1e-13 s must be above 2e-12 s in a run to t_end = 1 s"):
+        pi.solve(model, 1.0, pi.RadauIIA(h=0.1))
+    short = cart(lambda at, name: SampledPD(at, period=1e-9, name=name))
+    assert next(iter(short.samples(0.0, 1e6))) == 1e-9  # one by one: all of them would fill the memory
+
+
+def test_gradients_refuse_outputs_that_are_held_all_the_time():
+    run = pi.solve(cart(lambda at, name: SampledPD(at, period=10.0, name=name)), 0.1, pi.GeneralizedAlpha(h=0.01))
+    with pytest.raises(pi.InputError, match="sampled Controller"):
+        pi.gradient(run, pi.objective.Deviation("c", lambda t: (1.0, 0.0)))
 
 
 def test_a_yielded_state_keeps_its_memory():

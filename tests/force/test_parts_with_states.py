@@ -113,11 +113,19 @@ def held_arm(*parts):
     return scene.build()
 
 
+def test_tables_have_states_and_outputs():
+    run = pi.solve(held_arm(lambda bar: pi.PID(bar.at("right"), kp=60.0, filter=0.01, name="pid")), 0.1, pi.GeneralizedAlpha(h=0.01))
+    data = run.to_xarray()
+    assert list(data.state.values) == ["pid.integral", "pid.filtered"] and np.array_equal(data.x, run.x)
+    assert np.array_equal(run.to_dataframe()["pid.filtered"], run.x[:, 1])
+
+
 def test_the_integral_state_carries_the_weight_in_static_equilibrium():
     model = held_arm(lambda bar: pi.PID(bar.at("right"), kp=60.0, ki=80.0, kd=8.0, target=0.4, filter=0.01, name="pid"))
     rest = pi.static(model)
     tip = model.position("tip", rest.q[None])[0]
     assert tip == pytest.approx([np.cos(0.4), np.sin(0.4)], abs=1e-9)
+    assert rest.x == pytest.approx([10.0 * np.cos(0.4), 0.4], abs=1e-8)
     run = pi.solve(model, 0.5, pi.RadauIIA(rtol=1e-8), state=rest)
     assert run.states("pid")[0] == pytest.approx([10.0 * np.cos(0.4), 0.4], abs=1e-8)
     assert np.ptp(run.position("tip"), axis=0) == pytest.approx([0.0, 0.0], abs=1e-9)  # it stays

@@ -147,3 +147,36 @@ def test_steps_do_not_depend_on_the_integrals_of_states(integrator):
     one, other = (pi.solve(model, END, integrator, state=state) for state in (start, far))
     assert other.steps == one.steps
     assert other.x == pytest.approx(one.x, abs=1e-6)  # equal bit by bit but for IDA, whose norms round differently
+
+
+@pytest.mark.parametrize("wrap", [lambda kind: kind, pi.compiled])
+def test_a_state_at_rest_stays_where_its_rate_vanishes(wrap):
+    def rates(self, t, x, v, s):
+        return np.array([v[0, 0] - np.abs(v[0, 0]) / 0.01 * s[0]])
+
+    def forces(self, t, x, v, s):
+        return np.array([[-self.k1 * s[0] - self.k0 * (x[0, 0] - 1.0), 0.0]])
+
+    bristle = wrap(type("Bristle", (Maxwell,), {"rates": rates, "forces": forces}))
+    rest = pi.static(on_rail(bristle).build())
+    assert rest.x == pytest.approx([0.05]) and rest.q[0] == pytest.approx(-9.0 * 0.05 / 4.0)
+
+
+def test_a_path_of_equilibria_has_the_states():
+    def scene(*parts):
+        scene = pi.Scene(gravity=(0.0, -10.0))
+        bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+        scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), bar.at("left"), name="pin"))
+        scene.add(pi.TorsionSpring(pi.ground.at((0.0, 0.0)), bar.at("left"), stiffness=30.0, name="spring"))
+        for part in parts:
+            scene.add(part(bar))
+        return scene.build()
+
+    relaxed = scene(lambda bar: pi.Maxwell(pi.ground.at((1.0, 1.0)), bar.at("right"), stiffness=50.0, damping=10.0, name="element"))
+    path, without = pi.equilibrium_path(relaxed, until=1.0), pi.equilibrium_path(scene(), until=1.0)
+    ends = [np.interp(0.5, one.factors, one.q[:, 3]) for one in (path, without)]
+    assert ends[0] == pytest.approx(ends[1], abs=1e-3)
+    for factor, state in zip(path.factors, path.states):  # relaxed: the damper has the elongation, and the spring alone bears the load
+        bar = state.q[2:4] * np.sqrt(relaxed.mass().diagonal()[2])
+        assert np.isfinite(bar).all() and state.x.shape == (1,) and abs(state.a).max() == 0.0
+        assert relaxed.force(0.0, state.q, state.v)[relaxed.state_columns] == pytest.approx([0.0], abs=1e-9), factor

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,8 +190,7 @@ class IDA(Integrator):
     def _stretches(self, model, state, t_end, counts):
         sizes = sizes_of_run(model, state, t_end)
         run, cells = _Run(self, model, sizes, counts), sampling(math.inf, t_end - state.t)
-        times = edges(model, state.t, t_end)
-        for begin, end in zip(times[:-1], times[1:]):
+        for begin, end in pairwise(edges(model, state.t, t_end)):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
                 limits = (beside(begin, 1), math.inf)

@@ -51,8 +51,9 @@ class TimeStepping(Integrator):
         run = _Steps(self, model, counts)
         state = state if "closed" in state.memory else run.contacts.begin(state)
         for begin, end, most in pieces(model, state.t, t_end, self.h):
-            if at_kink(model, begin) or model.sampled(begin, state.q, state.v) is not state.v:
-                state = run.restarted(state, begin)
+            v = model.sampled(begin, state.q, state.v)
+            if at_kink(model, begin) or v is not state.v:
+                state = run.restarted(state, v)
             grid = Grid(begin, end, number_of_steps(model, state, begin, end, min(self.h, most)))
             for k in range(grid.count):
                 state = run.step(state, grid.time(k + 1), grid.h)
@@ -161,9 +162,9 @@ class _Steps:
         self.base, self.system, self.factored_for, self.shares = self.contacts.base, None, None, None
         self.impulsive = isinstance(settings, MoreauJean)
 
-    def restarted(self, state, t):
-        """The state behind a kink or a sample at its time, with consistent accelerations."""
-        v, closed = self.model.sampled(t, state.q, state.v), np.asarray(state.memory["closed"], bool)
+    def restarted(self, state, v):
+        """The state behind a kink or a sample at its time, with the velocities v there and consistent accelerations."""
+        closed = np.asarray(state.memory["closed"], bool)
         a, lam, p, _ = self.contacts.accelerations(state.t, state.q, v, closed)
         return State(state.t, state.q, v, a, self.contacts.all(lam, p), {"a_alg": a, "closed": closed, "p": p})
 
@@ -218,7 +219,7 @@ class _Steps:
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
             moved, count = float(np.sqrt(shares @ dq**2)), count + 1
             if not np.isfinite(moved):
-                raise StepFailure("not_finite", self.model.not_finite or "the residual is not finite", t)
+                raise StepFailure("not finite", self.model.not_finite or "the residual is not finite", t)
             fall = moved / last if last else 1.0
             if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= tolerance * h * h * np.sqrt(shares @ a**2)):
                 return q, v, a, lam, p
