@@ -51,6 +51,43 @@ def test_pid_meets_its_closed_form(integrator, tolerance):
     assert run.states("drive")[-1] == pytest.approx([integral, 0.0], abs=30 * tolerance)
 
 
+@pytest.mark.parametrize("integrator, tolerance", [(pi.RadauIIA(rtol=1e-10), 1e-9), (pi.IDA(rtol=1e-9), 1e-7)])
+def test_a_pid_turns_a_flexible_arm_as_its_closed_form(integrator, tolerance):
+    """Hub and arm are two rotors on one axle with a spring between them: the equations of their angles are linear."""
+    kp, ki, kd, spring, arm = 20.0, 30.0, 4.0, 60.0, 0.2
+    scene, points = pi.Scene(), {"c": (0.0, 0.0), "rim": (1.0, 0.0)}
+    bodies = [scene.add(pi.RigidBody(1.0, inertia, points, name=name)) for inertia, name in ((INERTIA, "hub"), (arm, "arm"))]
+    for body in bodies:
+        scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), body.at("c"), name=f"axle of the {body.name}"))
+    scene.add(pi.TorsionSpring(bodies[0].at("c"), bodies[1].at("c"), stiffness=spring, name="flexibility"))
+    scene.add(pi.PID(bodies[0].at("c"), kp=kp, ki=ki, kd=kd, target=0.5, name="pid"))
+    scene.add(pi.PointMass(bodies[1].at("rim"), 1e-12, name="rim"))
+    run = pi.solve(scene.build(), END, integrator)
+    A = np.zeros((6, 6))  # of the angles, their rates, the integral and 1
+    A[0, 2] = A[1, 3] = 1.0
+    A[2] = np.array([-kp - spring, spring, -kd, 0.0, 1.0, 0.5 * kp]) / INERTIA
+    A[3, :2] = spring / arm, -spring / arm
+    A[4, 0], A[4, 5] = -ki, 0.5 * ki
+    _, turned, _, _, integral, _ = expm(END * A) @ [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    assert angle(run) == pytest.approx(turned, abs=tolerance)
+    assert run.states("pid")[-1, 0] == pytest.approx(integral, abs=30 * tolerance)
+
+
+@pytest.mark.parametrize("integrator, tolerance", [(pi.RadauIIA(rtol=1e-10), 1e-9), (pi.IDA(rtol=1e-9), 1e-7)])
+def test_maxwell_meets_its_closed_form(integrator, tolerance):
+    """A body on a rail along the element, `e'' = -k (e - s) / m`, `s' = k (e - s) / c`."""
+    k, c = 50.0, 10.0
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, velocity=(1.0, 0.0), name="body"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at("c"), name="rail"))
+    scene.add(pi.PointMass(body.at("c"), 1e-12, name="c"))
+    scene.add(pi.Maxwell(pi.ground.at((-2.0, 0.0)), body.at("c"), stiffness=k, damping=c, name="element"))
+    run = pi.solve(scene.build(), END, integrator)
+    e, _, s = expm(END * np.array([[0.0, 1.0, 0.0], [-k, 0.0, k], [k / c, 0.0, -k / c]])) @ [0.0, 1.0, 0.0]
+    assert run.position("c")[-1, 0] == pytest.approx(e, abs=tolerance)
+    assert run.states("element")[-1, 0] == pytest.approx(s, abs=tolerance)
+
+
 def test_a_linear_controller_of_scipy_is_the_pid_with_a_filter():
     kp, ki, kd, lag = 20.0, 30.0, 4.0, 0.05
     K = StateSpace([[0.0, 0.0], [0.0, -1.0 / lag]], [[1.0], [1.0]], [[ki, -kd / lag**2]], [[kp + kd / lag]])
