@@ -8,6 +8,7 @@ from functools import partial
 from math import isfinite
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
@@ -113,9 +114,21 @@ def polynomial(coefficients: ArrayLike) -> Profile:
     numbers = floats(coefficients)
     if numbers is None or numbers.ndim != 1 or not numbers.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
-    c = np.polynomial.Polynomial(numbers)
-    first, second = c.deriv(1), c.deriv(2)
-    return Profile(c, first, second, formula=("polynomial", *numbers.tolist()), shortest=np.inf)
+    value, first, second = _with_derivatives(numbers)
+    return Profile(value, first, second, formula=("polynomial", *numbers.tolist()), shortest=np.inf)
+
+
+def _with_derivatives(c):
+    """The polynomial `c0 + c1 t + ...` and its first two derivatives, as functions of t."""
+    return tuple(partial(_horner, tuple(polyder(np.array(c, float), order).tolist())) for order in range(3))
+
+
+def _horner(c, t):
+    """`c0 + c1 t + ...` at a time, or at each of an array: for one time several times faster than numpy's."""
+    total = c[-1] + 0.0 * t
+    for number in c[-2::-1]:
+        total = total * t + number
+    return total
 
 
 @named_keywords
@@ -184,11 +197,11 @@ def _move(start, end, duration, begin, kind):
     _require_numbers(kind, start=start, end=end, duration=duration, begin=begin)
     if not duration > 0:
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
-    shape = np.polynomial.Polynomial(SHAPES[kind])
+    shape, first, second = _with_derivatives(SHAPES[kind])
     start, end, duration, begin = map(float, (start, end, duration, begin))
     span = end - start
     value = partial(_moved, shape, span, start, span, duration, begin)
-    d1, d2 = (partial(_moved, shape.deriv(order), span / duration**order, 0.0, 0.0, duration, begin) for order in (1, 2))
+    d1, d2 = (partial(_moved, each, span / duration**order, 0.0, 0.0, duration, begin) for order, each in ((1, first), (2, second)))
     return Profile(value, d1, d2, (begin, begin + duration), (kind, start, end, duration, begin), duration)
 
 

@@ -433,7 +433,8 @@ class Trajectory:
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over t: q, v, a (t, coordinate), lam (t, constraint), and values of sensors over step, at t_step.
 
-        With states also x (t, state), named as in `to_dataframe`; q, v and a have the columns of states too. Of a scene also position (t, point, axis), reaction (t, component), the energies and drift. Raises InputError if xarray is missing.
+        With states also x (t, state), named as in `to_dataframe`; q, v and a have the columns of states too. Of a scene also position
+        (t, point, axis), reaction (t, component), the energies and drift. Raises InputError if xarray is missing.
         """
         return dataset(self)
 

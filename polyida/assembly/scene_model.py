@@ -192,7 +192,7 @@ class SceneModel(SceneBodies):
         self._assembled = held, list(left_out)
         of_bodies = self.bodies, self.few, self.states, self.strains, self.places
         assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
-        self._driven = None, None
+        self._driven, self._rotated = (None, None), (None, None)
         self.arrays, points, table, drives, self.laws = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
@@ -415,9 +415,12 @@ class SceneModel(SceneBodies):
 
     def rotation(self, q):
         """Raw nodal rotations at q, (nodes, 2): area-weighted sums of (F11 + F22, F21 - F12)."""
-        rotation = np.empty((self.n_nodes, 2))
-        self.evaluate(0.0, q, np.zeros(self.n), np.zeros(self.m), rotation)
-        return rotation
+        at, rotation = self._rotated
+        if not np.array_equal(at, q):  # several solves at one q, as at a sample, need it
+            rotation = np.empty((self.n_nodes, 2))
+            self.evaluate(0.0, q, np.zeros(self.n), np.zeros(self.m), rotation)
+            self._rotated = np.array(q), rotation
+        return rotation.copy()
 
     def rejection_reason(self, t, q):
         """Why a state is rejected, or None: an element turned inside out, or a motor on the wrong half-turn."""

@@ -136,13 +136,14 @@ class PID(RotationElement):
 class LinearController(RotationElement):
     """A linear controller of an angle: `x' = A x + B e`, torque `u = C x + D e` on a direction, e = target - angle.
 
-    A controller designed with scipy.signal or python-control goes in by its matrices: `LinearController(at, K.A, K.B, K.C, K.D)`.
+    A controller K designed with scipy.signal or python-control goes in as it is, `LinearController(at, K)`, or by its matrices.
 
     Parameters
     ----------
     at : Attachment
         With a direction; the angle is its rotation since rest, between -pi and pi.
-    A : (k, k) float, 1/s
+    A : (k, k) float, 1/s, or a state space in continuous time
+        A StateSpace of scipy.signal or python-control; without B, C and D.
     B : (k, 1) float
     C : (1, k) float
     D : (1, 1) float, N m/rad
@@ -154,20 +155,26 @@ class LinearController(RotationElement):
     Raises
     ------
     InputError
-        For an attachment without a direction, two attachments of one body, or matrices of wrong shapes.
+        For an attachment without a direction, two attachments of one body, matrices of wrong shapes, or a system in discrete time.
     """
 
     at: Attachment
     A: Any
-    B: Any
-    C: Any
-    D: Any
+    B: Any = None
+    C: Any = None
+    D: Any = None
     target: Any = constant(0.0)
     against: Attachment | None = None
     name: str | None = None
 
     def __post_init__(self):
         self.require_rotation()
+        match self.A, self.B, self.C, self.D:
+            case object(A=A, B=B, C=C, D=D, dt=step), None, None, None:
+                if step:  # None or 0 in continuous time
+                    what = f"{type(self.A).__name__} in discrete time, dt = {step!r}"
+                    raise InputError(f"{self.label}: A is a {what}; give one in continuous time, or write a polyida.Controller")
+                settle(self, A=A, B=B, C=C, D=D)
         A = floats(self.A)
         k = 0 if A is None or A.ndim != 2 else len(A)
         matrices = {}

@@ -14,6 +14,7 @@ resolves; of a smooth motion they remove h^4 omega^4 of q'' and h^2 omega^2 of q
 """
 
 from functools import singledispatch
+from math import isclose
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -275,7 +276,7 @@ def started(settings, model, state, h, system=None):
         state = _behind_kink(settings, model, state, float(memory["h"]))
     elif (v := model.sampled(state.t, state.q, state.v)) is not state.v:
         state = _behind_samples(settings, model, state, v, float(memory["h"]), system)
-    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else _rescaled(settings, model, state, h, right)
+    return state if isclose(memory["h"], h, rel_tol=1e-9) else _rescaled(settings, model, state, h, right)
 
 
 def _behind_kink(settings, model, state, h):

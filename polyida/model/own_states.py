@@ -1,6 +1,6 @@
 """First-order states of a user's model: the velocities of coordinates behind its own.
 
-The equation of such a coordinate, `mass (v' - x'/sizes) = 0`, has the form of an equation of motion, so that integrators know nothing of states.
+The equation of such a coordinate, `mass (v' - x'/sizes) = 0`, has the form of an equation of motion: integrators know nothing of states.
 """
 
 from inspect import signature
@@ -25,7 +25,8 @@ def arguments_of(name):
 class OwnStates:
     """The states of a user's model of n coordinates: k, and behind them `total - k` algebraic ones.
 
-    start, sizes (total,): x0 and sizes_x. why: why the last algebraic states have no solution, or "". mass: of the coordinates whose velocities they are; the mean one at q = 0, for norms.
+    start, sizes (total,): x0 and sizes_x. why: why the last algebraic states have no solution, or "". mass: of the coordinates whose
+    velocities they are; the mean one of the model at q = 0, for norms.
     """
 
     def __init__(self, name, user, n, written):

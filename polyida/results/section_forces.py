@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from polyida.assembly.factors import CellContributions
 from polyida.assembly.placement import gravity_at
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
+from polyida.element.relaxation import relax
 from polyida.errors import InputError
 from polyida.io.layout import each
+from polyida.jit.intrinsics import LANES
 from polyida.mesh import PolygonMesh
 from polyida.reprs import brief
 from polyida.validation import complex_of_pairs, pairs_of, vector2
@@ -126,27 +129,36 @@ class Cut:
         turn = np.exp(1j * body.plate.angle)
         place, way = turn * complex(*at) + complex(*body.plate.origin), turn * complex(*way) / np.hypot(*way)
         ahead = _ahead(mesh, (mesh.points + body.plate.origin - pairs_of(place)) @ pairs_of(way))
-        if body.plate.material.prony:
-            raise InputError(f"{label}: it takes no viscoelastic plate yet")
         self.nodes, part = _part(body.plate.mesh, ahead)
         self.cut = np.flatnonzero(np.isin(self.nodes, mesh.nodes[np.repeat(~ahead, np.diff(mesh.offsets))]))
         if not self.cut.size:
             raise InputError(f"{label}: a cut at {at.tolist()} across {normal!r} does not part the plate")
         self.body, self.place, self.way = body, place, way
-        solid = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
+        solid = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity, without_strains=True)
         self.ahead = solid.with_factors(**{body.name: tuple(factor[ahead] for factor in body.factors)})
         self.rest = complex_of_pairs(self.ahead.reference[self.cut])
         self.slivers = Slivers(body, model.gravity, pairs_of(place), pairs_of(way), ahead)
+        self.strains = model.strains.get(body.name)
+        if self.strains:
+            b, plates, contributions = model.bodies.index(body), model.arrays.plates, model.once(CellContributions, of_shape=True)
+            first = sum(len(other.operator.weights) for other in model.bodies[:b])
+            of_cells = contributions.weight_cells[first : first + len(body.operator.weights)] - contributions.first[b]
+            self.strains_ahead = np.repeat(ahead[of_cells].reshape(-1, 1, LANES), 3, axis=1).ravel()
+            self.moduli = plates.body_c1[b], plates.body_nu[b]
 
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""
-        u, v, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
-        residual = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
+        u, speeds, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
+        residual = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, speeds, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
+        if self.strains:
+            pull, forces = self.strains_ahead * self.strains.pull_of(v), np.zeros_like(u)
+            relax(*self.body.operator.force_arrays, 0, *self.moduli, u, None, pull, forces, np.empty_like(pull))
+            residual = residual + forces[self.nodes][self.cut]
         x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
         turn /= abs(turn) or 1.0
         point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
-        forces = -complex_of_pairs(np.concatenate([residual, self.slivers.forces(t, v, a)]))
+        forces = -complex_of_pairs(np.concatenate([residual, self.slivers.forces(t, speeds, a)]))
         arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
         through = way.conjugate() * forces.sum()
         return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag

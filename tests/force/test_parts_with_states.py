@@ -1,5 +1,7 @@
 """PID, LinearController, DCMotor and Maxwell: closed forms, limits, gradients in gains, refusals."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -93,7 +95,7 @@ def test_a_linear_controller_of_scipy_is_the_pid_with_a_filter():
     K = StateSpace([[0.0, 0.0], [0.0, -1.0 / lag]], [[1.0], [1.0]], [[ki, -kd / lag**2]], [[kp + kd / lag]])
     runs = [
         pi.solve(model, END, pi.RadauIIA(rtol=1e-9))
-        for model in (rotor(pi.LinearController, A=K.A, B=K.B, C=K.C, D=K.D), rotor(pi.PID, kp=kp, ki=ki, kd=kd, filter=lag))
+        for model in (rotor(pi.LinearController, A=K), rotor(pi.PID, kp=kp, ki=ki, kd=kd, filter=lag))
     ]
     # both with the target 0 from a turned start: with it the derivatives of error and angle agree
     assert angle(runs[0]) == pytest.approx(angle(runs[1]), abs=1e-12) == 0.0
@@ -213,6 +215,16 @@ def test_wrong_settings_are_refused_by_name(part, settings, words):
     with pytest.raises(pi.InputError, match="drive") as refused:
         rotor(part, **settings)
     assert words in str(refused.value)
+
+
+def test_systems_of_scipy_and_python_control_go_in_as_they_are():
+    K = StateSpace([[-2.0]], [[1.0]], [[3.0]], [[4.0]])
+    for system in (K, SimpleNamespace(A=K.A, B=K.B, C=K.C, D=K.D, dt=0)):  # of python-control
+        (part,) = (part for part in rotor(pi.LinearController, A=system).parts.values() if isinstance(part, pi.LinearController))
+        assert (part.A, part.B, part.C, part.D) == (-2.0, 1.0, 3.0, 4.0)
+    for system in (K.to_discrete(0.01), SimpleNamespace(A=K.A, B=K.B, C=K.C, D=K.D, dt=True)):
+        with pytest.raises(pi.InputError, match="drive.*in discrete time.*polyida.Controller"):
+            rotor(pi.LinearController, A=system)
 
 
 @pytest.mark.parametrize("integrator, most", [(pi.GeneralizedAlpha(h=1e-3), 2.2), (pi.EnergyMomentum(h=1e-3), 5.0)])

@@ -1,5 +1,6 @@
 """Steps of generalized-alpha on one model: stretches of the compiled loop, factors, fixed and adaptive steps of a smooth piece."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -273,10 +274,7 @@ def fixed_steps(engine, state, begin, end, count):
         failures = []
         if level == 0:
             try:
-                near, same_h = (
-                    1e-12 * max(abs(state.t), abs(grid.end)),
-                    np.isclose(state.memory.get("h", 0.0), grid.h, rtol=SAME_H, atol=0.0),
-                )
+                near, same_h = (1e-12 * max(abs(state.t), abs(grid.end)), math.isclose(state.memory.get("h", 0.0), grid.h, rel_tol=SAME_H))
                 goes_on = "factored_at" in state.memory and same_h and not model.kinks(state.t - near, state.t + near)
                 if goes_on:
                     engine.restore_factor(state.memory)
