@@ -80,8 +80,8 @@ class Event:
         A joint, force element, load or point mass: it is added. A joint takes from the present places of the bodies what others take from the
         drawing: plain `ground` is the present place of its other side, angles stay as they are. Places must fit, to 1e-6 of the scene's size.
         Velocities jump by the plastic impact law, the least change in the metric of M. `pi.Remove`: parts are removed. `pi.Impulse`,
-        `pi.Impact`: velocities jump. A function of the state: it returns new velocities (n,), a `pi.State`, whose q and v count, a model, or
-        None. A `pi.Model` of the same n: own models only. "stop": the run ends with status "stopped".
+        `pi.Impact`: velocities jump. A function of the state: it returns new velocities (n,), a model, None, or a `pi.State`, whose
+        q and v count; first-order states change with a `pi.State` only. A `pi.Model` of the same n: own models only. "stop": the run ends with status "stopped".
     name : str, optional
         By default "event" and its number in the list.
     direction : "both", "rising" or "falling"

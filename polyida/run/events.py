@@ -368,7 +368,7 @@ class Happenings:
                     return q, v, k
             self.happened.models.append(self._own(value))
             return q, v, len(self.happened.models) - 1
-        given, own = [], len(q) - (self.whole.k if not self.whole.is_scene else 0)
+        given, own = [], len(q) - len(self.whole.hidden)
         for before, array in zip((q, v), (value.q, value.v) if isinstance(value, State) else (q, value)):
             array = floats(array)
             if array is None or array.shape not in ((len(before),), (own,)):
@@ -376,6 +376,8 @@ class Happenings:
                     f"{label}: its function must give {own} finite velocities, a pi.State, a model, or None, not {value!r:.80}"
                 )
             given.append(np.append(array, before[len(array) :]))
+        if not isinstance(value, State):
+            given[1][self.whole.state_columns] = v[self.whole.state_columns]
         return *given, model
 
     def _gradient(self, event, state):

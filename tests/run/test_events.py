@@ -264,6 +264,29 @@ def test_impact_of_a_scene_and_rest():
     assert len(run.events) == count
 
 
+@pytest.mark.parametrize("columns", [slice(None), slice(4)])
+def test_new_velocities_leave_states_as_they_are(columns):
+    """The current of a motor does not jump where its rotor turns back, unless a State says so."""
+    scene = pi.Scene()
+    rotor = scene.add(pi.RigidBody(mass=1.0, inertia=0.5, points={"c": (0.0, 0.0)}, spin=2.0, name="rotor"))
+    scene.add(pi.Revolute(pi.ground, rotor.at("c"), name="axle"))
+    scene.add(pi.DCMotor(rotor.at("c"), volts=12.0, k=0.8, L=0.05, R=1.5, name="motor"))
+
+    def back(state):
+        return -0.5 * state.v[columns]
+
+    def reset(state):
+        v = state.v.copy()
+        v[4] = 0.0  # the rotor's pairs come first
+        return pi.State(state.t, state.q, v, state.a, state.lam)
+
+    events = [pi.Event(when=lambda state: state.t - 0.1, then=back), pi.Event(when=lambda state: state.t - 0.2, then=reset)]
+    run = pi.solve(scene.build(), 0.3, pi.RadauIIA(rtol=1e-8), events=events)
+    (one, other), current = np.flatnonzero(np.diff(run.t) == 0.0), run.states("motor")[:, 0]
+    assert run.v[one + 1, :4] == pytest.approx(-0.5 * run.v[one, :4], abs=1e-9) and np.abs(run.v[one]).max() > 0.1
+    assert current[one + 1] == current[one] > 1.0 and current[other] > 1.0 and current[other + 1] == 0.0
+
+
 def test_events_at_one_time_that_undo_each_other():
     back = pi.Event(when=lambda s: s.t - 0.1, then=lambda s: -s.v, name="back")
     forth = pi.Event(when=lambda s: s.v[0], then=lambda s: -s.v, name="forth")
