@@ -77,6 +77,8 @@ _PLACES = {
     "gradient": "adjoint.gradient",
     "check_gradient": "adjoint.check",
     "Gradient": "adjoint.run",
+    "error_of": "adjoint.error_bars",
+    "ErrorBars": "adjoint.error_bars",
     "State": "integrate.state",
     "Counts": "integrate.state",
     "Integrator": "integrate.state",

@@ -20,7 +20,6 @@ system above at the end of step k. w and mu hold a prediction before the call an
 receives K^T w + B^T mu, C^T w, and M w, which is not used here.
 """
 
-from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -301,25 +300,41 @@ class Sweep:
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once
 LONGEST = 256  # steps of a sweep at once
-AT_ONCE = 64  # steps that are read at once
 SMALL = 1e-4  # of h, by which it is changed in differences
 
 
+@entry
+def recursion(alpha_m, alpha_f, a, ahead):
+    """Fill ahead (count, n), algorithmic accelerations A of which the first is known, from accelerations a."""
+    for k in range(1, a.shape[0]):
+        for i in range(a.shape[1]):
+            ahead[k, i] = ((1.0 - alpha_f) * a[k, i] + alpha_f * a[k - 1, i] - alpha_m * ahead[k - 1, i]) / (1.0 - alpha_m)
+
+
 class AlphaAdjoint(RunAdjoint):
-    """Backward sweep over a run; ready: {first number of a segment: (its State, the State after `started`)}, if needed."""
+    """Backward sweep over a run.
+
+    ready: {first number of a segment: (its State, the State after `started`)}; ahead: {first number of a stretch: A there}, if needed. A class that
+    `observes` gets the multipliers of all steps.
+    """
 
     history_of = staticmethod(step_history)
+    observes = False
 
     def __init__(self, run, objective, names, memory_limit):
         super().__init__(run, objective, names, memory_limit)
-        self.sweeps, self.ready = FactorCache(), {}
+        self.sweeps, self.ready, self.ahead = FactorCache(), {}, {}
+        self.longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
-        if self.stabilised or self.events.speeds:
+        if self.stabilised or self.events.speeds or self.observes:
             ahead = None
             for segment in self.history.segments:
                 state = stored_state(self.history, segment.first, segment.memory(ahead))
-                self.ready[segment.first] = state, started(self.settings, self.model, state, segment.h)
-                ahead = deque(self._newmark_slips(segment), maxlen=1).pop()[1]
+                begun = started(self.settings, self.model, state, segment.h)
+                self.ready[segment.first], ahead = (state, begun), begun.memory["a_alg"]
+                for first, last in reversed(self._stretches(segment)):
+                    self.ahead[first] = ahead
+                    ahead = self._motion(segment, first, last)[3][-1]
 
     @staticmethod
     def require_settings(settings):
@@ -327,22 +342,34 @@ class AlphaAdjoint(RunAdjoint):
         if settings.extrapolate:
             raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
 
-    def _newmark_slips(self, segment):
-        """(slip, A) at the end of each step of a segment: `slip = q_1 - (q_0 + h v_0 + h^2 ((1/2 - beta) A_0 + beta A_1))`."""
-        (_, ready), c, h, end = self.ready[segment.first], self.settings.coefficients, segment.h, segment.first + segment.count + 1
-        q, v, a, ahead = ready.q, ready.v, ready.a, ready.memory["a_alg"]
-        for first in range(segment.first + 1, end, AT_ONCE):
-            _, *vectors, _ = self.history.states(first, min(first + AT_ONCE, end))
-            for q1, v1, a1 in zip(*vectors):
-                ahead_1 = ((1 - c.alpha_f) * a1 + c.alpha_f * a - c.alpha_m * ahead) / (1 - c.alpha_m)
-                yield q1 - (q + h * v + h * h * ((0.5 - c.beta) * ahead + c.beta * ahead_1)), ahead_1
-                q, v, a, ahead = q1, v1, a1, ahead_1
+    def _stretches(self, segment):
+        """(first, last) of the stretches of a segment that are swept at once, from the last one to the first."""
+        end = segment.first + segment.count
+        return [(max(segment.first, last - self.longest), last) for last in range(end, segment.first, -self.longest)]
+
+    def _motion(self, segment, first, last):
+        """q, v, a and A of the states from number `first` to `last`, (count, n) each; the first of a segment as its steps begin."""
+        _, *vectors, _ = self.history.states(first, last + 1)
+        if first == segment.first:
+            begun = self.ready[first][1]
+            vectors = [np.concatenate([x[None], rest[1:]]) for x, rest in zip((begun.q, begun.v, begun.a), vectors)]
+        c, ahead = self.settings.coefficients, np.empty_like(vectors[2])
+        ahead[0] = self.ahead[first]
+        recursion(c.alpha_m, c.alpha_f, np.ascontiguousarray(vectors[2]), ahead)
+        return *vectors, ahead
+
+    def _slips(self, h, q, v, a, ahead):
+        """What the stabilised form adds to Newmark's q, `q_1 - (q_0 + h v_0 + h^2 ((1/2 - beta) A_0 + beta A_1))`, of steps of h."""
+        beta = self.settings.coefficients.beta
+        return q[1:] - (q[:-1] + h * v[:-1] + h * h * ((0.5 - beta) * ahead[:-1] + beta * ahead[1:]))
 
     def sweep_backward(self, progress):
         """The bars of q, v, a and lam of the run's first state."""
         bars, lam = AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
         for segment in reversed(self.history.segments):
             bars = self._steps(segment, bars, lam, progress)
+            if self.observes:
+                self.observe_start(segment, bars)
             if self.events.speeds:
                 self._add_start_slopes(segment, bars)
             bars, lam, entries = self._segment_start(segment, bars)
@@ -356,39 +383,48 @@ class AlphaAdjoint(RunAdjoint):
         key, end = f"{segment.h:.9e}", segment.first + segment.count
         sweep = self.sweeps.get(key) or Sweep(self.model, self.settings, segment.h, self.counts)
         self.sweeps.keep(key, sweep)
-        slips = np.array([slip for slip, _ in self._newmark_slips(segment)]) if self.stabilised else None
-        longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
-        for last in range(end, segment.first, -longest):
-            first = max(segment.first, last - longest)
+        for first, last in self._stretches(segment):
             t, q, v, a, rows = self.history.states(first + 1, last + 1)
             slopes_here, inner = self.objective_slopes.at_states(first + 1, last + 1), t
+            own = slopes_here
             if last == end:
                 inner = np.append(t[:-1], inner_side(self.model, t[-1], segment.h))
                 if lam.any():
                     slopes_here = replace(slopes_here, lam=np.zeros(rows.shape) if slopes_here.lam is None else np.array(slopes_here.lam))
                     slopes_here.lam[-1] += lam
-            slip = slips[first - segment.first : last - segment.first] if self.stabilised else None
-            keep = tuple(np.empty((2, *q.shape))) if self.events.speeds else None
+            motion = self._motion(segment, first, last) if self.ready else None
+            slip = self._slips(segment.h, *motion) if self.stabilised else None
+            keep = tuple(np.empty((2, *q.shape))) if self.events.speeds or self.observes else None
             result = sweep.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
             self.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
             if self.stabilised:
                 (ahead, slipped, eta), still = result.slips, np.zeros_like(q)
                 self.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)
                 self.add(AdjointMultipliers(inner, q, still, still, np.zeros_like(eta), -ahead), t)
-            if keep:
-                self._add_step_slopes(segment, first, q - slip if self.stabilised else q, v, *keep)
+            if self.observes:
+                self.observe(segment, first, inner, motion, own, result, keep)
+            if self.events.speeds:
+                self._add_step_slopes(segment, *motion[:2], slip, *keep)
                 if (by_time := slopes_here.by_time()) is not None:
                     self.events.add_at(t, by_time)
             bars = result.bars
             progress(float(t[0]))
         return bars
 
-    def _add_step_slopes(self, segment, first, q, v, y, z):
-        """Add the slope in h of steps from state number `first`, with multipliers y and z; q and v: their ends without slips."""
-        _, q0, v0, _, _ = self.history.states(first, first + len(q))
-        if first == segment.first:
-            v0 = np.concatenate([self.ready[first][1].v[None], v0[1:]])
-        self.events.add_step_slope(segment, -(np.sum(y * (2.0 * (q - q0) / segment.h - v0)) + np.sum(z * (v - v0)) / segment.h))
+    def observe(self, segment, first, t, motion, slopes, result, keep):
+        """Take the multipliers of steps from state number `first`.
+
+        t (count,): times of their ends, beside kinks; motion: of `_motion`; slopes: of the objective; result: SweepResult; keep: y and z (count, n).
+        """
+
+    def observe_start(self, segment, bars):
+        """Take the AdjointState of the state from which the steps of a segment begin."""
+
+    def _add_step_slopes(self, segment, q, v, slip, y, z):
+        """Add the slope in h of steps with multipliers y and z; q and v: of `_motion`; slip: what the stabilised form adds to q, or None."""
+        moved = np.diff(q, axis=0) - (0.0 if slip is None else slip)
+        by_h = np.sum(y * (2.0 * moved / segment.h - v[:-1])) + np.sum(z * np.diff(v, axis=0)) / segment.h
+        self.events.add_step_slope(segment, -by_h)
 
     def _add_start_slopes(self, segment, bars):
         """Add the slopes of a segment's start in h, and in h of the segment before."""

@@ -139,34 +139,40 @@ def gradient(
             return gradient_of_state(run, objective, names)
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
-        model = run.known_model("gradient")
-        if not run.events.given:
-            require_no_laws("gradient", guard(model), TIME_STEPPING)
-        if model.is_scene and model.controllers:
-            raise InputError("gradient: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
+        kind = adjoint_of("gradient", run)
         begin, end = float(run.t[0]), float(run.t[-1])
-        kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))
-        if (kind := next(kinds, None)) is None:
-            name = type(run.integrator).__name__
-            why = WHY.get(name, "has no adjoint here")
-            raise InputError(f"gradient: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
-        kind.require_settings(run.integrator)
-        if getattr(run.integrator, "form", "") == "stabilised":
-            _require_no_velocity_rows(guard(model), 'form "stabilised" has', 'form "index3" has')
-        if run.plan.get("began") == "run":
-            raise InputError(
-                "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
-            )
-        if len(run) < 2:
-            raise InputError("gradient: the run has no step")
-        if not run.success:
-            warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=4)
         arguments = run, objective, names, memory_limit
         sweep = partial(gradient_of_events, kind, *arguments) if run.events.given else kind(*arguments).gradient
         if progress is not True:
             return sweep(progress or (lambda t: None))
         with over_time(progress, begin, end) as tell:
             return sweep(lambda t: tell(begin + end - t))
+
+
+def adjoint_of(part, run):
+    """The RunAdjoint of a run's integrator. Raises InputError, in the name of `part`, if the run has no adjoint."""
+    model = run.known_model(part)
+    if not run.events.given:
+        require_no_laws(part, guard(model), TIME_STEPPING)
+    if model.is_scene and model.controllers:
+        raise InputError(f"{part}: outputs of a sampled Controller have no slopes; use a continuous one, such as polyida.PID")
+    kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))
+    if (kind := next(kinds, None)) is None:
+        name = type(run.integrator).__name__
+        why = WHY.get(name, "has no adjoint here")
+        raise InputError(f"{part}: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
+    kind.require_settings(run.integrator)
+    if getattr(run.integrator, "form", "") == "stabilised":
+        _require_no_velocity_rows(guard(model), 'form "stabilised" has', 'form "index3" has')
+    if run.plan.get("began") == "run":
+        raise InputError(
+            f"{part}: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
+        )
+    if len(run) < 2:
+        raise InputError(f"{part}: the run has no step")
+    if not run.success:
+        warnings.warn(f"{part}: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=5)
+    return kind
 
 
 def _require_no_velocity_rows(model, what, other):

@@ -279,6 +279,16 @@ def started(settings, model, state, h, system=None):
     return state if isclose(memory["h"], h, rel_tol=1e-9) else _rescaled(settings, model, state, h, right)
 
 
+def motor_jump(model, state, h):
+    """v behind a kink at a state: with outputs of controllers, and the jump of the motors' rates; h: a step, whose sign is the direction of time."""
+    t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
+    v = model.sampled(t, state.q, state.v)
+    if not model.m:
+        return v
+    jump = model.phi_t(right, state.q) - model.phi_t(left, state.q)
+    return v + model.mass_system(t, state.q).solve(np.zeros(model.n), jump)[0]
+
+
 def _behind_kink(settings, model, state, h):
     """The state on the far side of a kink: what jumps is added, what the method carries stays.
 
@@ -286,9 +296,7 @@ def _behind_kink(settings, model, state, h):
     the jump of q'''. All are differences of consistent values on both sides, in which ringing mesh modes cancel.
     """
     t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
-    v, system = model.sampled(t, state.q, state.v), model.mass_system(t, state.q)
-    if model.m:
-        v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
+    v, system = motor_jump(model, state, h), model.mass_system(t, state.q)
     bias = model.phi_bias(left, state.q, state.v) if model.m else np.zeros(0)
     before = system.solve(model.force(left, state.q, state.v), bias)
     after = consistent_acceleration(model, right, state.q, v)

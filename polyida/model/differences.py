@@ -99,3 +99,20 @@ def cubic(x0, v0, x1, v1, h, s):
     x = x0 + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
     bend = np.where(np.abs(move - mean) > 4 * np.finfo(float).eps * (np.abs(x0) + np.abs(x1)), move - mean, 0.0)
     return x, (1 - s) * v0 + s * v1 + 6 * s * (1 - s) / h * bend
+
+
+def near_points(steps, first, last, most=4):
+    """(number of the first point (steps,), count): the points, numbered first to last, of the polynomial over each step k from point k to k + 1."""
+    count = min(most, last - first + 1)
+    return np.clip(steps - (most // 2 - 1), first, last - count + 1), count
+
+
+def step_integrals(t, begin, h):
+    """Weights (steps, 2, count) of `int x dt / h` and of `int (begin + h - t) x dt / h^2` over steps from begin, of h, (steps,) each.
+
+    x: the polynomial through values at the times t (steps, count).
+    """
+    power = np.arange(t.shape[1])
+    powers = ((t - begin[:, None]) / h[:, None])[:, None] ** power[:, None]
+    moments = np.stack([1.0 / (power + 1), 1.0 / ((power + 1) * (power + 2))], axis=1)
+    return np.swapaxes(np.linalg.solve(powers, np.broadcast_to(moments, (len(t), *moments.shape))), 1, 2)

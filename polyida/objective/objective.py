@@ -125,6 +125,14 @@ class Objective:
         """Return the objective with names instead of parts of a model, for models with other values of parameters."""
         return self
 
+    def quadrature(self, run: Any, pieces: Any) -> NDArray:
+        """Return what J, a sum over frames, lacks of an integral over time, as a sum over the intervals between frames, (frames - 1,).
+
+        pieces: list of (first frame, last frame, state behind the first frame as a OneFrame or None) of the smooth parts of the run. Zero by
+        default: J is what it is defined to be.
+        """
+        return np.zeros(max(0, len(run.t) - 1))
+
     def __add__(self, other: Objective) -> Sum:
         return Sum((*_terms(self), *_terms(other)))
 
@@ -167,6 +175,10 @@ class Sum(Objective):
     def named(self, model: Any) -> Sum:
         """Return the sum of the named terms."""
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
+
+    def quadrature(self, run: Any, pieces: Any) -> NDArray:
+        """Return the sum of the terms' quadrature."""
+        return np.sum([weight * part.quadrature(run, pieces) for weight, part in self.terms], axis=0)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the sum of the terms' slopes."""

@@ -1,0 +1,195 @@
+"""Errors of a quantity of a run of generalized-alpha, from time steps and from Newton's method, by the multipliers of its adjoint.
+
+The multipliers of generalized-alpha's equations (alpha.py) weigh what these equations leave. Exact states put into the steps leave nothing in r,
+phi and the recursion of A, with A made by it again; only Newmark's formulas leave
+
+    tau_v = int a dt - h ((1 - gamma) A_0 + gamma A_1),    tau_q = int (t_1 - t) a dt - h^2 ((1/2 - beta) A_0 + beta A_1)
+
+a being cubic through the accelerations of four states, on one side of kinks. With the states that pieces begin from, and with what the
+trapezoidal rule lacks in a mean over time,
+
+    J* - J = -sum (y . tau_q + z . tau_v) + sum over beginnings P_v . (v_consistent - v_begun) + quadrature of J
+
+The states of the run put into the equations of a step leave what Newton's method left: `J* - J = sum w . r + mu . phi`.
+
+Modes whose phase is lost, `omega^3 h^2 T / 12 > 1`, make the first estimate useless. The same sum with tau averaged over time by a Gaussian
+of width `(h^2 T / 12)^(1/3)` has no part of these modes; the relative difference is their share.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from polyida.adjoint.alpha import AlphaAdjoint
+from polyida.integrate.discontinuities import at_kink
+from polyida.integrate.start import motor_jump, started
+from polyida.jit import entry
+from polyida.model.differences import beside, near_points, step_integrals
+from polyida.objective.objective import OneFrame
+
+WIDTHS = 3.0  # of the Gaussian, on each side
+FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
+STARTING = 10  # steps of a start, whose transient lam at an instant sees
+AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J depend on an instant
+
+
+@entry
+def truncation(numbers, a, at, weights, ahead, y, z, tau, shares):
+    """Fill tau (2, count, n), what Newmark's formulas leave of q and v, and shares (count,) = -(y . tau_q + z . tau_v) of equal steps.
+
+    numbers: h, beta, gamma. a (., n): accelerations; at (count,): first one of each step's polynomial; weights (count, 2, points): of
+    `step_integrals`. ahead (count + 1, n): A.
+    """
+    h, beta, gamma = numbers
+    for k in range(shares.shape[0]):
+        for i in range(a.shape[1]):
+            by_v = -(1.0 - gamma) * ahead[k, i] - gamma * ahead[k + 1, i]
+            by_q = -(0.5 - beta) * ahead[k, i] - beta * ahead[k + 1, i]
+            for j in range(weights.shape[2]):
+                x = a[at[k] + j, i]
+                by_v += weights[k, 0, j] * x
+                by_q += weights[k, 1, j] * x
+            tau[0, k, i], tau[1, k, i] = h * h * by_q, h * by_v
+            shares[k] -= y[k, i] * tau[0, k, i] + z[k, i] * tau[1, k, i]
+
+
+@entry
+def averaged(t, h, widths, tau, factors, first, last, mean):
+    """`-sum factors . tau` over steps first to last - 1, with tau over h^4 and h^3 averaged over time.
+
+    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, count, n); mean (2, n): workspace.
+    """
+    total = 0.0
+    for k in range(first, last):
+        mean[:], weight = 0.0, 0.0
+        for j in range(t.shape[0]):
+            s = (t[j] - t[k]) / widths[k]
+            if abs(s) <= WIDTHS:
+                g = np.exp(-0.5 * s * s) * h[j]
+                weight += g
+                for i in range(mean.shape[1]):
+                    mean[0, i] += g / h[j] ** 4 * tau[0, j, i]
+                    mean[1, i] += g / h[j] ** 3 * tau[1, j, i]
+        for i in range(mean.shape[1]):
+            total -= (h[k] ** 4 * factors[0, k, i] * mean[0, i] + h[k] ** 3 * factors[1, k, i] * mean[1, i]) / weight
+    return total
+
+
+class AlphaErrors(AlphaAdjoint):
+    """Backward sweep over a run that sums the parts of its error.
+
+    pieces: (first, last) number of the states of the smooth parts of the run. steps (steps,): shares of steps in the error of time, without the
+    quadrature; lost: their
+    part of vibrations whose phase is lost. window: steps whose tau is not averaged yet, or that are near to such steps.
+    """
+
+    observes = True
+
+    def __init__(self, run, objective, memory_limit):
+        super().__init__(run, objective, [], memory_limit)
+        self.run, self.objective, model = run, objective, self.model
+        self.plain = replace(self.settings, start="plain")
+        segments, count = self.history.segments, len(self.history.frames) - 1
+        self.times = np.concatenate([np.asarray(self.history.states(k, k + 1)[0]) for k in (0, count)])
+        breaks = [
+            one.first
+            for one in segments
+            if one.kind != "on" or model.switching or at_kink(model, float(self.ready[one.first][0].t)) or not one.first
+        ]
+        self.pieces = list(zip(breaks, [*breaks[1:], count]))
+        self.steps, self.t, self.h = np.zeros(count), np.zeros(count), np.zeros(count)
+        self.lost = self.newton = 0.0
+        self.at_instants, self.of_forces = 0.0, 0.0
+        self.window, self.open = None, 0
+
+    def observe(self, segment, first, t, motion, slopes, result, keep):
+        """Add the shares of some steps."""
+        count, end = len(t), first + len(t)
+        piece = next(one for one in self.pieces if one[0] <= first < one[1])
+        numbers = np.arange(first, end)
+        at, points = near_points(numbers, *piece)
+        low = int(at[0])
+        times, _, _, a, _ = self.history.states(low, int(at[-1]) + points)
+        if low == piece[0]:
+            a = np.concatenate([self.ready[low][1].a[None], a[1:]])
+        begin, h, c = times[numbers - low], np.full(count, segment.h), self.settings.coefficients
+        weights = step_integrals(times[at[:, None] - low + np.arange(points)], begin, h)
+        tau = np.empty((2, count, self.model.n))
+        numbers_of_method = np.array([segment.h, c.beta, c.gamma])
+        truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], *keep, tau, self.steps[first:end])
+        self.t[first:end], self.h[first:end] = begin + h, h
+        self.lost += self.steps[first:end].sum()
+        self._average(begin + 0.5 * h, h, tau, np.stack(keep), first == piece[0])
+        _, q, v, a, lam = self.history.states(first + 1, end + 1)
+        rows = self.model.velocity_rows
+        for k, (w, mu, *state) in enumerate(zip(result.w, result.mu, t.tolist(), q, v, a, lam)):
+            self.newton += w @ self.model.residual(*state) + mu @ self.model.phi(*state[:2])
+            if rows.size:
+                self.newton += result.kappa[k, rows] @ self.model.phi_rate(*state[:3])[rows]
+        for one in (slopes.lam, slopes.a):
+            if one is not None and one.size:
+                sizes = np.abs(one).sum(axis=1)
+                self.of_forces, self.at_instants = self.of_forces + sizes.sum(), max(self.at_instants, sizes.max())
+
+    def observe_start(self, segment, bars):
+        """Add what the velocities deviate from consistent ones where a piece begins."""
+        (state, begun), model = self.ready[segment.first], self.model
+        if segment.kind != "on":
+            v = started(self.plain, model, state, segment.h).v
+        elif at_kink(model, state.t):
+            v = motor_jump(model, state, segment.before)
+        else:
+            return
+        self.steps[segment.first] += float(bars.v @ (v - begun.v))
+
+    def _average(self, t, h, tau, factors, closed):
+        """Subtract from `lost` the averaged steps whose neighbours within WIDTHS are all known; closed: True if the piece begins with the first one here."""
+        parts = t, h, tau, factors
+        if self.window is None:
+            self.window, self.open = parts, len(t)
+        else:
+            self.window = tuple(np.concatenate(pair, axis=-2 if np.ndim(pair[0]) > 1 else 0) for pair in zip(parts, self.window))
+            self.open += len(t)
+        t, h, tau, factors = self.window
+        widths = np.cbrt(h * h * np.ptp(self.times) / 12.0)
+        known = t - WIDTHS * widths >= t[0]
+        first = 0 if closed else min(self.open, int(np.argmax(known)) if known.any() else len(t))
+        self.lost -= averaged(t, h, widths, tau, factors, first, self.open, np.empty((2, self.model.n)))
+        last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + WIDTHS * widths.max(), side="right"))
+        self.window, self.open = (None, 0) if closed else ((t[:last], h[:last], tau[:, :last], factors[:, :last]), first)
+
+    def of_time(self):
+        """(error of time, its shares (steps,))."""
+        frames, pieces = self.history.frames, []
+        states = np.flatnonzero(frames >= 0)
+        for first, last in self.pieces:
+            inside = states[(states >= first) & (states <= last)]
+            if len(inside) > 1:
+                behind = self._behind(first) if inside[0] == first else None
+                pieces.append((int(frames[inside[0]]), int(frames[inside[-1]]), behind))
+        shares = self.steps.copy()
+        shares[states[1:] - 1] += self.objective.quadrature(self.run, pieces)
+        return float(shares.sum()), shares
+
+    def _behind(self, first):
+        """The state from which the piece that begins with a number starts, as a run of one frame."""
+        state = self.ready[first][1]
+        t = beside(state.t, 1) if at_kink(self.model, state.t) else state.t
+        return OneFrame(self.run.model, *(np.asarray(x, float)[None] for x in (t, state.q, state.v, state.a, state.lam)))
+
+    def reasons(self, time):
+        """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted)."""
+        share = float(abs(self.lost / time)) if time else 0.0
+        result, begin = [], [first for first, _ in self.pieces]
+        if share > FAST:
+            result.append(
+                f"{100 * share:.0f} % of it come from vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12)"
+            )
+        if self.of_forces and self.at_instants > AT_INSTANT * self.of_forces:
+            text = "the objective is of lam or a at an instant, and "
+            if any(one.first not in begin for one in self.history.segments):
+                result.append(f"{text}the step size changes")
+            starts = sum(abs(self.steps[first : min(first + STARTING, last - STARTING)].sum()) for first, last in self.pieces)
+            if starts > FAST * abs(time):
+                result.append(f"{text}sees the first steps behind a start")
+        return share, tuple(result)

@@ -1,0 +1,150 @@
+"""Estimated errors of quantities of runs beside those against extrapolated runs."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida import profile
+from polyida.problems.mechanisms import slider_crank
+from polyida.problems.plates import double_plate
+
+P = pi.objective
+TIGHT = 1e-10  # Newton's tolerance
+
+
+def at_end(model, name="q", row=None):
+    """x of "tip" at the end, or one entry of lam."""
+    weights = np.array([model.displacement("tip", unit)[0] for unit in np.eye(model.n)]) if row is None else np.eye(model.m)[row]
+
+    def slopes(run):
+        result = np.zeros(getattr(run, name).shape)
+        result[-1] = weights
+        return {name: result}
+
+    return P.UserObjective(lambda run: float(weights @ getattr(run, name)[-1]), slopes)
+
+
+def rigid_crank():
+    """A slider crank of rigid links whose torque has kinks, and its objectives."""
+    drawn, scene = slider_crank("rigid"), pi.Scene(gravity=(0.0, -9.81))
+    for name, part in drawn.parts.items():
+        if name != "drive":
+            scene.add(part)
+    scene.add(pi.Torque(scene.parts["crank"].section("left"), profile.linear(0.0, 0.3, duration=0.2, begin=0.1), name="drive"))
+    scene.add(pi.PointMass(scene.parts["rod"].section("right"), 0.01, name="tip"))
+    model = scene.build()
+    means = [P.Deviation("slider", (0.3, -0.1)), P.PeakReaction("crank pin", p=2), P.PeakReaction("bearing", p=8)]
+    return model, [*means, at_end(model), 2.0 * means[0] - 1e-4 * means[1]]
+
+
+def damped_arm(plane="stress", element="wachspress", cells=20):
+    """A plate with viscosity that a motor turns, and its objectives."""
+    scene, material = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=2e-3, plane=plane)
+    mesh = pi.mesh.rectangle(1.0, 0.1, cells=cells, seed=1)
+    arm = scene.add(pi.Plate(mesh, material, thickness=0.01, element=element, name="arm"))
+    scene.add(pi.Revolute(pi.ground, arm.section("left"), name="shoulder"))
+    scene.add(pi.AngleMotor(pi.ground, arm.section("left"), profile.quintic(0.0, np.pi / 2, duration=0.5), name="motor"))
+    scene.add(pi.PointMass(arm.section("right"), 0.3, name="tip"))
+    model = scene.build()
+    means = [P.Deviation("tip", (0.3, -0.1)), P.StrainEnergy("arm"), P.PeakReaction("shoulder", p=2), P.PeakReaction("motor", p=2)]
+    return model, [*means, at_end(model), at_end(model, "lam", 0)]
+
+
+def references(model, t_end, objectives, h, **settings):
+    """Values of the objectives, extrapolated from steps of h and h/2."""
+    coarse, fine = (pi.solve(model, t_end, pi.GeneralizedAlpha(h=step, tolerance=TIGHT, **settings)) for step in (h, h / 2))
+    return [(4 * one(fine) - one(coarse)) / 3 for one in objectives]
+
+
+def ratios(run, objectives, values):
+    """Estimates of the error of time over the errors; all are trusted, and corrected values are nearer."""
+    result = []
+    for objective, value in zip(objectives, values):
+        bars = pi.error_of(run, objective)
+        assert bars.trusted, bars
+        assert bars.steps.sum() == pytest.approx(bars.time, rel=1e-9)
+        assert abs(bars.corrected - value) < abs(bars.value - value)
+        result.append(bars.time / (value - bars.value))
+    return np.array(result)
+
+
+def test_errors_of_a_rigid_mechanism_are_estimated_to_one_percent():
+    model, objectives = rigid_crank()
+    run = pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, tolerance=TIGHT))
+    assert np.abs(ratios(run, objectives, references(model, 0.4, objectives, 1.25e-4)) - 1).max() < 0.01
+
+
+@pytest.mark.parametrize("h, aim", [(2.5e-3, 0.1), (1.25e-3, 0.05)])
+def test_errors_of_a_damped_plate(h, aim):
+    model, objectives = damped_arm()
+    run = pi.solve(model, 0.8, pi.GeneralizedAlpha(h=h, tolerance=TIGHT))
+    assert np.abs(ratios(run, objectives, references(model, 0.8, objectives, h / 8)) - 1).max() < aim
+
+
+def test_errors_of_an_undamped_plate_with_lost_phases():
+    model = double_plate(cells=20).build()
+    tip, lam = P.Deviation("tip", (30.0, 0.0)), at_end(model, "lam", 0)
+    value = references(model, 1.0, [tip], 1.25e-4)[0]
+    for h in (4e-3, 2e-3, 1e-3, 5e-4):
+        run = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=h, tolerance=TIGHT))
+        assert 0.9 < ratios(run, [tip], [value])[0] < 1.1
+        if h > 1e-3:
+            bars = pi.error_of(run, lam)
+            assert not bars.trusted and "phase is lost" in repr(bars) and bars.corrected != bars.value + bars.time
+
+
+@pytest.mark.parametrize(
+    "settings", [{"rtol": 1e-5}, {"h": 5e-3, "rtol": 1e-5}, {"h": 2e-3, "form": "stabilised"}, {"h": 2e-3, "rho_inf": 0.2}]
+)
+def test_adaptive_steps_and_other_settings(settings):
+    model, objectives = rigid_crank()
+    run = pi.solve(model, 0.4, pi.GeneralizedAlpha(tolerance=TIGHT, **settings))
+    assert (
+        np.abs(ratios(run, objectives[:1] + objectives[3:4], references(model, 0.4, objectives[:1] + objectives[3:4], 2.5e-4)) - 1).max()
+        < 0.01
+    )
+
+
+def test_stretches_and_checkpoints_do_not_change_the_estimate(monkeypatch):
+    model, objectives = damped_arm(cells=8)
+    run = pi.solve(model, 0.8, pi.GeneralizedAlpha(h=2.5e-3))
+    whole = pi.error_of(run, objectives[2])
+    monkeypatch.setattr("polyida.adjoint.alpha.LONGEST", 7)
+    parts = pi.error_of(run, objectives[2])
+    every = pi.error_of(pi.solve(model, 0.8, pi.GeneralizedAlpha(h=2.5e-3), every=4), objectives[2], memory_limit=2e5)
+    assert parts.time == pytest.approx(whole.time, rel=1e-9) and parts.fast_share == pytest.approx(whole.fast_share, rel=1e-6)
+    assert parts.newton == pytest.approx(whole.newton, rel=1e-6)
+    assert every.value + every.time == pytest.approx(whole.value + whole.time, rel=1e-4)
+
+
+def test_step_for_an_aim():
+    model, objectives = rigid_crank()
+    bars = pi.error_of(pi.solve(model, 0.4, pi.GeneralizedAlpha(h=2e-3, tolerance=TIGHT)), objectives[0])
+    h = bars.h_for(1e-8)
+    other = pi.error_of(pi.solve(model, 0.4, pi.GeneralizedAlpha(h=h, tolerance=TIGHT)), objectives[0])
+    assert abs(other.time) == pytest.approx(1e-8, rel=0.05)
+    axes = bars.plot_steps()
+    assert axes.lines[0].get_ydata()[-1] == pytest.approx(bars.time)
+    with pytest.raises(pi.InputError, match="aim"):
+        bars.h_for(0.0)
+
+
+def test_bad_input_is_refused():
+    model, objectives = rigid_crank()
+    run = pi.solve(model, 0.02, pi.GeneralizedAlpha(h=2e-3))
+    for arguments, text in (((run, "tip"), "objective"), ((model, objectives[0]), "no run")):
+        with pytest.raises(pi.InputError, match=text):
+            pi.error_of(*arguments)
+    with pytest.raises(pi.InputError, match="EnergyMomentum"):
+        pi.error_of(pi.solve(model, 0.02, pi.EnergyMomentum(h=2e-3)), objectives[0])
+    with pytest.raises(pi.InputError, match="no constant step"):
+        pi.error_of(pi.solve(model, 0.02, pi.GeneralizedAlpha()), objectives[0]).h_for(1e-6)
+
+
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_error_of_newtons_tolerance(form):
+    model, objectives = damped_arm(cells=12)
+    loose, tight = (pi.solve(model, 0.6, pi.GeneralizedAlpha(h=5e-3, tolerance=tolerance, form=form)) for tolerance in (1e-3, 1e-9))
+    for objective in objectives[:4]:
+        bars = pi.error_of(loose, objective)
+        assert bars.newton == pytest.approx(objective(tight) - objective(loose), rel=0.1)
