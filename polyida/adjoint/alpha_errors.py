@@ -21,11 +21,13 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.adjoint.alpha import AlphaAdjoint
+from polyida.adjoint.mesh_error import MeshError
 from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import motor_jump, started
 from polyida.jit import entry
 from polyida.model.differences import beside, near_points, step_integrals
-from polyida.objective.objective import OneFrame
+from polyida.objective.objective import OneFrame, terms_of
+from polyida.objective.peak_stress import PeakStress
 
 WIDTHS = 3.0  # of the Gaussian, on each side
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
@@ -101,6 +103,23 @@ class AlphaErrors(AlphaAdjoint):
         self.lost = self.newton = 0.0
         self.at_instants, self.of_forces = 0.0, 0.0
         self.window, self.open = None, 0
+        self.meshes = {body.name: MeshError(body) for body in model.bodies} if not self.reasons_of_mesh() else {}
+
+    def reasons_of_mesh(self):
+        """Reasons why there is no estimate of the error of the meshes."""
+        if not (self.model.is_scene and self.model.bodies):
+            return ("the scene has no full plates",)
+        result = []
+        for body in self.model.bodies:
+            if body.plate.element != "wachspress":
+                result.append(f"{body.name!r} has virtual elements, whose projection has an error of its own")
+            if body.prony:
+                result.append(f"{body.name!r} is viscoelastic: the relaxed strains of its cells are not estimated")
+            if np.ptp(body.factors[0]) > 0.0:
+                result.append(f"{body.name!r} has cells of different stiffness, across which strains jump")
+        if any(isinstance(part, PeakStress) for _, part in terms_of(self.objective)):
+            result.append("PeakStress reads the stress of cells, whose own error is not estimated")
+        return tuple(result)
 
     def observe(self, segment, first, t, motion, slopes, result, keep):
         """Add the shares of some steps."""
@@ -126,6 +145,8 @@ class AlphaErrors(AlphaAdjoint):
             self.newton += w @ self.model.residual(*state) + mu @ self.model.phi(*state[:2])
             if rows.size:
                 self.newton += result.kappa[k, rows] @ self.model.phi_rate(*state[:3])[rows]
+        for name, mesh in self.meshes.items():
+            mesh.add(*(x.reshape(count, -1, 2) for x in (q, v, result.w)), slopes.energies.get(name, np.zeros(count)))
         for one in (slopes.lam, slopes.a):
             if one is not None and one.size:
                 sizes = np.abs(one).sum(axis=1)

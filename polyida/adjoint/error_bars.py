@@ -208,11 +208,14 @@ def _estimate(run, objective, memory_limit, progress):
     sweep.sweep_backward(progress)
     time, steps = sweep.of_time()
     share, why = sweep.reasons(time)
+    cells = {name: mesh.cells for name, mesh in sweep.meshes.items()}
     return ErrorBars(
         value=sweep.objective_slopes.value,
         time=time,
         newton=sweep.newton,
-        reasons={"time": why},
+        mesh=float(sum(shares.sum() for shares in cells.values())) if cells else None,
+        reasons={"time": why, "mesh": sweep.reasons_of_mesh()},
+        cells=cells,
         fast_share=share,
         t=sweep.t,
         steps=steps,

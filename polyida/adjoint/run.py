@@ -151,13 +151,15 @@ class OwnSlopes:
         self.totals.add_own(own)
         if len(numbers) == len(frames):
             return own
-        arrays = {}
+
+        def at_all(slopes):
+            result = np.zeros((len(frames), *slopes.shape[1:]))
+            result[frames >= 0] = slopes
+            return result
+
         each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
-        for name, slopes in each.items():
-            if slopes is not None:
-                arrays[name] = np.zeros((len(frames), *slopes.shape[1:]))
-                arrays[name][frames >= 0] = slopes
-        return Slopes(**arrays)
+        arrays = {name: at_all(slopes) for name, slopes in each.items() if slopes is not None}
+        return Slopes(**arrays, energies={name: at_all(factor) for name, factor in own.energies.items()})
 
 
 def _find(name, known, with_v0=False):

@@ -87,8 +87,19 @@ def wachspress(mesh, kept=None):
     return build(mesh, lighter(_wachspress, kept))
 
 
-def _wachspress(corners, cells, nodes):
-    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells."""
+def fan_points(corners):
+    """(points (3 n, 2, c), areas (n, c), centroid (2, c)) of the three points of each triangle of the fans, and the areas of these."""
+    follower, (_, centroid, _) = after(corners), measures(corners)
+    middle = centroid + corners + follower
+    points = np.concatenate([(middle + 3 * vertex) / 6 for vertex in (corners, follower, np.broadcast_to(centroid, corners.shape))])
+    return points, cross(corners - centroid, follower - centroid) / 2, centroid
+
+
+def _wachspress(corners, cells, nodes, many=MANY):
+    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells.
+
+    many: number of corners from which on each triangle of the fan has three points.
+    """
     edges = after(corners) - corners
     with np.errstate(invalid="ignore", divide="ignore"):
         edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
@@ -105,24 +116,28 @@ def _wachspress(corners, cells, nodes):
         )
     corners = corners - corners.mean(axis=0)
     follower = after(corners)
-    area, centroid, mean = measures(corners)
-    weights = cross(corners - centroid, follower - centroid) / 2
-    middle, vertices = centroid + corners + follower, (corners, follower, centroid)
+    area, _, mean = measures(corners)
+    near, weights, centroid = fan_points(corners)
     mass = 0.0
-    for vertex in vertices:
-        shapes, _, _ = _shapes(corners, follower, sines, (middle + 3 * vertex) / 6)
+    for points in np.split(near, 3):
+        shapes, _, _ = _shapes(corners, follower, sines, points)
         mass = mass + np.einsum("pic,pjc->ijc", shapes * (weights / 3)[:, None], shapes)
-    if len(corners) == 3:
+    if len(corners) == 3 and many >= 3:
         return area, mean, mean[None], area[None], mass
-    points = middle / 3
-    if len(corners) > MANY:
-        points, weights = np.concatenate([(middle + 3 * vertex) / 6 for vertex in vertices]), np.concatenate([weights / 3] * 3)
+    points = (centroid + corners + follower) / 3
+    if len(corners) > many:
+        points, weights = near, np.concatenate([weights / 3] * 3)
     shapes, normals, heights = _shapes(corners, follower, sines, points)
     slopes = normals / heights[:, :, None]
     slopes = slopes + np.roll(slopes, 1, axis=1)
     gradients = shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
+
+
+def wachspress_of_three(corners, cells, nodes):
+    """The same as _wachspress, with three points of the true gradients in each triangle of the fan: for errors of meshes."""
+    return _wachspress(corners, cells, nodes, many=0)
 
 
 def _shapes(corners, follower, sines, points):

@@ -36,6 +36,8 @@ class Slopes:
         Entries of every parameter: dJ/dp contains the sum over them of `w . dr/dp + mu . dphi/dp`.
     of_model : function f(model) -> float, optional
         The part of J of this slice, to first order, at fixed frames: for parameters that `direct` does not name, such as "arm.nu".
+    energies : dict, {body: (count,) float}
+        dJ/dW, W the strain energy of a body in the frames: for errors of meshes.
     """
 
     q: NDArray | None = None
@@ -46,6 +48,7 @@ class Slopes:
     direct: dict[str, NDArray | float] = field(default_factory=dict)
     work: tuple[NDArray, ...] | None = None
     of_model: Callable[[Any], float] | None = None
+    energies: dict[str, NDArray] = field(default_factory=dict)
 
     def by_time(self) -> NDArray | None:
         """Return t, (count,), or None; its function is called."""
@@ -56,15 +59,19 @@ class Slopes:
         frames: dict[str, Any] = {name: _times(factor, getattr(self, name)) for name in FRAMES}
         direct = {name: factor * value for name, value in self.direct.items()}
         work = None if self.work is None else (*self.work[:5], *(factor * x for x in self.work[5:]))
-        return Slopes(**frames, direct=direct, work=work, of_model=_times(factor, self.of_model))
+        energies = {name: factor * value for name, value in self.energies.items()}
+        return Slopes(**frames, direct=direct, work=work, of_model=_times(factor, self.of_model), energies=energies)
 
     def plus(self, other: Slopes) -> Slopes:
         """Return the slopes of the sum of two objectives, of the same slice."""
         frames: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
-        direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
+        direct, energies = (
+            one | {name: value + one.get(name, 0.0) for name, value in another.items()}
+            for one, another in ((self.direct, other.direct), (self.energies, other.energies))
+        )
         works = [work for work in (self.work, other.work) if work is not None]
         work = tuple(map(np.concatenate, zip(*works))) if works else None
-        return Slopes(**frames, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model))
+        return Slopes(**frames, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model), energies=energies)
 
 
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
@@ -134,10 +141,10 @@ class Objective:
         return np.zeros(max(0, len(run.t) - 1))
 
     def __add__(self, other: Objective) -> Sum:
-        return Sum((*_terms(self), *_terms(other)))
+        return Sum((*terms_of(self), *terms_of(other)))
 
     def __radd__(self, other: Any) -> Objective:
-        return self if is_number(other) and other == 0 else Sum((*_terms(other), *_terms(self)))
+        return self if is_number(other) and other == 0 else Sum((*terms_of(other), *terms_of(self)))
 
     def __sub__(self, other: Objective) -> Sum:
         return self + -_objective(other)
@@ -145,7 +152,7 @@ class Objective:
     def __mul__(self, number: float) -> Sum:
         if not is_number(number):
             raise InputError(f"an objective is multiplied by {number!r:.100}; use a finite number")
-        return Sum(tuple((float(number) * weight, part) for weight, part in _terms(self)))
+        return Sum(tuple((float(number) * weight, part) for weight, part in terms_of(self)))
 
     __rmul__ = __mul__
 
@@ -218,7 +225,8 @@ def _objective(objective):
     return require_objective("a sum of objectives", objective)
 
 
-def _terms(objective):
+def terms_of(objective):
+    """(weight, objective) of each term of a sum, or of the objective itself."""
     return objective.terms if isinstance(objective, Sum) else ((1.0, _objective(objective)),)
 
 

@@ -153,7 +153,8 @@ class StrainEnergy(TimeMean):
 
         def evaluate(frames):
             def to_slopes(factor):
-                return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor))
+                energies = {body.name: np.asarray(factor, float) for body in elastic.plates}
+                return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor), energies=energies)
 
             return lambda: elastic.energies(frames.q), to_slopes
 
