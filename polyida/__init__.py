@@ -19,6 +19,7 @@ _PLACES = {
     "Rigid": "body.rigid_body",
     "Reduced": "body.reduced",
     "pod_modes": "body.reduced",
+    "missing_fields": "body.reduced",
     "ForceElement": "force.force_element",
     "PointLoad": "force.loads",
     "EdgeTraction": "force.loads",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,20 +11,30 @@ from numpy.typing import NDArray
 
 from polyida.adjoint.alpha_errors import AlphaErrors
 from polyida.adjoint.gradient import adjoint_of
+from polyida.adjoint.parameter import with_part
+from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.state import Counts
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.state import Counts, declared
 from polyida.io.layout import MEMORY_LIMIT
+from polyida.mesh import PolygonMesh
+from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import over_time, require_progress
+from polyida.run.solve import solve
 from polyida.trajectory import Trajectory
-from polyida.validation import is_number, named_keywords, require_bytes
+from polyida.validation import is_flag, is_number, is_one_of, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PARTS = ("time", "newton", "mesh")
+PARTS = ("time", "newton", "mesh", "modes")
+CANCEL = 0.1  # of the larger of the two parts of the error of a mesh: their sum is not trusted below it
+FIELDS = 3  # that a reduced plate is enriched by
+DEFAULT_RTOL = 1e-5  # of a run whose tolerance is unknown
+TENTH = 0.1  # of the tolerances, in a run that is compared with one of adaptive steps
 
 
 @named_keywords
@@ -42,6 +52,10 @@ class ErrorBars:
         What Newton's tolerance left.
     mesh : float or None
         Error of the meshes of full plates, within about a factor of two.
+    modes : float or None
+        Error of the modes of reduced plates, from a run with three more fields each; with `again=True`.
+    again : float or None
+        Error of the time steps from another run; with `again=True`.
     reasons : dict of str to tuple of str
         {part: why its estimate is missing or not trusted}.
     fast_share : float
@@ -62,6 +76,8 @@ class ErrorBars:
     time: float | None = None
     newton: float | None = None
     mesh: float | None = None
+    modes: float | None = None
+    again: float | None = None
     reasons: dict[str, tuple[str, ...]] = field(default_factory=dict)
     fast_share: float = 0.0
     t: NDArray = field(default_factory=lambda: np.zeros(0))
@@ -135,7 +151,51 @@ class ErrorBars:
                 lines.append(
                     f"  {part:7s}{_number(error):>11s}" + (f"  {'not trusted' if error is not None else 'none'}: {why}" if why else "")
                 )
+        if self.again is not None:
+            lines.append(f"  time   {_number(self.again):>11s}  from another run")
         return "\n".join(lines)
+
+    def plot_cells(self, name: str, mesh: PolygonMesh, axes: Axes | None = None) -> Axes:
+        """Draw the shares of the cells of a plate in the error of the mesh on its polygons.
+
+        Parameters
+        ----------
+        name : str
+            Of the plate.
+        mesh : PolygonMesh
+            Its mesh.
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+
+        Raises
+        ------
+        InputError
+            If the plate has no estimate, or if the mesh is another one.
+        """
+        from matplotlib.collections import PolyCollection
+
+        from polyida.show.style import INK, literal, on_axes
+
+        if not is_one_of(name, self.cells):
+            raise InputError(f"plot_cells: no shares of {name!r}; known: {', '.join(map(repr, self.cells)) or 'none'}")
+        shares = self.cells[name]
+        if not isinstance(mesh, PolygonMesh) or mesh.n_cells != len(shares):
+            raise InputError(f"plot_cells: mesh must be the mesh of {name!r}, of {len(shares)} cells")
+        largest = float(np.abs(shares).max()) or 1.0
+        with on_axes(axes) as axis:
+            cells = PolyCollection(np.split(mesh.points[mesh.nodes], mesh.offsets[1:-1]), cmap="RdBu_r", edgecolors=INK, linewidths=0.2)
+            cells.set_array(shares)
+            cells.set_clim(-largest, largest)
+            axis.add_collection(cells)
+            axis.autoscale_view()
+            axis.set(xlabel="x, m", ylabel="y, m", title=f"error of the mesh of {literal(name)}", aspect="equal")
+            if axes is None:
+                axis.figure.colorbar(cells, ax=axis, shrink=0.8, label="share of a cell")
+            return axis
 
 
 def _number(error):
@@ -144,16 +204,23 @@ def _number(error):
 
 @named_keywords
 def error_of(
-    run: Trajectory, objective: Objective, memory_limit: float = MEMORY_LIMIT, progress: Callable[[float], object] | bool | None = None
+    run: Trajectory,
+    objective: Objective,
+    again: bool = False,
+    memory_limit: float = MEMORY_LIMIT,
+    progress: Callable[[float], object] | bool | None = None,
 ) -> ErrorBars:
-    """Estimate the error of a quantity of a run of GeneralizedAlpha and its parts, without a reference.
+    """Estimate the error of a quantity of a run and its parts, without a reference: by the adjoint of GeneralizedAlpha or by further runs.
 
     Parameters
     ----------
     run : Trajectory
-        With fixed or adaptive steps.
+        Of GeneralizedAlpha; with `again=True` of any integrator of polyida.
     objective : Objective
         The quantity J, one of `pi.objective`.
+    again : bool
+        True: solve the run again with 2 h (GeneralizedAlpha and EnergyMomentum; a third of the difference), h / 2 (RadauIIA) or a tenth of the
+        tolerances, and with three more fields in each reduced plate (`pi.missing_fields`).
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -167,8 +234,8 @@ def error_of(
     Raises
     ------
     InputError
-        For another type of run, objective or integrator; for runs with located events, whose times have errors of their own; and for runs
-        of which `pi.gradient` has no adjoint.
+        For another type of run, objective or integrator; for runs with located events, whose times have errors of their own; for runs of which
+        `pi.gradient` has no adjoint; and if a further run fails.
 
     Notes
     -----
@@ -189,17 +256,96 @@ def error_of(
     if progress is not None:
         require_progress("error_of", progress)
     require_bytes("error_of", memory_limit)
+    if not is_flag(again):
+        raise InputError(f"error_of: again = {again!r} must be True or False")
     with one_blas_thread():
-        if not isinstance(run.integrator, GeneralizedAlpha):
-            raise InputError(f"error_of: {type(run.integrator).__name__} has no estimate; run polyida.GeneralizedAlpha(...)")
-        adjoint_of("error_of", run)
+        model = run.known_model("error_of")
         if run.events.given or len(run.events):
             raise InputError("error_of: the run has located events, whose times have errors of their own that are not estimated")
-        if progress is not True:
-            return _estimate(run, objective, memory_limit, progress or (lambda t: None))
-        begin, end = float(run.t[0]), float(run.t[-1])
-        with over_time(progress, begin, end) as tell:
-            return _estimate(run, objective, memory_limit, lambda t: tell(begin + end - t))
+        if not isinstance(run.integrator, GeneralizedAlpha):
+            if not again:
+                name = type(run.integrator).__name__
+                raise InputError(f"error_of: {name} has no estimate by an adjoint; give again=True, which solves the run again")
+            if len(run) < 2 or not run.success:
+                raise InputError("error_of: the run has no step, or failed")
+            bars = ErrorBars(
+                objective(run), reasons={part: (f"{type(run.integrator).__name__} has no estimate",) for part in ("newton", "mesh")}
+            )
+        else:
+            adjoint_of("error_of", run)
+            bars = _with_progress(run, objective, memory_limit, progress)
+        if not again:
+            return bars
+        second, changes = _time_again(run, objective, bars.value), {}
+        if any(isinstance(model.parts[placed.name], Reduced) for placed in model.few):
+            changes["modes"] = _modes_again(run, objective) - bars.value
+        return replace(bars, again=second, time=second if bars.time is None else bars.time, **changes)
+
+
+def _with_progress(run, objective, memory_limit, progress):
+    """The ErrorBars of a run of generalized-alpha; progress: as of `error_of`."""
+    if progress is not True:
+        return _estimate(run, objective, memory_limit, progress or (lambda t: None))
+    begin, end = float(run.t[0]), float(run.t[-1])
+    with over_time(progress, begin, end) as tell:
+        return _estimate(run, objective, memory_limit, lambda t: tell(begin + end - t))
+
+
+def _time_again(run, objective, value):
+    """The error of time from a run with other steps."""
+    settings, one = run.integrator, declared(run.integrator)
+    if one.fixed_step() and isinstance(settings, RadauIIA):
+        return _solved(run, run.model, replace(settings, h=settings.h / 2), objective) - value
+    if one.fixed_step() and is_dataclass(settings):
+        first = isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
+        return (value - _solved(run, run.model, replace(settings, h=2 * settings.h), objective)) / (1.0 if first else 3.0)
+    if not hasattr(settings, "rtol"):
+        raise InputError(f"error_of: {type(settings).__name__} has neither h nor rtol that another run could change")
+    rtol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL)
+    finer = {"rtol": TENTH * rtol} | ({} if settings.atol is None else {"atol": TENTH * np.asarray(settings.atol, float)})
+    finer = {name: float(x) if np.ndim(x) == 0 else tuple(x.tolist()) for name, x in finer.items()}
+    return _solved(run, run.model, replace(settings, **finer), objective) - value
+
+
+def _modes_again(run, objective):
+    """J of a run whose reduced plates have FIELDS more fields."""
+    old = guard(run.model)
+    names = [placed.name for placed in old.few if isinstance(old.parts[placed.name], Reduced) and placed.name not in old.strains]
+    model = old
+    for name in names:
+        body = old.parts[name]
+        own, missing = body.fields, missing_fields(run, name, FIELDS)
+        model = with_part(model, name, replace(body, fields=missing if own is None else np.concatenate([own, missing])))
+    sizes = {placed.name: placed.pairs for placed in (*model.bodies, *model.few)}
+    moved = []
+    for placed in (*old.bodies, *old.few):
+        first = sizes[placed.name].start
+        moved += [(k, first + k - placed.pairs.start) for k in range(placed.pairs.start, placed.pairs.stop)]
+    if len(moved) != old.n // 2:
+        raise InputError("error_of: again=True cannot enrich reduced plates of a scene with first-order states")
+    before, after = np.array(moved).T
+    return _solved(run, model, run.integrator, objective.named(old), (before, after))
+
+
+def _solved(run, model, settings, objective, places=None):
+    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates. Raises InputError if it fails."""
+    if run.plan.get("output") or run.status == "stopped":
+        raise InputError("error_of: again=True needs a run without `output` and `until`")
+    model = guard(model)
+    q, v = (np.asarray(x[0], float) for x in (run.q, run.v))
+    if places is not None:
+        q, v = (_placed(x, model.n, *places) for x in (q, v))
+    options = {"every": run.plan.get("every", 1), "t0": float(run.t[0]), "q0": q, "v0": v}
+    other = solve(unguarded(model), float(run.t[-1]), settings, **options)
+    if not other.success:
+        raise InputError(f"error_of: the run with {settings!r:.100} failed: {other.message}")
+    return float(objective(other))
+
+
+def _placed(x, n, before, after):
+    result = np.zeros((n // 2, 2))
+    result[after] = x.reshape(-1, 2)[before]
+    return result.ravel()
 
 
 def _estimate(run, objective, memory_limit, progress):
@@ -208,13 +354,20 @@ def _estimate(run, objective, memory_limit, progress):
     sweep.sweep_backward(progress)
     time, steps = sweep.of_time()
     share, why = sweep.reasons(time)
-    cells = {name: mesh.cells for name, mesh in sweep.meshes.items()}
+    parts = {name: mesh.parts for name, mesh in sweep.meshes.items()}
+    cells = {name: sum(part) for name, part in parts.items()}
+    left_out = sweep.reasons_of_mesh()
+    sums = np.sum([part.sum(axis=1) for part in parts.values()], axis=0) if parts else np.zeros(2)
+    if parts and abs(sums.sum()) < CANCEL * np.abs(sums).max():
+        left_out = (
+            f"the errors of shape functions and of their integration cancel, {100 * abs(sums.sum()) / np.abs(sums).max():.0f} % are left",
+        )
     return ErrorBars(
         value=sweep.objective_slopes.value,
         time=time,
         newton=sweep.newton,
-        mesh=float(sum(shares.sum() for shares in cells.values())) if cells else None,
-        reasons={"time": why, "mesh": sweep.reasons_of_mesh()},
+        mesh=float(sums.sum()) if cells else None,
+        reasons={"time": why, "mesh": left_out},
         cells=cells,
         fast_share=share,
         t=sweep.t,

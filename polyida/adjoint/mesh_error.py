@@ -15,134 +15,130 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from polyida.element import cell_products
+from polyida.element.cell_products import symmetric_part
 from polyida.element.elements import fan_points, wachspress_of_three
+from polyida.element.kernels import _differences, _gradient, _workspace
+from polyida.element.material import second_piola, strain, two_state_strain
 from polyida.element.operator import build
-from polyida.jit import entry, part
-from polyida.jit.intrinsics import LANES
+from polyida.jit import entry
+from polyida.jit.intrinsics import LANES, lane, load, load2, load3, spread, store, traced
 from polyida.mesh import topology
 from polyida.objective.peak_stress import add_cell_energies
 
 OWN = 3.0  # weight of the cell itself in a fit; its neighbours have 1
 
 
-@part
-def differences(corners, first, m, x, out):
-    """out (m, 2, LANES): x at the corners of a block of cells, less that at their last corner."""
-    for i in range(m):
-        for a in range(2):
-            for k in range(LANES):
-                out[i, a, k] = x[corners[first + i * LANES + k], a] - x[corners[first + m * LANES + k], a]
+@traced(3)
+def rate_strain(h, d, viscosity):
+    """E + viscosity E'."""
+    return two_state_strain(h, d, viscosity, 0.0)
 
 
-@part
-def gradient(gradients, start, m, apart, h):
-    """h (4, LANES) = dx/dX at one point."""
-    h[:] = 0.0
-    for i in range(m):
-        g = start + 2 * i * LANES
-        for k in range(LANES):
-            x, y = gradients[g + k], gradients[g + LANES + k]
-            h[0, k] += apart[i, 0, k] * x
-            h[1, k] += apart[i, 0, k] * y
-            h[2, k] += apart[i, 1, k] * x
-            h[3, k] += apart[i, 1, k] * y
+@traced(3)
+def elastic_strain(h):
+    """E."""
+    return strain(h)
 
 
-@part
-def symmetric(h, share, d, out):
-    """out (3, LANES) = sym((I + share H)^T D) as (11, 22, 2 12)."""
-    for k in range(LANES):
-        f11, f12, f21, f22 = 1.0 + share * h[0, k], share * h[1, k], share * h[2, k], 1.0 + share * h[3, k]
-        out[0, k] = f11 * d[0, k] + f21 * d[2, k]
-        out[1, k] = f12 * d[1, k] + f22 * d[3, k]
-        out[2, k] = f11 * d[1, k] + f21 * d[3, k] + f12 * d[0, k] + f22 * d[2, k]
+@traced(3)
+def turned(h, d):
+    """sym(F^T D)."""
+    return symmetric_part(h, d)
 
 
-@part
-def add_work(c, nu, weight, sign, x, y, total):
-    """total (LANES,) += sign weight x : C : y."""
-    for k in range(LANES):
-        normal = x[0, k] * y[0, k] + x[1, k] * y[1, k] + nu * (x[0, k] * y[1, k] + x[1, k] * y[0, k])
-        total[k] += sign * weight[k] * c * (normal + 0.5 * (1.0 - nu) * x[2, k] * y[2, k])
+@traced(3)
+def add_weighted(total, weight, x):
+    """total + weight x."""
+    return tuple(t + weight * y for t, y in zip(total, x))
 
 
-@part
-def gaps(fit, place, value, out):
-    """out (3, LANES) = what linear fits (3, 3, LANES), their values and slopes for each component, are above the values at places (2, LANES)."""
-    for i in range(3):
-        for k in range(LANES):
-            out[i, k] = fit[0, i, k] + fit[1, i, k] * place[0, k] + fit[2, i, k] * place[1, k] - value[i, k]
+@traced(3)
+def gap(value, by_x, by_y, place, x):
+    """How far a linear field is above x at a place."""
+    return tuple(v + a * place[0] + b * place[1] - y for v, a, b, y in zip(value, by_x, by_y, x))
+
+
+@traced(1)
+def sum_of(x, y):
+    """x + y."""
+    return x + y
+
+
+@traced(1)
+def add_work(total, weight, x, y, spherical, deviatoric):
+    """total + weight x : C : y."""
+    s11, s12, s22 = second_piola(x, spherical, deviatoric)
+    return total + weight * (s11 * y[0] + s22 * y[2] + 2.0 * s12 * y[1])
 
 
 @entry
-def cell_errors(layout, corners, gradients, weights, cells, places, near, neighbours, shares, c, nu, viscosity, u, v, w, factor, work, out):
-    """out (cells,) += the parts with three points of one frame.
+def cell_errors(
+    layout, corners, gradients, weights, cells, places, near, neighbours, shares, c, nu, viscosity, u, v, w, factor, fields, means, out
+):
+    """out (2, cells) += the parts with three points of one frame: those of the fields, and of the gaps to the fits.
 
     layout, corners, gradients, weights, cells: of the ReferenceOperator with three points; places (points, 2, LANES); near (cells + 1,): first of
-    the neighbours of a cell and of their shares (., 3) in its fit. u, v, w (nodes, 2). factor: dJ/dW. work: (points, 3, 3, LANES) of E, E + viscosity
-    E' and D, and (cells, 3, 3) of their means.
+    the neighbours of a cell and of their shares (., 3) in its fit. u, v, w (nodes, 2). factor: dJ/dW. fields (points, 3, 3, LANES): E, E + viscosity
+    E' and D; means (cells, 3, 3): of these.
     """
-    fields, means = work
-    most = 0
+    differences, sums, fit, at = _workspace(layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
+    spherical, deviatoric, third = c * nu, c * (1.0 - nu), 3 * LANES
     for b in range(layout.shape[0]):
-        most = max(most, layout[b, 0])
-    du, dv, dw, h, d = (np.empty((most, 2, LANES)), np.empty((most, 2, LANES)), np.empty((most, 2, LANES)), np.empty((4, LANES)), np.empty((4, LANES)))
-    fit, sums, x, y, total = np.empty((3, 3, 3, LANES)), np.empty((3, 3, LANES)), np.empty((3, LANES)), np.empty((3, LANES)), np.empty(LANES)
-    at = 0
-    for b in range(layout.shape[0]):
-        m, start, weight = layout[b, 0] - 1, layout[b, 3], layout[b, 4]
-        differences(corners, layout[b, 2], m, u, du)
-        differences(corners, layout[b, 2], m, w, dw)
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size, total = 2 * m * LANES, spread(0.0)
+        of_w, of_v = differences[size:], differences[2 * size :]
+        _differences(u, corners, first, 0, m, differences)
+        _differences(w, corners, first, 0, m, of_w)
         if viscosity != 0.0:
-            differences(corners, layout[b, 2], m, v, dv)
-        sums[:], total[:] = 0.0, 0.0
+            _differences(v, corners, first, 0, m, of_v)
+        sums[:] = 0.0
         for p in range(layout[b, 1]):
-            one = fields[at]
-            gradient(gradients, start + 2 * p * m * LANES, m, du, h)
-            symmetric(h, 0.5, h, one[0])
-            one[1] = one[0]
-            if viscosity != 0.0:
-                gradient(gradients, start + 2 * p * m * LANES, m, dv, d)
-                symmetric(h, 1.0, d, x)
-                one[1] += viscosity * x
-            gradient(gradients, start + 2 * p * m * LANES, m, dw, d)
-            symmetric(h, 1.0, d, one[2])
-            for k in range(LANES):
-                total[k] += weights[weight + p * LANES + k]
-            for f in range(3):
-                for i in range(3):
-                    for k in range(LANES):
-                        sums[f, i, k] += weights[weight + p * LANES + k] * one[f, i, k]
+            g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
+            h, d = _gradient(gradients, g, differences, m), _gradient(gradients, g, of_w, m)
+            e, slope = elastic_strain(h), turned(h, d)
+            moving = rate_strain(h, _gradient(gradients, g, of_v, m), viscosity) if viscosity != 0.0 else e
+            store(fields, 3 * at * third, e)
+            store(fields, (3 * at + 1) * third, moving)
+            store(fields, (3 * at + 2) * third, slope)
+            store(sums, 0, add_weighted(load3(sums, 0), weight, e))
+            store(sums, third, add_weighted(load3(sums, third), weight, moving))
+            store(sums, 2 * third, add_weighted(load3(sums, 2 * third), weight, slope))
+            total = sum_of(total, weight)
             at += 1
         for k in range(LANES):
-            if total[k] > 0.0:
-                means[cells[b * LANES + k]] = sums[:, :, k] / total[k]
+            if lane(total, k) > 0.0:
+                for i in range(9):
+                    means[cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
     at = 0
     for b in range(layout.shape[0]):
-        fit[:], total[:] = 0.0, 0.0
+        total, gaps = spread(0.0), spread(0.0)
+        fit[:] = 0.0
         for k in range(LANES):
-            for n in range(near[cells[b * LANES + k]], near[cells[b * LANES + k] + 1]):
-                for f in range(3):
+            cell = cells[b * LANES + k]
+            for n in range(near[cell], near[cell + 1]):
+                for i in range(9):
+                    x = means[neighbours[n], i // 3, i % 3]
                     for j in range(3):
-                        for i in range(3):
-                            fit[f, j, i, k] += shares[n, j] * means[neighbours[n], f, i]
+                        fit[((i // 3 * 3 + j) * 3 + i % 3) * LANES + k] += shares[n, j] * x
         for p in range(layout[b, 1]):
-            one, weight = fields[at], weights[layout[b, 4] + p * LANES : layout[b, 4] + (p + 1) * LANES]
-            gaps(fit[1], places[at], one[1], x)
-            gaps(fit[2], places[at], one[2], y)
-            add_work(c, nu, weight, 1.0, one[1], one[2], total)
-            add_work(c, nu, weight, -1.0, x, y, total)
+            weight, place = load(weights, layout[b, 4] + p * LANES), load2(places, 2 * at * LANES)
+            e, x, y = load3(fields, 3 * at * third), load3(fields, (3 * at + 1) * third), load3(fields, (3 * at + 2) * third)
+            over_x = gap(load3(fit, 3 * third), load3(fit, 4 * third), load3(fit, 5 * third), place, x)
+            over_y = gap(load3(fit, 6 * third), load3(fit, 7 * third), load3(fit, 8 * third), place, y)
+            total = add_work(total, weight, x, y, spherical, deviatoric)
+            gaps = add_work(gaps, weight, over_x, over_y, -spherical, -deviatoric)
             if factor != 0.0:
-                gaps(fit[0], places[at], one[0], x)
-                add_work(c, nu, weight, 0.5 * factor, one[0], one[0], total)
-                add_work(c, nu, weight, -0.5 * factor, x, x, total)
+                half, over_e = 0.5 * factor, gap(load3(fit, 0), load3(fit, third), load3(fit, 2 * third), place, e)
+                total = add_work(total, weight, e, e, half * spherical, half * deviatoric)
+                gaps = add_work(gaps, weight, over_e, over_e, -half * spherical, -half * deviatoric)
             at += 1
         for k in range(LANES):
-            out[cells[b * LANES + k]] += total[k]
+            out[0, cells[b * LANES + k]] += lane(total, k)
+            out[1, cells[b * LANES + k]] += lane(gaps, k)
 
 
 class MeshError:
-    """The shares of the cells of a plate, `cells` (cells,), in the error of its mesh. body: the placed plate."""
+    """The shares of the cells of a plate in the error of its mesh. body: the placed plate."""
 
     def __init__(self, body):
         mesh, self.body = body.mesh, body
@@ -150,13 +146,13 @@ class MeshError:
         self.moduli = body.plate.thickness * modulus / (1 - nu**2), nu
         self.fine = three = build(mesh, wachspress_of_three)
         places, numbers = [], three.lane_cells.reshape(-1, LANES)
-        for cells, (n, points) in zip(numbers, three.layout[:, :2].tolist()):
+        for cells, n in zip(numbers, three.layout[:, 0].tolist()):
             corners = mesh.points[mesh.nodes[mesh.offsets[cells] + np.arange(n)[:, None]]].transpose(0, 2, 1)
             near, _, centroid = fan_points(corners)
             places.append(near - centroid)
         self.places, self.fit = np.ascontiguousarray(np.concatenate(places)), _fits(mesh)
-        self.work = np.empty((len(self.places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
-        self.three, self.of_energy = np.zeros((2, mesh.n_cells))
+        self.fields, self.means = np.empty((len(self.places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
+        self.three, self.of_energy = np.zeros((2, mesh.n_cells)), np.zeros(mesh.n_cells)
         self.of_element = np.zeros(len(body.operator.lane_cells))
 
     def add(self, q, v, w, factor):
@@ -164,15 +160,16 @@ class MeshError:
         body, o, (c, nu), viscosity = self.body, self.body.operator, self.moduli, self.body.plate.material.viscosity
         arrays = *self.fine.force_arrays, self.fine.lane_cells, self.places, *self.fit, c * float(body.factors[0][0]), nu, viscosity
         for u, speed, now, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
-            cell_errors(*arrays, u, speed, now, f, self.work, self.three)
+            cell_errors(*arrays, u, speed, now, f, self.fields, self.means, self.three)
             cell_products.force_work(*o.force_arrays, 0, c, nu, viscosity, u, speed, now, self.of_element)
             if f:
                 add_cell_energies(*o.force_arrays, o.lane_cells, c, nu, u, f, self.of_energy)
 
     @property
-    def cells(self):
-        """The shares."""
-        return self.three - self.of_energy - np.bincount(self.body.operator.lane_cells, self.of_element, len(self.three))
+    def parts(self):
+        """Shares of the cells from their integration, and from the gaps to the fits, (2, cells)."""
+        of_element = np.bincount(self.body.operator.lane_cells, self.of_element, self.three.shape[1])
+        return self.three - np.stack([of_element + self.of_energy, np.zeros_like(of_element)])
 
 
 def _fits(mesh):

@@ -163,7 +163,12 @@ class _InModes(FieldBody, part=False):
         return tuple(self.plate.material.prony)  # type: ignore[arg-type]
 
     def truncation_error(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
-        """Return (strain energy, J; displacement, m) that the modes cannot represent: `-d^T r / 2` and the largest |d_i|.
+        """Return (strain energy, J; displacement, m) that the modes cannot represent: `-d^T r / 2` and the largest |d_i|; see `missing`."""
+        r, d = self.missing(moved, accelerations, gravity)
+        return float(-0.5 * d @ r), float(np.abs(d).max())
+
+    def missing(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[np.ndarray, np.ndarray]:
+        """Return (r, d), (2N,) each, in the plate's frame.
 
         r is the residual of the full plate for these displacements and accelerations of the pairs, complex; d is its linear response with
         the attachments held.
@@ -178,7 +183,7 @@ class _InModes(FieldBody, part=False):
             if self._compliance is None:
                 self._compliance = np.stack([self._kkt.solve(-row, none)[0] for row in self._stretches], axis=1)
             d = d - self._compliance @ np.linalg.solve(self._stretches @ self._compliance, self._stretches @ d)
-        return float(-0.5 * d @ r), float(np.abs(d).max())
+        return r, d
 
 
 FRAMES = 400  # of a run that POD uses, evenly spaced
@@ -234,6 +239,59 @@ def pod_modes(run: "Trajectory", name: str, count: int = 5) -> np.ndarray:
     fields, sizes, _ = np.linalg.svd(roots[:, None] * np.array(moved).T, full_matrices=False)
     if (independent := int((sizes > NOTHING * np.abs(rest).max()).sum())) < count:
         raise InputError(f"pod_modes: {name!r} has {independent} fields in this run, not {count}; keep more frames, or take fewer")
+    return pairs_of((fields[:, :count] / roots[:, None]).T)
+
+
+SNAPSHOTS = 41  # frames of a run in which missing fields are looked for, evenly spaced
+
+
+@named_keywords
+def missing_fields(run: "Trajectory", name: str, count: int = 3) -> np.ndarray:
+    """Return the fields that a reduced plate lacks in a run, for `pi.Reduced(plate, modes=..., fields=...)`.
+
+    In 41 frames the residual of the full plate at the recovered motion is applied to the plate at rest with its attachments held; the fields are the
+    left singular vectors of these static corrections, orthonormal in M.
+
+    Parameters
+    ----------
+    run : Trajectory
+    name : str
+        Name of the reduced plate.
+    count : int, >= 1
+
+    Returns
+    -------
+    (count, N, 2) float, m
+        Displacements of the nodes in the axes of the placed plate.
+
+    Raises
+    ------
+    InputError
+        If the run has no such reduced plate or no model, if the plate is viscoelastic, or if fewer than `count` independent fields are missing.
+
+    Examples
+    --------
+    >>> better = pi.Reduced(plate, modes=5, fields=pi.missing_fields(run, "rod"))
+    """
+    model = run.known_model("missing_fields")
+    known = {
+        one.name: one for one in (model.few if model.is_scene else ()) if isinstance(one.body, _InModes) and one.name not in model.strains
+    }
+    if not is_one_of(name, known):
+        raise InputError(f"missing_fields: no elastic reduced plate is called {name!r}; known: {', '.join(map(repr, known)) or 'none'}")
+    if not is_whole(count):
+        raise InputError(f"missing_fields: count = {count!r} must be a whole number of at least 1")
+    placed, corrections = known[name], []
+    for k in np.unique(np.linspace(0, len(run) - 1, SNAPSHOTS).astype(int)).tolist():
+        moved, a = (complex_of_pairs(np.asarray(x[k], float).reshape(-1, 2)[placed.pairs]) for x in (run.q, run.a))
+        gravity = complex(*(float(g(float(run.t[k])) if callable(g) else g) for g in model.gravity))
+        _, d = placed.body.missing(moved, a, gravity)
+        corrections.append(complex_of_pairs(d.reshape(-1, 2)))
+    ones = np.ones(placed.body.matrices.operator.n_nodes)
+    roots = np.sqrt(placed.body.matrices.mass @ ones)
+    fields, sizes, _ = np.linalg.svd(roots[:, None] * np.array(corrections).T, full_matrices=False)
+    if (independent := int((sizes > NOTHING * (sizes[0] or 1.0)).sum()) if sizes[0] else 0) < count:
+        raise InputError(f"missing_fields: {name!r} lacks {independent} fields in this run, not {count}")
     return pairs_of((fields[:, :count] / roots[:, None]).T)
 
 

@@ -65,10 +65,8 @@ class Slopes:
     def plus(self, other: Slopes) -> Slopes:
         """Return the slopes of the sum of two objectives, of the same slice."""
         frames: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
-        direct, energies = (
-            one | {name: value + one.get(name, 0.0) for name, value in another.items()}
-            for one, another in ((self.direct, other.direct), (self.energies, other.energies))
-        )
+        direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
+        energies = self.energies | {name: value + self.energies.get(name, 0.0) for name, value in other.energies.items()}
         works = [work for work in (self.work, other.work) if work is not None]
         work = tuple(map(np.concatenate, zip(*works))) if works else None
         return Slopes(**frames, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model), energies=energies)

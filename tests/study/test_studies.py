@@ -51,6 +51,7 @@ REQUIRED = {
     },
     "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "gradient_over_run": {"gradient_over_run_1e3", "gradient_over_run_1e4"},
+    "error_bars": {"missed", "false_alarms"},
     "gradient_errors": {"gradient_error_default", "gradient_error_1e-10"},
     "designed_in_motion": {"design_gain_over_static", "design_wall_s"},
     "mbb_beam": {"mbb_compliance", "mbb_difference"},

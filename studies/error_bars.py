@@ -1,0 +1,117 @@
+"""Estimated beside measured errors of quantities of runs: of time steps, meshes, modes, and of random scenes, with their cost."""
+
+import numpy as np
+
+from error_bars import cases
+from polyida.cli.study import main
+from polyida.show.style import legend_above, marker_style
+from polyida.study.plotting import line_picture, panels, study_figure
+from polyida.study.rows import column, pick
+from polyida.study.tasks import Study
+
+RUNS = {"time": cases.time_row, "mesh": cases.mesh_row, "modes": cases.modes_row, "random": cases.random_row}
+MEANS = ("mean place", "mean strain energy")
+
+
+def tasks(quick):
+    """Each scene, step and objective; each mesh; each number of modes; random scenes."""
+    result = []
+    for scene, steps in cases.STEPS.items():
+        names = ["mean place", "mean lam^2", "peak reaction" if scene == "slider crank" else MEANS[1], "place at the end", "lam at the end"]
+        if not quick:
+            result += [{"part": "time", "scene": scene, "h": h, "objective": name} for h in steps for name in names]
+        elif scene != "double plate":
+            result += [{"part": "time", "scene": scene, "h": steps[1], "objective": name} for name in names]
+    for scene, cells in cases.CELLS.items():
+        result += [
+            {"part": "mesh", "scene": scene, "cells": count, "objective": name}
+            for count in (cells[:1] if quick else cells)
+            for name in MEANS
+        ]
+    result += [{"part": "modes", "modes": modes} for modes in (cases.MODES[:2] if quick else cases.MODES)]
+    return result + [{"part": "random", "seed": seed} for seed in range(4 if quick else 40)]
+
+
+def run(part, **task):
+    """One row."""
+    return RUNS[part](**task)
+
+
+def figures(rows):
+    """Numbers of trusted estimates outside a factor of 1.5 and of false alarms, extreme ratios and the cost."""
+    timed, result = pick(rows, part="time"), {}
+    result["missed"] = sum(row["trusted"] and row["outside"] for row in timed)
+    result["false_alarms"] = sum(not row["trusted"] and not row["outside"] for row in timed)
+    for part in ("mesh", "modes"):
+        ratios = column(pick(rows, part=part), "ratio")
+        if len(ratios):
+            result |= {f"{part}_ratio_min": float(np.min(ratios)), f"{part}_ratio_max": float(np.max(ratios))}
+    trusted = [row for row in pick(rows, part="random") if row["trusted"]]
+    if trusted:
+        result["random_within"] = float(np.mean([not row["outside"] for row in trusted]))
+        result["random_worst"] = float(max(max(abs(row["ratio"]), 1 / abs(row["ratio"])) for row in trusted))
+        result["random_trusted"] = len(trusted) / len(pick(rows, part="random"))
+    if timed:
+        result["cost_over_gradient"] = float(np.median(column(timed, "cost")))
+    return result
+
+
+def notes(rows):
+    """The meaning of the ratios, and the trusted estimates that are wrong."""
+    wrong = [row for row in pick(rows) if row["trusted"] and row["outside"]]
+    return [
+        "ratio: estimate over error, beside extrapolated runs (time), extrapolated meshes, or the full plate (modes); missed: trusted estimates "
+        "of the error of time with a ratio outside 2/3 to 3/2; false alarms: good ones that are not trusted",
+        *(
+            f"{row['part']}, {row.get('scene', '')} {row.get('objective', '')} {row.get('seed', '')}: trusted, ratio {row['ratio']:.2f}"
+            for row in wrong
+        ),
+    ]
+
+
+@study_figure
+def draw(rows):
+    """Ratio of estimate and error against the share of vibrations whose phase is lost; grey: a factor of 1.5."""
+    timed = [row for row in pick(rows) if row["part"] in ("time", "random")]
+    fig, axes = panels(1 if timed else 0, width=6.4)
+    for i, part in enumerate(("time", "random")):
+        own = pick(timed, part=part)
+        if own:
+            style = marker_style(i) | {"linestyle": "none"}
+            axes[0].plot(np.maximum(column(own, "fast_share"), 1e-4), np.clip(column(own, "ratio"), -2.0, 4.0), label=part, **style)
+    if timed:
+        axes[0].axhspan(1 / cases.FACTOR, cases.FACTOR, color="0.9", zorder=0)
+        axes[0].set(xscale="log", xlabel="share of vibrations whose phase is lost", ylabel="estimate over error")
+    legend_above(fig, axes, columns=2)
+    return line_picture(fig, "error-bars")
+
+
+study = Study(
+    "error_bars",
+    "Estimated errors of quantities of runs",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    headline=("missed", "false_alarms"),
+    columns=(
+        "part",
+        "scene",
+        "objective",
+        "h",
+        "cells",
+        "modes",
+        "seed",
+        "exact_error",
+        "estimate",
+        "ratio",
+        "fast_share",
+        "trusted",
+        "twice",
+        "cost",
+    ),
+)
+
+if __name__ == "__main__":
+    main(study)

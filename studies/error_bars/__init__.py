@@ -1,0 +1,1 @@
+"""Modules of studies/error_bars.py: scenes whose errors are estimated and measured."""
