@@ -40,8 +40,10 @@ def run(part, **task):
 def figures(rows):
     """Numbers of trusted estimates outside a factor of 1.5 and of false alarms, extreme ratios and the cost."""
     timed, result = pick(rows, part="time"), {}
-    result["missed"] = sum(row["trusted"] and row["outside"] for row in timed)
-    result["false_alarms"] = sum(not row["trusted"] and not row["outside"] for row in timed)
+    if timed:
+        result["missed"] = sum(row["trusted"] and row["outside"] for row in timed)
+        result["false_alarms"] = sum(not row["trusted"] and not row["outside"] for row in timed)
+        result["cost_over_gradient"] = float(np.median(column(timed, "cost")))
     for part in ("mesh", "modes"):
         ratios = column(pick(rows, part=part), "ratio")
         if len(ratios):
@@ -51,8 +53,6 @@ def figures(rows):
         result["random_within"] = float(np.mean([not row["outside"] for row in trusted]))
         result["random_worst"] = float(max(max(abs(row["ratio"]), 1 / abs(row["ratio"])) for row in trusted))
         result["random_trusted"] = len(trusted) / len(pick(rows, part="random"))
-    if timed:
-        result["cost_over_gradient"] = float(np.median(column(timed, "cost")))
     return result
 
 

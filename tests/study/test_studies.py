@@ -176,6 +176,10 @@ def performance(name, task):
         times = dict.fromkeys(("alpha_us", "exudyn_us", "radau_us", "energy_us"), 10.0 * task["size"])
         ratios = dict.fromkeys(("alpha_over_exudyn", "radau_over_alpha", "energy_over_alpha"), 1.0)
         return {"n": 4 * task["size"], "m": 3 * task["size"], "exudyn": "sparse, full Newton", "apart_m": 1e-8} | times | ratios
+    if name == "error_bars":
+        more = {"time": {"cost": 1.0, "steps": 10}, "modes": {"twice": 0.5}}.get(task["part"], {})
+        made = {"exact_error": 1e-3, "estimate": 1e-3, "ratio": 1.0, "trusted": True, "outside": False, "fast_share": 0.1}
+        return made | more
     if name == "gradient_errors":
         return {"n": 40, "steps": 10, "iterations": 2.0, "slope_error": task["tolerance"] or 1e-5, "stiffness": 1e-6}
     if task["part"] in COSTS:
