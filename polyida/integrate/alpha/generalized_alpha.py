@@ -20,6 +20,7 @@ FORMS = ("index3", "stabilised")
 STARTS = ("consistent", "plain")
 ABSOLUTE = 1e-3  # m: atol over rtol if only rtol is given, for a start at q = 0
 SHARE = 1e-3  # of the local error of a step, which Newton may leave by default
+HINT = "errors of a number of the run: pi.error_of(run, objective)"
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
@@ -241,13 +242,13 @@ class GeneralizedAlpha(Integrator):
         return self if self.adaptive else replace(self, max_halvings=0)
 
     def summary_of_steps(self, memory: dict) -> str:
-        """Text of a summary on the steps that a run without h took; memory of one of its states."""
+        """Text of a summary: how to estimate errors, and the steps that a run without h took; memory of one of its states."""
         if self.h is not None or "sizes" not in memory:
-            return ""
+            return HINT
         length, _, time, _ = memory["sizes"]
         rtol, atol = tolerances(self.rtol, self.atol, length)
         last = f", at last of {float(memory['h']):.1e} s" if "h" in memory else ""
-        return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s{last}"
+        return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s{last}, {HINT}"
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one for each step; rows: arrays for the frames, see Steps. Raises StepFailure."""
