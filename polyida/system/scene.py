@@ -205,7 +205,7 @@ class SceneTable:
 
     longest = INSTANTS
     entries = FUNCTIONS
-    optional = LAW_FORCES, LAW_SLOPES, RELAXING
+    optional: tuple[int, ...] = LAW_FORCES, LAW_SLOPES, RELAXING
 
     def __init__(self, model, tied, incremental):
         self.model, links = model, model.arrays.links
