@@ -169,7 +169,7 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
     "Weld": (made(pi.Weld, a=RIGHT, b=NEXT), {"a": SIDE + [OTHER.node(0)], "b": SIDE + [LEFT, OTHER.node(0)], "name": TEXT}),
     "PrescribedPosition": (
         made(pi.PrescribedPosition, at=LEFT, x=0.0, y=None),
-        {"at": BODY_SIDE, "x": PROFILE, "y": without(PROFILE, type(None)), "name": TEXT},
+        {"at": BODY_SIDE, "x": PROFILE, "y": without(PROFILE, type(None)), "friction": NOT_NEGATIVE, "name": TEXT},
     ),
     "SpringDamper": (
         made(pi.SpringDamper, a=PLACE, b=RIGHT, stiffness=1.0),

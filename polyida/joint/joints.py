@@ -326,19 +326,23 @@ class AngleMotor(Joint):
 class PrescribedPosition(Joint):
     """Prescribe the position of a point by profiles of time, in both directions or in one: `phi = (x - X(t), y - Y(t))`, m.
 
-    Reaction, (rows,): force on the attachment in these directions, N.
+    Reaction, (rows,): force on the attachment in these directions, N; with friction (2,).
 
     Parameters
     ----------
     at : Attachment
     x, y : Profile, function of time or float, m, or None
         Coordinates of the point, not its displacements; None: free in that direction. At the start of a run the point must be there.
+    friction : float
+        Coefficient mu of dry friction in the free direction, as on a wall that moves only across its surface: the force is at most `mu |N|`,
+        N that in the prescribed direction.
     name : str, optional
 
     Raises
     ------
     InputError
-        If x and y are both None, or not profiles, or if `at` is not an attachment of a body.
+        If x and y are both None, or not profiles, if `at` is not an attachment of a body, for a negative coefficient, and for friction if no
+        direction is free.
     """
 
     a: Any = field(default=ground, init=False)
@@ -346,27 +350,35 @@ class PrescribedPosition(Joint):
     at: Attachment
     x: "Profile | Callable[[float], float] | float | None"
     y: "Profile | Callable[[float], float] | float | None"
+    friction: float = 0.0
 
     def __post_init__(self):
         label = labelled("PrescribedPosition", self.name)
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
             raise InputError(f"{label}: x and y are both None; give a profile of one at least")
+        require_friction(self)
+        if self.friction and self.x is not None and self.y is not None:
+            raise InputError(f"{label}: friction = {self.friction:g} needs a direction to slide in: one of x and y must be None")
         profiles = {axis: None if value is None else as_profile(value, label) for axis, value in (("x", self.x), ("y", self.y))}
         settle(self, a=ground.at(self.at.point), b=self.at, **profiles)
 
     def rows(self) -> list[Row | Vector]:
-        """`x - X(t)` and `y - Y(t)`, or one of them."""
+        """`x - X(t)` and `y - Y(t)`, or one of them, and with friction the other coordinate."""
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
         label = "PrescribedPosition"
-        return [
+        driven: list[Row | Vector] = [
             (dot(along(e), self.at.x) - as_profile(profile, label)).named(axis, "N") for axis, e, profile in axes if profile is not None
         ]
+        if not self.friction:
+            return driven
+        way = dot(along(1.0 if self.x is None else 1j), self.at.x)
+        return [*driven, way.named("friction", "N").rubs(self.friction, on=driven)]
 
     @property
     def components(self) -> tuple[tuple[str, str], ...]:
-        """Forces in the prescribed directions."""
-        return tuple((axis, "N") for axis, profile in (("x", self.x), ("y", self.y)) if profile is not None)
+        """Forces in the prescribed directions, with friction in both."""
+        return tuple((axis, "N") for axis, profile in (("x", self.x), ("y", self.y)) if profile is not None or self.friction)
 
     def facing(self) -> Self:
         """Return itself: a is already a place of the ground."""

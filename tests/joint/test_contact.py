@@ -255,6 +255,25 @@ def test_friction_of_a_slide_that_a_motor_drives(integrator):
     assert forces[away] == pytest.approx(0.3 * G * np.sign(0.1 - run.t[away]), rel=1e-6)
 
 
+@pytest.mark.parametrize("integrator", [pi.NonsmoothAlpha(h=1e-3), pi.GeneralizedAlpha(h=1e-3)])
+def test_friction_on_a_driven_wall(integrator):
+    """A wall drives a body with the acceleration A: it slides along the wall with the deceleration mu A until it sticks."""
+    A, mu, v0 = 4.0, 0.25, 0.5
+    scene = pi.Scene()
+    slider = scene.add(body("slider", (0.0, 0.0), velocity=(0.0, v0)))
+    scene.add(pi.PrescribedPosition(slider.at("c"), x=pi.profile.polynomial([0.0, 0.0, A / 2]), y=None, friction=mu, name="wall"))
+    run = pi.solve(scene.build(), 0.8, integrator)
+    assert run.success, run.message
+    slides = np.minimum(run.t, v0 / (mu * A))
+    assert run.position(slider.at("c"))[:, 1] == pytest.approx(v0 * slides - mu * A * slides**2 / 2, abs=1e-3)
+    away = (np.abs(run.t - v0 / (mu * A)) > 2.5e-3) & (run.t > 0.0)
+    force = np.array([np.full(len(run), A), np.where(run.t < v0 / (mu * A), -mu * A, 0.0)]).T
+    assert run.reaction("wall")[away] == pytest.approx(force[away], abs=1e-6)
+    for wrong, message in (({"friction": -0.1}, "friction = -0.1"), ({"y": 0.0, "friction": 0.1}, "one of x and y must be None")):
+        with pytest.raises(pi.InputError, match=message):
+            pi.PrescribedPosition(slider.at("c"), **{"x": 0.0, "y": None} | wrong)
+
+
 def test_two_nearly_parallel_floors():
     """A ball that penetrates both within a step is put back onto one of them: the other pushes, and does not pull."""
     scene = pi.Scene(gravity=(0.0, -G))
