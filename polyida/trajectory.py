@@ -414,6 +414,7 @@ class Trajectory:
         seconds = f"{self.cpu_seconds:.3g} CPU s, {self.wall_seconds:.3g} s by the clock"
         rows = [("message", self.message)] * bool(self.message) + [("model", model), ("integrator", short(self.integrator, CELL))]
         rows += [("time taken", seconds), ("counts", ", ".join(f"{name} {count}" for name, count in self.counts.as_dict().items()))]
+        rows += [("events", cut(self.events.summary(), CELL))] * bool(self.events)
         return table(f"Trajectory: {self._headline()}", (), rows) + registry.find(registry.views, "drawing")(self)
 
     @property

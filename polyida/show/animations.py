@@ -10,11 +10,24 @@ from typing import Any
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.reprs import cut
 from polyida.show import plates
-from polyida.show.style import INK, STICK, bounds, colour_limit, figure_to_scale, finish_layout, settings, show_to_scale, stress_colorbar
+from polyida.show.style import (
+    INK,
+    STICK,
+    bounds,
+    colour_limit,
+    figure_to_scale,
+    finish_layout,
+    literal,
+    settings,
+    show_to_scale,
+    stress_colorbar,
+)
 from polyida.validation import named_keywords
 
 GIF_FRAMES, MP4_RATE = 80, 25  # default number of frames of a GIF; frames per second of an MP4
+EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 
 
 @named_keywords
@@ -27,7 +40,7 @@ def animation(
     overwrite: bool = False,
     progress: Callable[[float], object] | None = None,
 ) -> Path:
-    """Write the motion of a run as an animated GIF or as MP4, coloured by von Mises stress.
+    """Write the motion of a run as an animated GIF or as MP4, coloured by von Mises stress; names of events stay for 5 frames.
 
     Parameters
     ----------
@@ -129,6 +142,11 @@ class FramePicture:
         self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
         boxes = np.array([bounds(plates.places(run, k)) for k in frames])
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        self.events = {k: {} for k in frames}  # names of events that a frame shows, each once, newest first
+        for event in reversed(run.events):
+            first = np.searchsorted(frames, min(event.frame, frames[-1]))
+            for k in frames[first : first + EVENT_FRAMES]:
+                self.events[k][event.name] = None
         self.stress = {k: run.von_mises(k) / 1e3 for k in frames}
         style = {"cmap": "viridis", "clim": (0, colour_limit([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
@@ -162,4 +180,5 @@ class FramePicture:
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 
     def _time(self, k):
-        return f"t = {self.run.t[k]:.3f} s"
+        names = cut(", ".join(self.events[k]), EVENT_TEXT)
+        return f"t = {self.run.t[k]:.3f} s" + (f", {literal(names)}" if names else "")

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
+from polyida.reprs import cut
 from polyida.results.motion import quantity, unbalanced
 from polyida.show import plates
 from polyida.show.style import (
     INK,
+    MARK,
     PALETTE,
     STICK,
     bounds,
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 MAX_VECTOR_POLYGONS = 20_000  # more polygons in one picture are an image in a PDF
 CORNER_COLOURS = {4: "#F3F7FA", 5: "#D5E5F0", 6: "#A9CBE2", 7: "#7DB1D4"}  # by number of corners: 4 or fewer, 5, 6, 7 or more
 ENERGY_MARKERS = {"kinetic": "o", "potential": "^", "strain": "s", "total": "x"}
+NAMED_EVENTS, NAME_DISTANCE, SHORT_MARK = 20, 0.04, 0.04  # names of events at most; their least distance and a short mark, of the axes
 INTERVALS, SMALLEST_DRIFT = 30, 1e-17  # a drift is drawn by its maximum in each interval of time; smaller values are drawn at the bound
 DRIFTS = {"drift": ("position", "max|φ|"), "velocity_drift": ("velocity", "max|dφ/dt|")}  # attribute: constraints, axis label
 
@@ -146,6 +149,8 @@ def tip(runs, point="tip"):
         t, frames = np.unique(first.t, return_index=True)
         velocity = first.model.position(point, first.v) - first.model.position(point, np.zeros((1, first.v.shape[1])))
         interpolated = CubicHermiteSpline(t, first.position(point)[frames], velocity[frames], extrapolate=False)
+        for axis in history:
+            mark_events(axis, first)
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             difference = run.position(point) - interpolated(run.t) if others else run.position(point)
             for axis, values in zip(history, difference.T):
@@ -182,6 +187,8 @@ def _history_panels(runs, titles, functions, height, margin):
             for i, (label, run) in enumerate(runs.items() if k < len(functions) else ()):
                 axis.plot(run.t, functions[k](run), label=literal(label), **line_style(i))
                 axis.set(title=titles[k][0], ylabel=titles[k][1])
+            if k < len(functions):
+                mark_events(axis, next(iter(runs.values())), names=k < columns)
             if k + columns >= len(functions):
                 axis.set_xlabel("t, s")
                 axis.tick_params(labelbottom=True)
@@ -197,6 +204,8 @@ def energy(runs):
         for i, (part, values) in enumerate(_energies(first).items()):
             markers = {"marker": ENERGY_MARKERS[part], "markersize": 4, "markerfacecolor": "none", "markevery": (0.02 + 0.03 * i, 0.12)}
             axes[0].plot(first.t, values, label=part, **line_style(0) | {"linewidth": 0.8} | markers)
+        for axis in axes:
+            mark_events(axis, first)
         axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energies of {_name_of_first(first_label)}")
         low, high = axes[0].get_ylim()
         axes[0].set_ylim(low, high + 0.14 * (high - low))  # space for the legend
@@ -249,6 +258,24 @@ def interval_maxima(t, values):
     return t[top], np.maximum(values[top], SMALLEST_DRIFT)
 
 
+def mark_events(axes, run, names=True):
+    """Draw thin vertical lines at the events of a run, short ones of many, with up to NAMED_EVENTS names that do not overlap."""
+    from matplotlib.collections import LineCollection
+
+    if not run.events:
+        return
+    height = 1.0 if len(run.events) <= 2 * NAMED_EVENTS else SHORT_MARK
+    marks = [[(t, 0.0), (t, height)] for t in np.unique(run.events.t)]
+    style = {"colors": MARK, "linewidths": 0.5, "alpha": 0.6, "zorder": 0.5, "label": "_events"}
+    axes.add_collection(LineCollection(marks, transform=axes.get_xaxis_transform(), **style), autolim=False)
+    last, count, distance = -np.inf, 0, NAME_DISTANCE * (run.t[-1] - run.t[0])
+    for event in run.events if names else ():
+        if count < NAMED_EVENTS and event.t - last > distance:
+            place = {"transform": axes.get_xaxis_transform(), "rotation": 90, "ha": "right", "va": "bottom", "clip_on": True}
+            axes.text(event.t, SHORT_MARK, literal(cut(event.name, 20)), fontsize=6, color=MARK, **place)
+            last, count = event.t, count + 1
+
+
 def _name_of_first(label):
     return literal(label) if len(label) <= 20 else "the first run"
 
@@ -264,6 +291,7 @@ class RunPlots:
     Notes
     -----
     Each method draws into matplotlib axes, into new pyplot axes if None, and returns them. It raises InputError if the run lacks the quantity.
+    Histories have thin vertical lines at the events of the run, with the names of up to 20.
     """
 
     def __init__(self, run: Any) -> None:
@@ -359,6 +387,7 @@ class RunPlots:
         with on_axes(axes) as axis:
             for i, (name, (_, label)) in enumerate(DRIFTS.items()):
                 axis.semilogy(*interval_maxima(self._run.t, getattr(self._run, name)), label=label, marker=".", **line_style(i))
+            mark_events(axis, self._run)
             axis.set(xlabel="t, s", ylabel="violation of the constraints")
             axis.legend(loc="best")
             return axis
@@ -389,6 +418,7 @@ class RunPlots:
         with on_axes(axes) as axis:
             for i, (label, values) in enumerate(histories.items()):
                 axis.plot(self._run.t, values, label=label, **line_style(i))
+            mark_events(axis, self._run)
             axis.set(xlabel="t, s", ylabel=heading)
             axis.legend(loc="best")
             return axis

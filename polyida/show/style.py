@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 STYLE_FILE = Path(__file__).parent / "templates" / "polyida.mplstyle"
-INK, STICK = "#222222", "#8C5A2B"  # lines and text; bodies without a mesh
+INK, STICK, MARK = "#222222", "#8C5A2B", "#555555"  # lines and text; bodies without a mesh; marks of events
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")

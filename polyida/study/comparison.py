@@ -24,6 +24,13 @@ REFERENCE = "refined run"  # label of the reference run
 MAX_RTOL, RTOL_RATIO, MIN_RTOL = 1e-9, 1000, 1e-13  # rtol of the reference: a thousandth of the runs' rtol within these limits
 MAX_LABEL = 60  # characters; labels are file names
 MAX_VTU_FRAMES = 50
+MAX_EVENTS = 50  # rows of the table of a run's events
+EVENT_COLUMNS = {  # attribute of an event: (heading, format)
+    "t": ("t, s", "{:.6g}"),
+    "name": ("event", "{}"),
+    "impulse": ("impulse, N s", "{:.4g}"),
+    "energy_lost": ("energy lost, J", "{:.4g}"),
+}
 ERRORS = (
     "Errors are distances from the refined run: Radau IIA on the same mesh with rtol 1e-9, or with a thousandth of the runs' rtol. They are "
     "errors of time integration, not of the mesh. CPU seconds do not contain the compilation of kernels. The energy change is that of "
@@ -112,11 +119,21 @@ class Comparison(Result):
         blocks = [html.Notes(self.notes), html.Heading("Result"), html.Table(self.shown_columns(), self.rows)]
         settings = html.Table({"run": ("run", "{}"), "settings": ("settings", "code")}, self.rows)
         blocks += [html.Text(f"{ERRORS} {self.gap_text()}"), html.Heading("Settings"), settings]
-        return [*blocks, *movie, html.Heading("Figures"), *self.report_pictures()]
+        return [*blocks, *event_tables(self.runs), *movie, html.Heading("Figures"), *self.report_pictures()]
 
     def report_pictures(self):
         figures = run_figures(self.ivp, self.runs, self)
         return [html.Picture(name, caption, self._drawn.get(name) or draw()) for name, (draw, caption) in figures.items()]
+
+
+def event_tables(runs):
+    """Blocks of a page with the events of {label: Trajectory}, at most MAX_EVENTS of each run; none without events."""
+    blocks = []
+    for label, run in runs.items():
+        rows = [{key: getattr(event, key) for key in EVENT_COLUMNS} for event in run.events[:MAX_EVENTS]]
+        blocks += [html.Table(EVENT_COLUMNS, rows, label)] if rows else []
+        blocks += [html.Text(f"and {len(run.events) - len(rows)} more")] if len(run.events) > len(rows) else []
+    return [html.Heading("Events"), *blocks] if blocks else []
 
 
 def run_figures(ivp, runs, comparison=None):
