@@ -22,6 +22,7 @@ from polyida.reprs import brief
 from polyida.results.motion import Motion
 
 GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+NEAR = 1e-3  # of the time between the frames beside them: two frames that are closer have one slope
 SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
 
@@ -50,7 +51,7 @@ def _works_of(motion):
         values = lam[first : last + 1].copy()
         if first in behind:
             values[0] = behind[first][1]
-        slopes = np.gradient(values, t[first : last + 1], axis=0, edge_order=min(2, last - first))
+        slopes = _slopes(values, t[first : last + 1])
         multipliers += zip(values[:-1], slopes[:-1], values[1:], slopes[1:])
     for k, ((q0, v0), (q1, v1)) in enumerate(pairwise(zip(each(motion.q), each(motion.v)))):
         h = t[k + 1] - t[k]
@@ -61,6 +62,15 @@ def _works_of(motion):
             lam, _ = cubic(*multipliers[k], h, s)
             gained[k + 1] += part * h * powers(t[k] + s * h, q, v, lam)
     return dict(zip(powers.names, np.cumsum(gained, axis=0).T))
+
+
+def _slopes(values, t):
+    """Slopes of values (frames, m). A frame much nearer to the one before than to others has its slope: a difference there is round-off."""
+    h = np.diff(t)
+    beside_it = np.maximum(np.append(0.0, h[:-1]), np.append(h[1:], 0.0))
+    apart = np.append(True, h >= NEAR * beside_it)
+    slopes = np.gradient(values[apart], t[apart], axis=0, edge_order=min(2, apart.sum() - 1))
+    return slopes[np.cumsum(apart) - 1]
 
 
 class _Powers:

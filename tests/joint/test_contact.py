@@ -269,6 +269,8 @@ def test_friction_on_a_driven_wall(integrator):
     away = (np.abs(run.t - v0 / (mu * A)) > 2.5e-3) & (run.t > 0.0)
     force = np.array([np.full(len(run), A), np.where(run.t < v0 / (mu * A), -mu * A, 0.0)]).T
     assert run.reaction("wall")[away] == pytest.approx(force[away], abs=1e-6)
+    gained = run.energy.total - run.energy.total[0]  # alpha has a frame at 0.5 s and one at the event, some 1e-14 s later
+    assert sum(run.energy.work.values()) - sum(run.energy.dissipated.values()) == pytest.approx(gained, abs=1e-7)
     for wrong, message in (({"friction": -0.1}, "friction = -0.1"), ({"y": 0.0, "friction": 0.1}, "one of x and y must be None")):
         with pytest.raises(pi.InputError, match=message):
             pi.PrescribedPosition(slider.at("c"), **{"x": 0.0, "y": None} | wrong)
