@@ -13,15 +13,16 @@ TIGHT = 1e-10  # Newton's tolerance
 
 
 def at_end(model, name="q", row=None):
-    """x of "tip" at the end, or one entry of lam."""
-    weights = np.array([model.displacement("tip", unit)[0] for unit in np.eye(model.n)]) if row is None else np.eye(model.m)[row]
+    """x of "tip" at the end, or one entry of q, v or lam."""
+    place = slice(None) if row is None else [row]
+    weights = np.ones(1) if row is not None else np.array([model.displacement("tip", unit)[0] for unit in np.eye(model.n)])
 
     def slopes(run):
         result = np.zeros(getattr(run, name).shape)
-        result[-1] = weights
+        result[-1, place] = weights
         return {name: result}
 
-    return P.UserObjective(lambda run: float(weights @ getattr(run, name)[-1]), slopes)
+    return P.UserObjective(lambda run: float(weights @ getattr(run, name)[-1, place]), slopes)
 
 
 def rigid_crank():
@@ -108,6 +109,79 @@ def test_adaptive_steps_and_other_settings(settings):
         np.abs(ratios(run, objectives[:1] + objectives[3:4], references(model, 0.4, objectives[:1] + objectives[3:4], 2.5e-4)) - 1).max()
         < 0.01
     )
+
+
+class Oscillator(pi.Model):
+    """A mass on a spring beside a spring and a damper in series: `x' = (q - x)/tau`, x the second velocity."""
+
+    n, m, k = 1, 0, 1
+    needs = pi.Needs(mass_varies=False)
+    tau = 0.1
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v, x):
+        return 13.0 * q - 9.0 * x
+
+    def rates(self, t, q, v, x):
+        return (q - x) / self.tau
+
+
+class Skate(pi.Model):
+    """A skate on a belt that shakes."""
+
+    n, m, p = 3, 0, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False)
+
+    def mass(self, q):
+        return np.diag(np.array([1.0, 1.0, 0.4]))
+
+    def force(self, t, q, v):
+        return np.array([-2.0, 0.0, -0.2 * np.cos(q[0])])
+
+    def psi(self, t, q, v):
+        return np.array([v[1] * np.cos(q[2]) - v[0] * np.sin(q[2]) - 0.2 * np.sin(3.0 * t)])
+
+
+def rolling_disc():
+    """A disc on a slope that a spring holds."""
+    scene, along = pi.Scene(gravity=(0.0, -9.81)), np.array([np.cos(0.4), -np.sin(0.4)])
+    origin = 0.1 * np.array([-along[1], along[0]])
+    points, start = {"c": (0.0, 0.0), "rim": (0.1, 0.0)}, {"spin": -3.0, "velocity": tuple(0.3 * along)}
+    body = scene.add(pi.RigidBody(mass=2.0, inertia=0.013, points=points, origin=tuple(origin), **start, name="disc"))
+    scene.add(pi.RollingDisc(pi.ground.at((0.0, 0.0), direction=along), body.at("c"), radius=0.1, name="contact"))
+    scene.add(pi.SpringDamper(pi.ground.at((0.5, 0.0)), body.at("rim"), stiffness=200.0, name="spring"))
+    return scene.build()
+
+
+def geared_bar():
+    """A bar with a motor and a Maxwell element, which have states."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 0.5, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.DCMotor(bar.at("left"), volts=profile.sine(12.0, 1.0), k=0.5, L=0.05, R=1.0, name="motor"))
+    scene.add(pi.Maxwell(pi.ground.at((0.5, 0.5)), bar.at("right"), stiffness=40.0, damping=4.0, name="element"))
+    return scene.build()
+
+
+@pytest.mark.parametrize(
+    ("made", "start", "ends"),
+    [
+        (Oscillator, {"v0": [1.0]}, [("q", 0), ("v", 0), ("v", 1)]),
+        (pi.compiled(type("CompiledOscillator", (Oscillator,), {})), {"v0": [1.0]}, [("q", 0), ("v", 1)]),
+        (Skate, {"v0": [0.0, 0.0, 1.5]}, [("q", 0), ("v", 1)]),
+        (rolling_disc, {}, [("q", 0), ("v", 1)]),
+        (geared_bar, {}, [("q", 2), ("v", 4), ("v", 6)]),
+    ],
+    ids=["states", "compiled states", "velocity row", "rolling disc", "states of a scene"],
+)
+def test_models_with_states_and_velocity_rows(made, start, ends):
+    model = made()
+    objectives = [at_end(model, name, row) for name, row in ends]
+    coarse, half, fine = (pi.solve(model, 0.4, pi.GeneralizedAlpha(h=h, tolerance=TIGHT), **start) for h in (5e-3, 1.25e-3, 6.25e-4))
+    values = [(4 * one(fine) - one(half)) / 3 for one in objectives]
+    assert np.abs(ratios(coarse, objectives, values) - 1).max() < 0.1
 
 
 def test_stretches_and_checkpoints_do_not_change_the_estimate(monkeypatch):
