@@ -96,7 +96,7 @@ class AlphaErrors(AlphaAdjoint):
         breaks = [
             one.first
             for one in segments
-            if one.kind != "on" or model.switching or at_kink(model, float(self.ready[one.first][0].t)) or not one.first
+            if one.kind != "on" or not one.first or at_kink(model, float(self.ready[one.first][0].t)) or self._switches(one)
         ]
         self.pieces = list(zip(breaks, [*breaks[1:], count]))
         self.steps, self.t, self.h = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -104,6 +104,12 @@ class AlphaErrors(AlphaAdjoint):
         self.at_instants, self.of_forces = 0.0, 0.0
         self.window, self.open = None, 0
         self.meshes = {body.name: MeshError(body) for body in model.bodies} if not self.reasons_of_mesh() else {}
+
+    def _switches(self, segment):
+        """True if a gap opens or closes where a segment begins; other steps that are shortened for a contact leave the motion smooth."""
+        state, gaps = self.ready[segment.first][0], self.model.gaps
+        before, after = (gaps(state.t + s, state.q + s * state.v) < 0.0 for s in (-0.5 * segment.before, 0.5 * segment.h))
+        return bool((before != after).any())
 
     def reasons_of_mesh(self):
         """Reasons why there is no estimate of the error of the meshes."""

@@ -184,6 +184,18 @@ def test_models_with_states_and_velocity_rows(made, start, ends):
     assert np.abs(ratios(coarse, objectives, values) - 1).max() < 0.1
 
 
+@pytest.mark.parametrize(("h", "exponent", "damping", "stiffness"), [(1e-3, 1.5, 0.2, 2e4), (2e-3, 1.0, 0.0, 1e3)])
+def test_a_penalty_contact_whose_steps_are_shortened(h, exponent, damping, stiffness):
+    scene, start = pi.Scene(gravity=(0.0, -9.81)), {"velocity": (0.6, 0.0), "spin": 3.0}
+    bar = scene.add(pi.RigidBody.bar(0.4, 0.5, origin=(0.0, 0.3), angle=0.5, **start, name="bar"))
+    scene.add(pi.PenaltyContact(bar.at("left"), pi.ground.at((0.0, 0.0)), stiffness, damping, exponent, name="floor"))
+    model = scene.build()
+    objectives, fine = [at_end(model, "q", 3), at_end(model, "v", 3)], pi.solve(model, 0.35, pi.RadauIIA(rtol=1e-8))
+    run = pi.solve(model, 0.35, pi.GeneralizedAlpha(h=h, tolerance=TIGHT))
+    assert np.diff(run.t).min() < 0.6 * h
+    assert np.abs(ratios(run, objectives, [one(fine) for one in objectives]) - 1).max() < 0.1
+
+
 def test_stretches_and_checkpoints_do_not_change_the_estimate(monkeypatch):
     model, objectives = damped_arm(cells=8)
     run = pi.solve(model, 0.8, pi.GeneralizedAlpha(h=2.5e-3))
