@@ -119,6 +119,7 @@ def compare(
     step: options.Step = None,
     rtol: options.Rtol = None,
     integrators: options.Integrators = None,
+    errors: options.Errors = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ):
@@ -146,7 +147,7 @@ def compare(
                 writer.wait_until_ready()
                 runs = comparison.run_timed(ivp, members, progress)
                 comparison.draw_early(ivp, runs, writer)
-                result = comparison.measure(ivp, runs, progress)
+                result = comparison.measure(ivp, runs, progress, errors)
                 data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text))
         finally:
             if not any(folder.iterdir()):
@@ -157,7 +158,9 @@ def compare(
         print_lines(*result.notes, style="red")
         print_lines(*(f"{label}: {run.message}" for label, run in runs.items() if run.success and run.message))
         frames = folder / "frames" / "run.pvd"
-        print_lines(result.gap_text(), f"Report: {folder / 'report.html'}", f"ParaView: {frames}" if frames.exists() else "")
+        print_lines(
+            result.gap_text(), *result.estimates, f"Report: {folder / 'report.html'}", f"ParaView: {frames}" if frames.exists() else ""
+        )
     if not result.success:
         raise typer.Exit(1)
 

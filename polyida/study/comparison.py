@@ -8,10 +8,13 @@ from itertools import combinations
 
 import numpy as np
 
+from polyida.adjoint.error_bars import error_of
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import Counts, States, between
 from polyida.model.guarded import guard
+from polyida.objective.objective import UserObjective
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.accepted import accepted
 from polyida.run.solve import require_run
@@ -22,6 +25,7 @@ from polyida.validation import is_number
 
 REFERENCE = "refined run"  # label of the reference run
 MAX_RTOL, RTOL_RATIO, MIN_RTOL = 1e-9, 1000, 1e-13  # rtol of the reference: a thousandth of the runs' rtol within these limits
+NEGLIGIBLE = 0.1  # of an estimated distance: a direction with less is not asked whether it is trusted
 MAX_LABEL = 60  # characters; labels are file names
 MAX_VTU_FRAMES = 50
 MAX_EVENTS = 50  # rows of the table of a run's events
@@ -42,12 +46,14 @@ class Comparison(Result):
     """Result of `compare`: a row for each run, the last one of the reference run.
 
     runs: {label: Trajectory}. distances: {label: (t, distance from the reference run)} of `quantity` in `unit`. notes: failures.
+    estimates: why runs have no estimated error.
     """
 
     columns = {
         "run": ("run", "{}"),
         "error_max": ("error, largest", "{:.2e}"),
         "error_end": ("error, at the end", "{:.2e}"),
+        "estimated_error": ("error, at the end, estimated", "{:.2e}"),
         "published_error": ("from published", "{:.2e}"),
         "states_max": ("error of states, largest", "{:.2e}"),
         "states_end": ("error of states, at the end", "{:.2e}"),
@@ -59,8 +65,9 @@ class Comparison(Result):
         "energy_change": ("energy change, J", "{:.2e}"),
     }
 
-    def __init__(self, ivp, runs, distances, rows, notes):
+    def __init__(self, ivp, runs, distances, rows, notes, estimates=()):
         super().__init__(rows, notes)
+        self.estimates = list(estimates)
         self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
         self.quantity, self.unit = (ivp.point, "m") if ivp.point else ("coordinates", "")
         *others, last = runs
@@ -118,7 +125,7 @@ class Comparison(Result):
         movie = [html.Heading("Motion"), html.Movie(run, f"The motion by {label}.")] if run else []
         blocks = [html.Notes(self.notes), html.Heading("Result"), html.Table(self.shown_columns(), self.rows)]
         settings = html.Table({"run": ("run", "{}"), "settings": ("settings", "code")}, self.rows)
-        blocks += [html.Text(f"{ERRORS} {self.gap_text()}"), html.Heading("Settings"), settings]
+        blocks += [html.Text(" ".join([ERRORS, self.gap_text(), *self.estimates])), html.Heading("Settings"), settings]
         return [*blocks, *event_tables(self.runs), *movie, html.Heading("Figures"), *self.report_pictures()]
 
     def report_pictures(self):
@@ -185,16 +192,17 @@ def named_integrators(ivp, names=COMPARED, **settings):
     return create_integrators(choose_integrators(names), ivp, **settings)
 
 
-def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=None):
+def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=None, errors=False):
     """Run integrators and the reference run of an InitialValueProblem; returns a Comparison.
 
     integrators: {label: integrator}; None: generalized-alpha with the problem's step, IDA and Radau IIA. rtol: of IDA and Radau IIA.
     progress(label, fraction), fraction None while kernels compile. An error is the distance of the problem's point, or of all coordinates,
-    from the reference run. Failed runs are notes. Raises InputError before the first run.
+    from the reference run. errors: True estimates the error at the end of runs of generalized-alpha too. Failed runs are notes. Raises
+    InputError before the first run.
     """
     integrators = named_integrators(ivp, rtol=rtol) if integrators is None else integrators
     prepare(ivp, integrators, progress)
-    return measure(ivp, run_timed(ivp, integrators, progress), progress)
+    return measure(ivp, run_timed(ivp, integrators, progress), progress, errors)
 
 
 def prepare(ivp, integrators, progress=lambda label, fraction: None):
@@ -222,18 +230,23 @@ def run_timed(ivp, integrators, progress=lambda label, fraction: None):
     return runs
 
 
-def measure(ivp, runs, progress=lambda label, fraction: None):
-    """The Comparison of {label: Trajectory} with the reference run, which is computed here."""
+def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
+    """The Comparison of {label: Trajectory} with the reference run, which is computed here; errors: as of `compare`."""
     rtol = min(filter(is_number, (getattr(run.integrator, "rtol", None) for run in runs.values())), default=None)
     reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
     distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
     model = guard(ivp.model)
-    rows, published = [], ivp.published.get("q") if ivp.point is None else None
+    rows, estimates, published = [], [], ivp.published.get("q") if ivp.point is None else None
     for label, run in runs.items():
         distance = distances[label][1]
         row = {"run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
         row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
         row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
+        if errors and isinstance(run.integrator, GeneralizedAlpha) and run.success and np.isfinite(distance[-1]):
+            try:
+                row["estimated_error"] = estimated_error(ivp, run, reference.watched[-1])
+            except (InputError, StepFailure) as error:
+                estimates.append(f"{label} has no estimated error: {str(error).removeprefix('error_of: ')}.")
         if model.k:
             off = reference.distance_of_states(run)
             row |= {"states_max": float(np.nanmax(off, initial=0.0)) if np.isfinite(off).any() else math.nan, "states_end": float(off[-1])}
@@ -249,7 +262,39 @@ def measure(ivp, runs, progress=lambda label, fraction: None):
         row["published_error"] = float(np.abs(reference.watched[-1] - published).max())
     notes = [f"{label}: {run.message.removeprefix(f'{label}: ')}" for label, run in runs.items() if not run.success]
     notes += [f"{REFERENCE}: {reference.message}"] if reference.message else []
-    return Comparison(ivp, runs, distances, [*rows, row], notes)
+    return Comparison(ivp, runs, distances, [*rows, row], notes, estimates)
+
+
+def estimated_error(ivp, run, last):
+    """Estimate of the distance of a run from the exact motion at its end, by `error_of`; last: what the reference run comes to.
+
+    Without a point it is that of the coordinate that differs most. Raises InputError if there is no estimate, or if it is not trusted,
+    and StepFailure.
+    """
+    if ivp.point:
+        model = guard(ivp.model)
+        weights = model.pulled((model.side(ivp.point), "point"), np.array([1.0, 1.0j]))
+    else:
+        weights = np.eye(1, run.q.shape[1], int(np.abs(watched_quantity(ivp)(run.q[-1]) - last).argmax()))
+    with ivp.user_errors():
+        parts = [error_of(run, _at_end(row)) for row in weights]
+    errors = np.array([bars.time + bars.newton for bars in parts])
+    size = float(np.linalg.norm(errors))
+    for bars, error in zip(parts, errors):
+        if abs(error) > NEGLIGIBLE * size and not bars.trusted:
+            raise InputError("; ".join(bars.reasons["time"]))
+    return size
+
+
+def _at_end(weights):
+    """The objective `weights . q` at the end of a run."""
+
+    def slopes(run):
+        result = np.zeros(run.q.shape)
+        result[-1] = weights
+        return {"q": result}
+
+    return UserObjective(lambda run: float(weights @ run.q[-1]), slopes)
 
 
 def watched_quantity(ivp):

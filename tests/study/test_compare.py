@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.cli.commands import main
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
+from polyida.problems.mechanisms import slider_crank
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.solve import solve
 from polyida.study.comparison import compare, named_integrators, reference_run
@@ -149,3 +151,25 @@ def test_what_is_compared_by_default_takes_the_step_and_the_tolerance_that_it_al
 def test_an_integrator_that_cannot_be_is_told_with_those_that_can(own, names, settings, said):
     with pytest.raises(InputError, match=re.escape(said)):
         named_integrators(own, names, **settings)
+
+
+def test_estimated_errors_stand_beside_the_measured_ones():
+    """Of a point and of coordinates; a run whose estimate is not trusted has none, and the reason."""
+    crank = InitialValueProblem("crank", slider_crank("rigid").build(), t_end=0.2, point="slider")
+    for ivp, h in ((crank, 1e-3), (load("andrews", time=5e-3), 5e-5)):
+        members = {"alpha": pi.GeneralizedAlpha(h=h, tolerance=1e-10), "IDA": pi.IDA(rtol=1e-6)}
+        found = compare(ivp, integrators=members, errors=True)
+        assert found.rows[0]["estimated_error"] == pytest.approx(found.rows[0]["error_end"], rel=0.05)
+        assert not any("estimated_error" in row for row in found.rows[1:]) and not found.estimates
+    found = compare(load("double-plate", cells=8, time=0.5), integrators={"alpha": pi.GeneralizedAlpha(h=2e-3)}, errors=True)
+    assert "estimated_error" not in found.rows[0] and "alpha has no estimated error" in found.estimates[0]
+    assert "phase is lost" in found.estimates[0]
+
+
+def test_the_command_prints_and_reports_estimated_errors(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("polyida.show.figure_files.cores", lambda: 1)
+    words = ["compare", "pendulum", "--time", "0.2", "--integrators", "alpha", "--errors", "--out", str(tmp_path / "report")]
+    assert main(words) == 0
+    assert "at the end, estimated" in capsys.readouterr().out
+    assert "at the end, estimated" in (tmp_path / "report" / "report.html").read_text()
