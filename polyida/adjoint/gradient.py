@@ -163,7 +163,7 @@ def adjoint_of(part, run):
         raise InputError(f"{part}: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
     kind.require_settings(run.integrator)
     if getattr(run.integrator, "form", "") == "stabilised":
-        _require_no_velocity_rows(guard(model), 'form "stabilised" has', 'form "index3" has')
+        _require_no_velocity_rows(part, guard(model), 'form "stabilised" has', 'form "index3" has')
     if run.plan.get("began") == "run":
         raise InputError(
             f"{part}: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
@@ -175,10 +175,10 @@ def adjoint_of(part, run):
     return kind
 
 
-def _require_no_velocity_rows(model, what, other):
+def _require_no_velocity_rows(part, model, what, other):
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
-        raise InputError(f"gradient: {name} is a velocity row, for which {what} no adjoint; {other}")
+        raise InputError(f"{part}: {name} is a velocity row, for which {what} no adjoint; {other}")
 
 
 def _relaxing(model):
@@ -198,7 +198,7 @@ def _names(parameters):
 def gradient_of_state(subject, objective, names=None):
     """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
     require_no_laws("gradient", guard(subject.model), OF_LAWS)
-    _require_no_velocity_rows(guard(subject.model), "equilibria and modes have", "runs have")
+    _require_no_velocity_rows("gradient", guard(subject.model), "equilibria and modes have", "runs have")
     totals, counts = Totals(subject.model, names), Counts()
     own = objective.slopes(subject)(slice(0, 1))
     totals.add_own(own)

@@ -228,6 +228,8 @@ def test_bad_input_is_refused():
             pi.error_of(*arguments)
     with pytest.raises(pi.InputError, match="EnergyMomentum"):
         pi.error_of(pi.solve(model, 0.02, pi.EnergyMomentum(h=2e-3)), objectives[0])
+    with pytest.raises(pi.InputError, match="error_of: .* is a velocity row"):
+        pi.error_of(pi.solve(Skate(), 0.02, pi.GeneralizedAlpha(h=1e-2, form="stabilised")), at_end(None, "q", 0))
     with pytest.raises(pi.InputError, match="no constant step"):
         pi.error_of(pi.solve(model, 0.02, pi.GeneralizedAlpha()), objectives[0]).h_for(1e-6)
 
