@@ -219,6 +219,7 @@ def motion_parameters(model, slopes):
 
 POSITIVE = (0.0, float("inf"))
 PLACING = ("origin", "angle", "velocity", "spin")  # of bodies: where they are and how they start
+LAW = "friction"  # 0 in joints whose rows are all driven: another value adds a row
 MATERIAL = ("nu", "viscosity", "mass_damping")
 OF_REDUCED = ("E", "rho", *MATERIAL)
 SHAPES = "nu"  # of numbers of a material the one that changes the modes of a plate: E and rho change their frequencies only
@@ -299,7 +300,8 @@ def _named_numbers(part):
     elif isinstance(part, (Body, ForceElement, Joint)):
         known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
         if known and (not isinstance(part, Joint) or all(row.driven for row in rows_of(part.facing().rows()))):
-            yield from _with_path(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
+            omitted = PLACING if isinstance(part, Body) else (LAW,) if isinstance(part, Joint) else ()
+            yield from _with_path(part, (), [key for key in known if key not in omitted])
 
 
 def _with_path(part, path, keys):
