@@ -243,7 +243,8 @@ def error_of(
     depends on; lost phases of vibrations are recognised by `fast_share`. Vibrations that are damped away within a step are not seen. A
     UserObjective is taken for what its function computes; means over time of `pi.objective` are compared with the integral.
 
-    The cost is about that of `pi.gradient`.
+    At penalty contacts that few steps resolve, a wrong estimate of time may be trusted; see the theory page. The cost is that of `pi.gradient`
+    and of one residual of each step; `studies/error_bars.py` measures it.
 
     Examples
     --------

@@ -45,7 +45,7 @@ START, VX, DX, DV = range(4)  # rows of SceneWork.points: displacements and velo
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 CALL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
-UNUSED = 1e8  # iterations: new factors of rigid bodies are the same
+NEVER = 1e8  # iterations: a new factor of rigid bodies, for the same step, is the old one
 
 
 @pack
@@ -402,7 +402,7 @@ class SceneStages:
             "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
-        self.renewal = PAIR + CALL / model.n if self.single else PAIR if model.flexible else UNUSED
+        self.renewal = PAIR + CALL / model.n if self.single else PAIR if model.flexible else NEVER
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
     def set_lift(self, lift):
