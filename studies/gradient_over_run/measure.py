@@ -67,13 +67,13 @@ def ratio_row(scene, dof, objective, t_end, repeats):
 @entry
 def _products(count, s, u, v, w, x):
     for _ in range(count):
-        products.body_products(s, None, u, v, w, x.rotation[:0], x)
+        products.body_products(s, s.plates.body_viscosity[:0], u, v, w, x.rotation[:0], x)
 
 
 @entry
-def _solves(count, work):
+def _solves(count, work, u):
     for _ in range(count):
-        scene.correct(work, work.real)
+        scene.correct(work, work.real, u)
 
 
 def sweep_us(model, settings, run, objective, repeats):
@@ -84,7 +84,7 @@ def sweep_us(model, settings, run, objective, repeats):
     swept = partial(sweep.back, t, *frames, slopes, none)
     u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
     work = scene.SceneAdjointWork(**sweep.table.w)
-    loops = {"product": (_products, (work.scene, u, v, w, work.first)), "solve": (_solves, (work,))}
+    loops = {"product": (_products, (work.scene, u, v, w, work.first)), "solve": (_solves, (work, u))}
     result = {"sweep": cpu(swept)[0] / len(t)}
     for name, (loop, arguments) in loops.items():
         loop(1, *arguments)
