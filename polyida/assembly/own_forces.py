@@ -47,7 +47,7 @@ class OwnForce:
         self.A = on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
         self.columns = np.unique(self.A.tocsr().indices)
         self.near = self.A[:, self.columns].toarray()
-        self.sizes = np.array([[side.size(model.extent)] for side in sides])
+        self.sizes, self.last_slopes = np.array([[side.size(model.extent)] for side in sides]), {}
 
     def pushed(self, profile, by):
         """This force with the profile, if it is one of its fields, increased by `by`."""
@@ -57,7 +57,7 @@ class OwnForce:
     def with_element(self, element):
         """This force with another element of the same sides and states."""
         other = copy(self)
-        other.element = element
+        other.element, other.last_slopes = element, {}
         return other
 
     def places(self, q):
@@ -169,22 +169,35 @@ class OwnForce:
 
     def slopes(self, t, x, v, c_v, c_q):
         """`c_v df/dv + c_q df/dx`, (2 sides, 2 sides)."""
-        result = np.zeros((x.size, x.size))
-        for c, name, moved in (
-            (c_v, "forces_v", lambda d: self.forces(t, x, v + d)),
-            (c_q, "forces_x", lambda d: self.forces(t, x + d, v)),
-        ):
-            if c and not self.names and getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
-                result += c * self._call(name, x.shape * 2, t, x, v).reshape(x.size, x.size)
-            elif c:
-                result += c * self._differences(x, moved)
+        result, at = np.zeros((x.size, x.size)), (t, x, v)
+        for c, name in ((c_v, "forces_v"), (c_q, "forces_x")):
+            if c:
+                of_last, slope = self.last_slopes.get(name, (None, None))
+                if of_last is None or not all(map(np.array_equal, of_last, at)):  # a step matrix and its C ask for the same ones
+                    slope = self._slope(name, t, x, v)
+                    self.last_slopes[name] = at, slope
+                result += c * slope
         return result
 
-    def _differences(self, x, moved):
-        """Derivative of `moved(d)` in d, of the shape of x, (2 sides, 2 sides)."""
-        reach = NEAR * self.sizes
-        change, size = (lambda s: moved(reach * s.reshape(x.shape)).ravel()), x.size
-        return differences.jacobian(change, np.zeros(size), size) / np.broadcast_to(reach, x.shape).ravel()
+    def _slope(self, name, t, x, v):
+        """The derivative forces_v or forces_x, (2 sides, 2 sides): the user's own, or by differences. Places of states have no influence."""
+        if not self.names and getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
+            return self._call(name, x.shape * 2, t, x, v).reshape(x.size, x.size)
+        if name == "forces_v":
+            return self._differences(x, lambda d: self.forces(t, x, v + d), x.size)
+        return self._differences(x, lambda d: self.forces(t, x + d, v), x[self.own_sides].size)
+
+    def _differences(self, x, moved, columns):
+        """Derivative of `moved(d)` in the first entries of d, of the shape of x; the other columns are zero, (2 sides, 2 sides)."""
+        reach, result = NEAR * np.broadcast_to(self.sizes, x.shape).ravel(), np.zeros((x.size, x.size))
+
+        def change(s):
+            d = np.zeros(x.size)
+            d[:columns] = reach[:columns] * s
+            return moved(d.reshape(x.shape)).ravel()
+
+        result[:, :columns] = differences.jacobian(change, np.zeros(columns), x.size) / reach[:columns]
+        return result
 
     def _call(self, name, shape, *arguments, numbers=reals):
         """Call a function of the element, and check its result."""
@@ -244,7 +257,7 @@ class Elastic(OwnForce):
             return np.zeros((x.size, x.size))
         if self.element.elastic_z(x @ (1, 1j)) is not None:
             return -c_q * self._call("elastic_z", (x.size, x.size), x @ (1, 1j))
-        return c_q * self._differences(x, lambda d: self.forces(t, x + d, v))
+        return c_q * self._differences(x, lambda d: self.forces(t, x + d, v), x.size)
 
 
 def take_from(r, forces, t, q, v):

@@ -25,7 +25,7 @@ def main(study, arguments=None, command=None):
     """Run a Study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`, and the study's own options.
 
     It prints the table and writes figures.json and report.html. Failed tasks are rows; figures that need them are null. command: shown in the
-    report, of a study that is no script. Exit code 2: invalid input; 1: stopped, or the disk is full. Finished rows stay in both cases.
+    report, of a study that is no script. Exit code 2: invalid input; 1: stopped, the disk is full, or every task failed. Finished rows stay.
     """
     prepare()
     program = PROGRAM.get() or f"python studies/{study.name}.py"
@@ -75,6 +75,8 @@ def main(study, arguments=None, command=None):
     except InputError as error:
         print(f"error: {error}; the figures are in {out}", file=sys.stderr)
         sys.exit(2)
+    if rows and all(row.get("error") for row in rows):
+        sys.exit(f"error: {'the only task' if len(rows) == 1 else f'each of {len(rows)} tasks'} failed")
     return data
 
 

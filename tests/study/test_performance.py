@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from against_peers import peers
+from gradient_over_run import measure as of_gradient
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.newton import Correction
@@ -41,6 +42,13 @@ def test_every_back_end_solves_the_same_system(backend):
     except peers.Missing as missing:
         pytest.skip(str(missing))
     assert row["relative_residual"] < (1e-3 if backend in ("fronts", "pardiso single") else 1e-10)
+
+
+def test_the_rows_of_gradients_are_measured():
+    row = of_gradient.ratio_row("scene 1", SMALL, "deviation", 0.01, 1)
+    assert row["steps"] == 10 and row["factorizations"] >= 0 and row["solves"] >= 1 and row["ratio"] > 0
+    error = of_gradient.error_row("scene 1", SMALL, "peak reaction", 1e-6, 0.01)
+    assert max(error["stiffness_error"], error["mass_error"]) < 1e-4
 
 
 def slope(residual, y, yp, along_y, along_yp):
