@@ -39,9 +39,12 @@ NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if 
 MAX_PROJECTIONS = 3  # of q onto phi = 0
 AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
 Q, V, A, SHARES, PLACES = range(5)  # rows of Memory.past; PLACES: shares in |q|, without the integrals of states
-CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; the weights of MISSES follow
+CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; the weights in use, FITS and EXCESS follow
 TERMS = 3  # prediction errors from which the next one is extrapolated
-MARKS = MISSES + 1 + TERMS
+FITS = MISSES + 1 + TERMS
+EXCESS = FITS + TERMS**2
+MARKS = EXCESS + TERMS
+FORGET = 0.7  # share of EXCESS that a step keeps
 LARGEST_WEIGHT = 4.0  # of a prediction error, above the 3 of the extrapolation by differences
 PARALLEL = 1e-9  # squared sine of the angle below which prediction errors are parallel
 MOVED, SPEED, EXTENDED = range(3)  # of Scratch.seen
@@ -106,7 +109,8 @@ class Memory(NamedTuple):
     of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
     start of the step, for increments. marks: CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration;
     LAST, length of the step before, s, 0 if unknown; ERROR of that step, -1 if unknown; MISSES, number of known prediction errors, and the
-    weight of each in the expected next one.
+    weight of each in the expected next one; FITS, weights that were fitted for 1 to TERMS errors; EXCESS, the squared distance that a
+    prediction with each had from recent steps, minus that without.
     """
 
     past: np.ndarray
@@ -291,11 +295,10 @@ def add_prediction_error(y, x, z):
 
 @fast
 def store_prediction_error(y, x, z):
-    """Store the prediction error of the step, and the weights of the errors in the next one: those that fit this one best to the ones before."""
-    known, weights = int(y.marks[MISSES]), y.marks[MISSES + 1 :]
-    weights[:] = 0.0
+    """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best."""
+    known, weights, fits, excess = int(y.marks[MISSES]), y.marks[MISSES + 1 : FITS], y.marks[FITS:EXCESS], y.marks[EXCESS:]
     if z.progress[EXTENDED] == 0.0:
-        y.marks[MISSES] = 0.0
+        y.marks[MISSES:] = 0.0
         return
     products = np.zeros((TERMS, TERMS + 1))
     for k in range(x.e.shape[0]):
@@ -307,7 +310,21 @@ def store_prediction_error(y, x, z):
                 for i in range(x.e.shape[1]):
                     total += y.past[SHARES, i] * y.miss_e[o, k, i] * other[i]
                 products[o, j] += total
-    fit(products, known, weights)
+    best = 0.0
+    for count in range(TERMS):
+        excess[count] *= FORGET
+        for o in range(known):
+            weight = fits[TERMS * count + o]
+            excess[count] += weight * (weight * products[o, o] - 2.0 * products[o, known])
+            for j in range(o + 1, known):
+                excess[count] += 2.0 * weight * fits[TERMS * count + j] * products[o, j]
+        best = min(best, excess[count])
+    fit(products, known, fits)
+    weights[:] = 0.0
+    for count in range(TERMS):
+        if best < 0.0 and excess[count] == best:
+            for o in range(TERMS):
+                weights[o] = fits[TERMS * count + o]
     for k in range(x.e.shape[0]):
         put_first(y.miss_e[:, k], x.start_e[k])
         for e in range(x.lam.shape[1]):
@@ -328,8 +345,8 @@ def put_first(rows, newest):
 
 
 @part
-def fit(products, known, weights):
-    """Weights of up to `known` vectors in the least-squares fit to another one, the newest ones only if those of all are large or undetermined.
+def fit(products, known, fits):
+    """Weights of 1 to TERMS vectors in the least-squares fit to another one, TERMS each; those of fewer vectors if they are large or undetermined.
 
     products (o, j): of vectors o and j >= o, and in column `known` of vector o and the other one. They become L D L^T of the vectors' products,
     which is nested, and L^-1 of the column.
@@ -346,17 +363,17 @@ def fit(products, known, weights):
             for j in range(o):
                 products[o, i] -= products[j, o] * products[j, i] / products[j, j]
         products[o, o], products[o, known], used = pivot, right, o + 1
-    while used > 0:
-        most = 0.0
-        for o in range(used - 1, -1, -1):
+    fits[:] = 0.0
+    for count in range(TERMS):
+        weights, most = fits[TERMS * count : TERMS * (count + 1)], 0.0
+        for o in range(min(used, count + 1) - 1, -1, -1):
             weights[o] = products[o, known] / products[o, o]
-            for j in range(o + 1, used):
+            for j in range(o + 1, min(used, count + 1)):
                 weights[o] -= products[o, j] / products[o, o] * weights[j]
             most = max(most, abs(weights[o]))
-        if most <= LARGEST_WEIGHT:
-            return
-        used -= 1
-        weights[used] = 0.0
+        if most > LARGEST_WEIGHT:
+            for o in range(TERMS):
+                weights[o] = fits[TERMS * (count - 1) + o] if count else 0.0
 
 
 @part
