@@ -38,7 +38,7 @@ def kept(seed, integrator=None, restitution=True):
     beyond = np.abs(forces[:, :, 0]) - mu * forces[:, :, 1]
     impulses = h[:, None] * forces.sum(axis=0)[1:] - h[:, None] * [0.0, G]
     gained = np.diff(run.v[:, :2], axis=0)
-    off, size = gained - impulses, np.abs(h[:, None] * forces.sum(axis=0)[1:]).sum()
+    off, size = gained - impulses, np.abs(h[:, None] * forces.sum(axis=0)[1:]).sum() or np.inf  # impacts at events are not in lam
     growth = np.diff(run.energy.total) / run.energy.total[0]
     return {
         "outcome": "done",

@@ -7,7 +7,7 @@ the change Y of the equations' multipliers. Rates are u = G p + b with `G = B X`
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.nonsmooth.cone import CONTACT, FRICTION, OPEN, STICKS, Cone, solve_cone
+from polyida.integrate.nonsmooth.cone import CLOSED, CONTACT, FRICTION, OPEN, STICKS, Cone, solve_cone
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
 
@@ -19,6 +19,8 @@ KEPT = 8  # sets of rows whose columns by the masses are kept
 FIXED = 1e-13  # of the mobility: a row that the equations hold
 DEPENDENT = 1e-10  # of G_ii: a row that others determine
 MOVES = 1e-9  # of the accelerations: round-off of that of a row
+GAINED = 1e-9  # of the work of an impact: round-off of the energy it adds
+HALVINGS = 40  # of the share of restitution that keeps the energy
 LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
 
 
@@ -179,6 +181,9 @@ class Contacts:
         v: velocities with the impulses h p and h lam. before: rates of the rows with laws before the impact. closed: the contacts at which
         velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
         restitution.
+
+        With friction, Newton's law of restitution may add energy where slip reverses (Kane, Levinson, Dynamics, 1985). All coefficients are
+        then multiplied by the number below 1 that keeps the energy.
         """
         model, rate, active = self.model, self.model.phi_rate(t, q, v), self.active(closed)
         if rate[self.equations].any():
@@ -192,11 +197,30 @@ class Contacts:
         back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
         back = back if plastic is None else np.where(plastic[active], 0.0, back)
         back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
-        back = back if wanted is None else back - wanted[active]
-        P, status = self.solve(t, active, G, free + back, h * p[active], h * (lam - Y @ p[active]), Y, self.mobility(B), slip, h)
-        change = P[active] - h * p[active]
+        shift = 0.0 if wanted is None else -wanted[active]
+        start, size = h * p[active], self.mobility(B)
+
+        def rebound(share):
+            """(P, status, change of the active rows, work of it) with this share of the restitution."""
+            P, status = self.solve(t, active, G, free + share * back + shift, start, h * (lam - Y @ p[active]), Y, size, slip, h)
+            change = P[active] - start
+            return P, status, change, 0.5 * (before[active] + rate[active] + G @ change) @ change
+
+        P, status, change, work = rebound(1.0)
+        if work > GAINED * float(np.abs(before[active] * change).sum()) and back.any():
+            bounds = 0.0, 1.0
+            for _ in range(HALVINGS if rebound(0.0)[3] < 0.0 else 0):
+                middle = 0.5 * sum(bounds)
+                bounds = (middle, bounds[1]) if rebound(middle)[3] <= 0.0 else (bounds[0], middle)
+            back = bounds[0] * back
+            P, status, change, _ = rebound(bounds[0])
         status[np.flatnonzero(active)[self.contact[active] & (back != 0.0)]] = OPEN
         return v + X @ change, P, Y @ change, status
+
+    def remaining(self, t, q, v, touching, status):
+        """(rates of the rows with laws, contacts that stay closed) behind an impact; the rate of those that carry a force is round-off."""
+        rate = self.model.phi_rate(t, q, v)[self.rows]
+        return rate, touching & ((rate <= self.still(q, v)) | (status == CLOSED))
 
     def reversals(self, state, t, q, v, before, closed, p):
         """Rates at t of rows of friction whose slip came to an end in the step from a state to t, if it goes on in reverse; 0 elsewhere.

@@ -21,7 +21,6 @@ import numpy as np
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients
 from polyida.integrate.discontinuities import Grid, at_kink, number_of_steps, pieces
-from polyida.integrate.nonsmooth.cone import CLOSED
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.state import Counts, Integrator, State
@@ -249,11 +248,11 @@ class _Steps:
         q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
         before, free = model.phi_rate(state.t, q0, v0)[contacts.rows], model.phi_rate(t, q, v)[contacts.rows]
         v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
-        wanted = contacts.reversals(state, t, q, v, before, touching, p)
+        rate, still = contacts.remaining(t, q, v, touching, status)
+        wanted = contacts.reversals(state, t, q, v, before, still, p)
         if wanted is not None:
             v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
-        rate = model.phi_rate(t, q, v)[contacts.rows]
-        still = touching & ((rate <= contacts.still(q, v)) | (status == CLOSED))  # whose rate is round-off if they carry a force
+            rate, still = contacts.remaining(t, q, v, touching, status)
         impacts = _impacts(contacts, touching & ~closed, P, free, rate)
         lam, p, memory = lam + change / h, P / h, {"a_alg": a_alg, "closed": still, "p": p, "status": status} | impacts
         total = contacts.all(lam, p)
