@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.reprs import cut
 from polyida.show import plates
 from polyida.show.style import (
     INK,
@@ -27,7 +26,6 @@ from polyida.show.style import (
 from polyida.validation import named_keywords
 
 GIF_FRAMES, MP4_RATE = 80, 25  # default number of frames of a GIF; frames per second of an MP4
-EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 
 
 @named_keywords
@@ -142,11 +140,7 @@ class FramePicture:
         self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
         boxes = np.array([bounds(plates.places(run, k)) for k in frames])
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-        self.events = {k: {} for k in frames}  # names of events that a frame shows, each once, newest first
-        for event in reversed(run.events):
-            first = np.searchsorted(frames, min(event.frame, frames[-1]))
-            for k in frames[first : first + EVENT_FRAMES]:
-                self.events[k][event.name] = None
+        self.clock = dict(zip(frames, plates.clock(run, frames)))
         self.stress = {k: run.von_mises(k) / 1e3 for k in frames}
         style = {"cmap": "viridis", "clim": (0, colour_limit([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
@@ -155,7 +149,7 @@ class FramePicture:
             self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **style))
             self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
             self.sticks = self.axes.add_collection(LineCollection([], colors=STICK, linewidths=1.6, capstyle="round", animated=True))
-            self.title = self.axes.set_title(self._time(frames[0]), loc="left", animated=True)
+            self.title = self.axes.set_title(literal(self.clock[frames[0]]), loc="left", animated=True)
             show_to_scale(self.axes, low, high)
             if run.model.drawn:
                 stress_colorbar(new, self.axes, self.cells, side)
@@ -172,13 +166,9 @@ class FramePicture:
         self.corners[:], self.ends[:] = positions[self.nodes], positions[self.edges]
         self.cells.set_array(self.stress[k])
         self.sticks.set_segments(plates.sticks(self.run, k))
-        self.title.set_text(self._time(k))
+        self.title.set_text(literal(self.clock[k]))
         self.canvas.restore_region(self.background)
         with settings():
             for artist in (self.cells, self.outline, self.sticks, self.title):
                 self.axes.draw_artist(artist)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
-
-    def _time(self, k):
-        names = cut(", ".join(self.events[k]), EVENT_TEXT)
-        return f"t = {self.run.t[k]:.3f} s" + (f", {literal(names)}" if names else "")

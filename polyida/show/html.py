@@ -162,7 +162,7 @@ MIN_FRAMES, MAX_FRAMES = 12, 60
 
 @dataclass(frozen=True, eq=False)
 class Movie:
-    """Animation of a run's plates, coloured by von Mises stress, and of bodies without a mesh as sticks.
+    """Animation of a run's plates, coloured by von Mises stress, of bodies without a mesh as sticks, and names of events.
 
     seconds: duration; None: the simulated time, between 4 and 12 s. Raises InputError for a run without plates.
     """
@@ -194,6 +194,7 @@ class Movie:
         packed = lambda values, kind: b64encode(np.rint(values).astype(kind).tobytes()).decode()  # noqa: E731
         return {
             "t": run.t[frames].tolist(),
+            "clock": plates.clock(run, frames),
             "seconds": float(np.clip(run.t[-1] - run.t[0], 4, 12)) if self.seconds is None else self.seconds,
             "width": float(width),
             "height": float(height),

@@ -3,7 +3,10 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.reprs import cut
 from polyida.validation import is_flag, is_whole
+
+EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 
 
 def require_run(part, run, overwrite):
@@ -85,3 +88,14 @@ def spread(run, count):
     if not is_whole(count):
         raise InputError(f"frames = {count!r} must be a whole number, at least 1")
     return np.unique(frames_at(run, np.linspace(run.t[0], run.t[-1], count)))
+
+
+def clock(run, frames):
+    """The text of each frame: its time, and the names of the events of the last EVENT_FRAMES frames, each once, newest first."""
+    names = [{} for _ in frames]
+    for event in reversed(run.events):
+        first = np.searchsorted(frames, min(event.frame, frames[-1]))
+        for shown in names[first : first + EVENT_FRAMES]:
+            shown[event.name] = None
+    texts = [f", {cut(', '.join(shown), EVENT_TEXT)}" if shown else "" for shown in names]
+    return [f"t = {run.t[k]:.3f} s{text}" for k, text in zip(frames, texts)]

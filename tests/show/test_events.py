@@ -8,9 +8,10 @@ from matplotlib.collections import LineCollection
 
 import polyida as pi
 from polyida.event import Events, Happened
-from polyida.show import html, plots
-from polyida.show.animations import EVENT_FRAMES, FramePicture
+from polyida.show import html, plates, plots
+from polyida.show.animations import FramePicture
 from polyida.show.figure_files import csv
+from polyida.show.plates import EVENT_FRAMES
 from polyida.study.comparison import event_tables
 
 
@@ -84,7 +85,7 @@ def test_an_animation_names_an_event_for_a_few_frames(bounces):
             shown[name] += [k] * (name in picture.title.get_text())
     first = next(k for k in frames if k >= bounces.events[0].frame)
     assert shown["cost"] == [*range(first, first + 2 * EVENT_FRAMES, 2)] and shown["gate"] == frames[-1:]
-    assert picture.title.get_text() == f"t = {bounces.t[frames[-1]]:.3f} s, gate"
+    assert picture.title.get_text() == f"t = {bounces.t[frames[-1]]:.3f} s, gate" == plates.clock(bounces, frames)[-1]
 
 
 def test_a_report_has_a_table_of_the_first_events(bounces):

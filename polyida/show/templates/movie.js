@@ -40,7 +40,7 @@ for (const movie of document.querySelectorAll(".movie")) {
     lines(data.edges, ink.getPropertyValue("--ink"), 0.7);
     lines(data.sticks, data.stick, 2.2);
     slider.value = frame;
-    clock.value = "t = " + data.t[frame].toFixed(3) + " s";
+    clock.value = data.clock[frame];
     slider.setAttribute("aria-valuetext", clock.value);
   };
   const pause = () => {

@@ -160,6 +160,7 @@ def test_a_movie_has_the_plates_where_the_run_has_them(run):
     found = np.array([run.von_mises(k) / 1e3 for k in range(len(run.t))])
     assert stress == pytest.approx(np.minimum(found / top, 1), abs=1 / (html.SHADES - 1))
     nodes, offsets = plates.connectivity(run.model)
+    assert data["clock"] == plates.clock(run, range(len(run.t)))
     assert data["nodes"] == nodes.tolist() and data["offsets"] == offsets.tolist()
 
 
