@@ -20,7 +20,7 @@ from polyida.integrate.radau.radau_iia import restarted
 from polyida.integrate.radau.steps import Steps, new_control
 from polyida.integrate.radau.tables.python import DenseStages
 from polyida.integrate.radau.tables.scene import SceneMatrices
-from polyida.integrate.sizes import extent, typical_sizes
+from polyida.integrate.sizes import extent, sizes_of_run
 from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.integrate.switches import steps_of
@@ -37,7 +37,7 @@ STATE_SIZE = 4  # memory of a State of this method, with its stages, over that o
 
 def exact_steps(model, settings, first, t_end, counts):
     """The Steps of a run from its first state, of any size, solved to round-off."""
-    sizes = typical_sizes(model, first, t_end - first.t)
+    sizes = sizes_of_run(model, first, t_end)
     engine = Steps(replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=MAX_ITERATIONS), model, counts, sizes)
     engine.begin(first)
     engine.estimates_error = False

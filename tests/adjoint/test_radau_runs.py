@@ -41,6 +41,7 @@ WAYS = {
     "v left alone": ({"h": 4e-3, "form": "index3", "project": False}, {}),
     "cut steps": ({"h": 2e-2, "max_iterations": 7}, {}),
     "adaptive": ({"rtol": 1e-3}, {}),
+    "by default": ({}, {}),
 }
 
 
