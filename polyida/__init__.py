@@ -65,7 +65,7 @@ _PLACES = {
     "von_mises": "results.motion",
     "load": "io.load",
     "consistent_state": "integrate.start",
-    "condition_number": "integrate.iteration_matrix",
+    "condition_number": "study.conditions",
     "static": "integrate.static",
     "equilibrium_path": "integrate.equilibrium_path",
     "EquilibriumPath": "integrate.equilibrium_path",

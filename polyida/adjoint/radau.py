@@ -6,8 +6,7 @@ import numpy as np
 
 from polyida.adjoint.history import SAME, StepHistory, StepSegment, every_step, frame_reader, replayed_history
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.radau_equations import StageEquations
-from polyida.adjoint.radau_sweep import Slopes, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, stretch
+from polyida.adjoint.radau_sweep import Slopes, StageEquations, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, stretch
 from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to

@@ -7,7 +7,6 @@ import numpy as np
 
 from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
 from polyida.assembly.compact import Compact
-from polyida.assembly.edge_rows import EdgeRows
 from polyida.assembly.own_laws import laws_of
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.body.body import Body, points_of
@@ -19,6 +18,7 @@ from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.contact import Contact
+from polyida.joint.edges import EdgeRows
 from polyida.joint.formula import advice_on, in_words, with_laws
 from polyida.joint.joint import Joint
 from polyida.model import NONE

@@ -11,8 +11,8 @@ from polyida.errors import InputError, StepFailure
 from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.model import differences
-from polyida.model.algebraic import solved
 from polyida.model.differences import along
+from polyida.model.states import solved
 from polyida.profile import constant, difference
 from polyida.validation import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
 

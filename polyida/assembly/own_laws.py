@@ -12,7 +12,7 @@ from polyida.force.force_element import ForceElement, Side, profiles_of, sides_o
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.jit.owner_data import OwnData
-from polyida.model.algebraic import FOUND, fill_algebraic
+from polyida.model.states import FOUND, fill_algebraic
 from polyida.profile import polynomial
 from polyida.validation import pairs_of
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.edge_rows import links_at
 from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of
@@ -14,6 +13,7 @@ from polyida.element import kernels
 from polyida.element.relaxation import relax_stress
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
+from polyida.joint.edges import links_at
 from polyida.joint.formula import rest_of
 from polyida.joint.joint import Joint, Reaction
 from polyida.linear.lu import LU

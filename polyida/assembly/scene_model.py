@@ -29,8 +29,7 @@ from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.joint.formula import all_rows
-from polyida.joint.held import held_at
-from polyida.joint.joint import Joint
+from polyida.joint.joint import Joint, held_at
 from polyida.linear.lu import dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model import NONE, Needs

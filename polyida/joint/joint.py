@@ -1,4 +1,4 @@
-"""The base class of joints, and their reactions.
+"""The base class of joints, their reactions, and joints that are added in motion.
 
 The force of a joint on the coordinates is `-phi_q^T lam`, of velocity rows `W v + w` it is `-W^T nu` (nu are entries of lam too). If the
 body of b, or the ground, moves by dx and turns by dphi about the point of b, this force does the work `f . dx + m dphi`: f is the sum of
@@ -6,15 +6,16 @@ the forces on the points of b in the rows, m the sum of their moments and of the
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from polyida import registry
-from polyida.joint.attachment import Ground, labelled, require_directions, require_sides
+from polyida.joint.attachment import Attachment, Ground, labelled, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
-from polyida.validation import pairs_of
+from polyida.validation import pairs_of, settle
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
 MOMENT = (("", "N m"),)
@@ -174,3 +175,48 @@ def _same(side, other):
     if side is other or side.body is None:
         return side is other or np.array_equal(side.point, other.point)
     return np.array_equal(side.nodes, other.nodes) and np.array_equal(side.weights, other.weights)
+
+
+def held_at(joint, place):
+    """The joint as added where its sides are now, with the sides of the drawing; place((side, "point" or "direction")): complex, of now.
+
+    Plain `ground` is the present place of the other side. Rows of directions alone hold at their present value, rows of places as they are
+    written.
+    """
+    now, held = copy(joint), copy(joint)
+    for one in fields(joint):
+        if isinstance(side := getattr(now, one.name), Attachment):
+            settle(now, **{one.name: _moved(side, place)})
+    facing = now.facing()
+    for name in ("a", "b"):
+        settle(held, **{name: getattr(getattr(facing, name), "drawn", getattr(facing, name))})
+    rows, number = [_held(row, place) for row in all_rows(facing)], sum(row.rate is not True for row in all_rows(facing))
+    settle(held, rows=lambda: rows[:number], velocity_rows=lambda: rows[number:])
+    return held
+
+
+def _moved(side, place):
+    """An attachment whose place at rest is the present one; drawn: the attachment itself."""
+    here = {"point": pairs_of(place((side, "point")))}
+    if side.has_direction:
+        here["direction"] = pairs_of(place((side, "direction")))
+    kind = type(type(side).__name__, (type(side),), here | {"drawn": side, "each": lambda own: [_moved(one, place) for one in side.each()]})
+    other = object.__new__(kind)
+    other.__dict__.update(vars(side))
+    return other
+
+
+def _held(row, place):
+    """The row on the attachments of the drawing."""
+
+    def drawn(summand):
+        return replace(summand, terms=tuple((getattr(side, "drawn", side), part, w) for side, part, w in summand.terms))
+
+    products = tuple(replace(one, rotated=drawn(one.rotated), unrotated=drawn(one.unrotated)) for one in row.products)
+    held = replace(row, products=products)
+    parts = {part for one in products for summand in (one.rotated, one.unrotated) for _, part, _ in summand.terms}
+    if row.rate or row.driven or parts != {"direction"}:
+        return held
+    at = lambda side, part: place((side, part))  # noqa: E731
+    value = row.constant + sum((np.conj(one.rotated.at(at)) * one.unrotated.at(at)).real for one in products)
+    return replace(held, constant=row.constant - value)

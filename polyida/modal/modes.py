@@ -128,7 +128,7 @@ class Modes:
         Figure
             Not to scale.
         """
-        from polyida.show.mode_plots import draw, shapes
+        from polyida.show.plates import draw, shapes
 
         numbers = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
         if not numbers or not all(is_whole(k, 0, len(self.roots) - 1) for k in numbers):

@@ -353,7 +353,7 @@ class FrequencyResponse:
 
     def plot(self) -> Any:
         """Return a matplotlib Figure of amplitude and phase of each output against frequency."""
-        from polyida.show.mode_plots import response
+        from polyida.show.plates import response
 
         return response(self.frequencies, self.values, self.input, self.outputs)
 

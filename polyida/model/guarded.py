@@ -12,9 +12,8 @@ from polyida.jit.owner_data import OwnData
 from polyida.jit.user_functions import CALLBACK
 from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.model.own_states import OwnStates, arguments_of
-from polyida.model.row_laws import require_laws
-from polyida.model.velocity_rows import with_velocity_rows
+from polyida.model.row_laws import require_laws, with_velocity_rows
+from polyida.model.states import OwnStates, arguments_of
 from polyida.validation import floats, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)

@@ -16,9 +16,8 @@ from polyida.integrate.state import Counts, declared
 from polyida.io.layout import FRAMES, MEMORY_LIMIT
 from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
-from polyida.io.save import behind_blocks, commit, create, free
+from polyida.io.save import FrameStore, behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
-from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress

@@ -20,8 +20,7 @@ from polyida.integrate.discontinuities import round_off
 from polyida.integrate.start import consistent_state, require_state, restarted, vector_of, velocities_of
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT
-from polyida.io.save import create, free
-from polyida.io.store import FrameStore
+from polyida.io.save import FrameStore, create, free
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import Compiled, guard, unguarded

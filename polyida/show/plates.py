@@ -1,9 +1,10 @@
-"""Geometry and stress of a run's bodies in each frame, from which pictures and exports are drawn. Positions are in m."""
+"""Geometry of the bodies in each frame of a run, from which pictures and exports are drawn; figures of vibration modes. Positions are in m."""
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.reprs import cut
+from polyida.show.style import INK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
 from polyida.validation import is_flag, is_whole
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
@@ -99,3 +100,99 @@ def clock(run, frames):
             shown[event.name] = None
     texts = [f", {cut(', '.join(shown), EVENT_TEXT)}" if shown else "" for shown in names]
     return [f"t = {run.t[k]:.3f} s{text}" for k, text in zip(frames, texts)]
+
+
+AMPLITUDE = 0.12  # largest displacement of a drawn shape, relative to the size of the scene
+MAX_EDGES = 2000  # cells; edges of more cells would hide them
+PROBE = 1e-5  # of the extent: displacement from which the scale of a shape is measured
+ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
+REST, MOVED = "#9A9A9A", "#D5E5F0"
+
+
+def shapes(model, q, modes, scale=1.0):
+    """Figure of several modes in panels of one size; modes: [(title, shape x (n,))]. The rest is as in `draw`."""
+    with settings():
+        columns = min(2, len(modes))
+        rows, width = -(-len(modes) // columns), 6.4 if columns > 1 else 5.0
+        box = _box([_rest_and_moved(model, q, x, scale) for _, x in modes]) if model.is_scene else None
+        height = height_to_scale(*box, 0.85 * width / columns, 0.7) if box else 2.0
+        new, axes = figure(width, rows * height + 0.25, nrows=rows, ncols=columns, squeeze=False)
+        for (title, x), panel in zip(modes, axes.ravel()):
+            draw(panel, model, q, x, title, scale, box)
+        for panel in axes.ravel()[len(modes) :]:
+            panel.set_visible(False)
+        if box:
+            new.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        return new
+
+
+def draw(axes, model, q, x, title, scale=1.0, box=None):
+    """Draw the shape x: grey outlines at rest, and the moved bodies. Models without bodies are shown as bars, one for each entry.
+
+    The largest displacement is scale * AMPLITUDE of the scene's size. Complex shapes are drawn at the phase of their first large entry.
+    box: two corners of what is shown, m.
+    """
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set_title(literal(title))
+    if not model.is_scene:
+        axes.bar(np.arange(len(x)), np.real(x), color=PALETTE[0])
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set(xlabel="coordinate", ylabel="shape", ylim=1.1 * np.array([-1, 1]) * np.abs(x).max())
+        return
+    rest, moved = _rest_and_moved(model, q, x, scale)
+    axes.plot([], [], color=REST, label="at rest")
+    axes.plot([], [], color=INK, label="in the mode, not to scale")
+    if model.drawn:
+        cells = polygons(model, moved[0])
+        fine = len(cells) > MAX_EDGES
+        style = {"edgecolors": MOVED, "linewidths": 0.1} if fine else {"edgecolors": PALETTE[0], "linewidths": 0.3}
+        axes.add_collection(PolyCollection(cells, facecolors=MOVED, rasterized=fine, **style))
+        axes.add_collection(LineCollection(outlines(model, rest[0]), colors=REST, linewidths=0.8))
+        axes.add_collection(LineCollection(outlines(model, moved[0]), colors=INK, linewidths=0.7))
+    axes.add_collection(LineCollection(rest[1], colors=REST, linewidths=0.8, linestyles="--"))
+    axes.add_collection(LineCollection(moved[1], colors=STICK, linewidths=1.6, capstyle="round"))
+    show_to_scale(axes, *(box or _box([(rest, moved)])))
+
+
+def response(frequencies, values, name, outputs):
+    """Figure of amplitude, logarithmic, and phase, degrees, of complex values (k, outputs) at frequencies (k,), Hz."""
+    with settings():
+        new, (upper, lower) = figure(6.4, 4.2, nrows=2, sharex=True, height_ratios=[1.6, 1])
+        size = np.abs(np.where(np.isfinite(values), values, np.nan))
+        visible = size > ROUND_OFF * np.nanmax(size, initial=0.0)
+        for i, label in enumerate(outputs):
+            label = literal(label) if visible[:, i].any() else f"{literal(label)} (none)"
+            upper.plot(frequencies, np.where(visible[:, i], size[:, i], np.nan), label=label, **line_style(i))
+            lower.plot(frequencies, np.where(visible[:, i], np.degrees(np.angle(values[:, i])), np.nan), **line_style(i))
+        if visible.any():
+            upper.set_yscale("log")
+        upper.set(ylabel=f"output over {literal(name)}")
+        lower.set(xlabel="frequency, Hz", ylabel="phase, degrees", ylim=(-190, 190), yticks=[-180, -90, 0, 90, 180])
+        new.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(outputs)))
+        return new
+
+
+def _positions(model, q):
+    """(nodes that are drawn, (nodes, 2); segments of bodies without a mesh, (segments, 2, 2)), m."""
+    return model.drawn_points + model.nodal(q), model.sticks(q)
+
+
+def _points(positions):
+    return np.concatenate([positions[0], positions[1].reshape(-1, 2)])
+
+
+def _rest_and_moved(model, q, x, scale):
+    """Positions at rest, and moved by a visible multiple of the shape x."""
+    rest = _positions(model, q)
+    x = np.real(x) * (PROBE * model.extent / np.abs(x).max())
+    largest = np.hypot(*(_points(_positions(model, q + x)) - _points(rest)).T).max() or 1.0
+    size = float(np.linalg.norm(np.ptp(_points(rest), axis=0))) or 1.0
+    return rest, _positions(model, q + scale * AMPLITUDE * size / largest * x)
+
+
+def _box(pairs):
+    """Bounds of all that is drawn in (rest, moved) pairs."""
+    return bounds(np.concatenate([_points(positions) for pair in pairs for positions in pair]))

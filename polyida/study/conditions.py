@@ -1,31 +1,143 @@
-"""`conditioning`: the condition number of iteration matrices against the step."""
+"""`condition_number` of the scaled iteration matrix of an integrator at a state, and `conditioning`: against the step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from inspect import signature
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.integrate.iteration_matrix import condition_number
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida import tables as of_ida
+from polyida.integrate.ida.forms import System
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau import matrices as of_radau
+from polyida.integrate.radau.matrices import Rows, lift
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.radau.tableau import radau
+from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State, declared
-from polyida.linear.lu import condition
-from polyida.model.guarded import guard
+from polyida.linear.lu import condition, scaled
+from polyida.linear.saddle import assemble, scaling_size
+from polyida.model import Model
+from polyida.model.guarded import guard, require_functions
 from polyida.progress import teller
 from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.ivp import require_labels, resolve_model, step_list
 from polyida.study.result import Result
 from polyida.study.rows import fit_slope, pick
-from polyida.validation import named_keywords
+from polyida.validation import is_number, is_one_of, named_keywords
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 DECADES = tuple(10.0**-k for k in range(1, 10))
+UNKNOWNS = ("q", "v", "a")
+MODES = ("real", "complex")
+
+
+@named_keywords
+def condition_number(
+    model: Model,
+    integrator: GeneralizedAlpha | IDA | RadauIIA,
+    state: State,
+    scaling: str | None = None,
+    unknown: str = "q",
+    h: float | None = None,
+    exact: bool | None = None,
+    mode: str | None = None,
+) -> float:
+    """Return the condition number of an integrator's iteration matrix at a state.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    integrator : GeneralizedAlpha, IDA or RadauIIA
+        The integrator.
+    state : State
+        The state.
+    scaling : str, optional
+        A scaling that the integrator knows, in place of its own.
+    unknown : {"q", "v", "a"}
+        Unknowns of GeneralizedAlpha: (dq, dlam), or the increments of v = gamma' q or a = beta' q in place of dq.
+    h : float, s, optional
+        Step in place of the integrator's own; required for IDA, cj = 1/h.
+    exact : bool, optional
+        True: in the 2-norm, from a dense inverse, accurate also far beyond 1e16 (default up to 2000 unknowns). False: an estimate of the
+        condition number in the 1-norm from a sparse factor, mostly within a factor of 10.
+    mode : {"real", "complex"}, optional
+        Mode of the stages of RadauIIA; by default the real one, which two stages do not have.
+
+    Returns
+    -------
+    float
+        The condition number, inf for a singular matrix.
+
+    Raises
+    ------
+    InputError
+        For an integrator, scaling, unknown, mode or step that does not exist.
+
+    Notes
+    -----
+    GeneralizedAlpha: `[[S, phi_q^T], [phi_q, 0]]`, `S = beta' M + gamma' C + K`. IDA: `dF/dy + cj dF/dy'` of its form. RadauIIA: the matrix of
+    its form for one mode of the stages.
+
+    Higham, Tisseur, SIAM J. Matrix Anal. Appl. 21 (2000) 1185-1201, for the estimate.
+    """
+    return condition(iteration_matrix(model, integrator, state, scaling, unknown, h, mode), exact)
+
+
+def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None, mode=None):
+    """The scaled matrix of one Newton iteration, with the arguments of `condition_number`: CSC if the model's matrices are sparse, else dense."""
+    model = guard(model, "condition_number")
+    if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):
+        raise InputError(f"condition_number: integrator {integrator!r} must be GeneralizedAlpha, IDA or RadauIIA")
+    name, of_stages = type(integrator).__name__, isinstance(integrator, RadauIIA)
+    if not is_one_of(unknown, UNKNOWNS):
+        raise InputError(f"condition_number: unknown = {unknown!r} must be one of {', '.join(UNKNOWNS)}")
+    if unknown != "q" and not isinstance(integrator, GeneralizedAlpha):
+        raise InputError(f"condition_number: unknown = {unknown!r} must be 'q' for {name}, which has q and v at once")
+    if mode is not None and not of_stages:
+        raise InputError(f"condition_number: mode = {mode!r} must be None for {name}: RadauIIA has them")
+    if mode is not None and not is_one_of(mode, MODES):
+        raise InputError(f"condition_number: mode = {mode!r} must be one of {', '.join(MODES)}, or None")
+    if mode == "real" and integrator.stages == 2:
+        raise InputError("condition_number: mode = 'real' must be 'complex' for RadauIIA of two stages, which has no other")
+    state = require_state("condition_number", model, state)
+    t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
+    require_functions(model, t, q, v)
+    integrator = integrator if scaling is None else replace(integrator, scaling=scaling)
+    if isinstance(integrator, IDA):
+        if not (is_number(h) and h > 0):
+            raise InputError(f"condition_number: h = {h!r} must be a positive step in s: IDA has none of its own")
+        system = System(model, integrator.form, integrator.baumgarte_rate)
+        matrix, s = of_ida.whole_matrix(system, t, *system.pack(state), 1 / h)
+        return scaled(matrix, *of_ida.sizes(integrator.scaling, system.form, model.n, model.m, 1 / h, s))
+    integrator = integrator if h is None else replace(integrator, h=h)
+    if integrator.h is None:
+        raise InputError(f"condition_number: h = None must be a positive step in s: {name} has none of its own")
+    if of_stages:  # form "ggl" with mu also if a run leaves mu out because phi is linear in q
+        tied = integrator.form == "ggl"
+        rows = Rows(model, t, q, v, lift(model, weights(model, q)) if tied else None)
+        c = radau(integrator.stages).modes[-1 if mode == "complex" else 0].value / integrator.h
+        slope = c * model.mass(q) + model.force_v(t, q, v) if model.needs.velocity_forces else c * model.mass(q)
+        matrix, s = of_radau.whole_matrix(c, model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), slope, rows)
+        return scaled(matrix, *of_radau.sizes(integrator.scaling, c, s, model.n, model.m, tied))
+    coefficients, h = integrator.coefficients, integrator.h
+    to_a, to_v = coefficients.rates(h)
+    tangent = model.tangent(t, q, v, a, lam, to_a, to_v, 1.0)
+    matrix = assemble(tangent, model.phi_q(t, q), scaling_size(integrator.scaling, coefficients.beta * h * h, tangent))
+    columns = np.ones(matrix.shape[0])
+    columns[: model.n] = 1 / {"q": 1.0, "v": to_v, "a": to_a}[unknown]
+    return scaled(matrix, np.ones(matrix.shape[0]), columns)
 
 
 class Conditioning(Result):

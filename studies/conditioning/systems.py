@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
 from polyida.linear.lu import condition, dense, scaled
@@ -14,6 +13,7 @@ from polyida.linear.saddle import SCALINGS, assemble, scaling_size
 from polyida.model import Model, Needs
 from polyida.problems import plates
 from polyida.run.solve import solve
+from polyida.study.conditions import condition_number
 
 ALPHA_UNKNOWNS = {"q": -4, "v": -3, "a": -2}  # beside lam: slope of the raw condition number in h
 ALPHA_SCALINGS = {"none": -4, "rows only": -2, "multipliers only": -2, "bottasso": 0, "physical": 0}

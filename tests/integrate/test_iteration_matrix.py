@@ -11,10 +11,10 @@ from polyida import condition_number
 from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.newton import Correction
-from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
 from polyida.linear.saddle import SCALINGS
 from polyida.problems import plates
+from polyida.study.conditions import iteration_matrix
 
 SMALL = 10.0 ** -np.arange(5.0, 10.0)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida import memory
+from polyida import environment
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -54,12 +54,12 @@ def test_the_state_to_go_on_from_is_not_in_the_frames(model):
     assert np.abs(run.state.q).max() > 1e-3
 
 
-@pytest.mark.skipif(not memory.LAZY, reason="memory is the system's at once")
+@pytest.mark.skipif(not environment.LAZY, reason="memory is the system's at once")
 def test_where_the_system_grants_nothing_there_is_no_memory(monkeypatch):
     def refused(*given, **flags):
         raise OSError("no")
 
-    monkeypatch.setattr(memory.mmap, "mmap", refused)
-    monkeypatch.setattr(memory, "_unused", defaultdict(list))
+    monkeypatch.setattr(environment.mmap, "mmap", refused)
+    monkeypatch.setattr(environment, "_unused", defaultdict(list))
     with pytest.raises(MemoryError):
-        memory.allocate([(1 << 20,)], [np.dtype(float)], 2**30)
+        environment.allocate([(1 << 20,)], [np.dtype(float)], 2**30)

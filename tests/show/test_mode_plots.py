@@ -5,7 +5,7 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 
 import polyida as pi
-from polyida.show.mode_plots import AMPLITUDE
+from polyida.show.plates import AMPLITUDE
 from polyida.show.style import figure, rendered
 
 MESH = pi.mesh.quads(1.0, 0.1, 10, 2)

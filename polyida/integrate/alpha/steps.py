@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from polyida.environment import allocate
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step_size import CUT, LOWEST, StepSizeController
@@ -13,7 +14,6 @@ from polyida.integrate.sizes import extent, states_at_rest, weights
 from polyida.integrate.start import start_values, started
 from polyida.integrate.state import State, States, Stretch
 from polyida.linear.lu import FactorCache, SingularSystem
-from polyida.memory import allocate
 from polyida.system import INSTANTS
 from polyida.system.python import PythonTable, small_table
 

@@ -21,10 +21,20 @@ from functools import partial
 
 import numpy as np
 
+from polyida import system as of
+from polyida.assembly import joints
+from polyida.assembly.stabilised_border import mass_columns, stabilised_workspace
+from polyida.errors import DONE
+from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau import matrices
 from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
+from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
+from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs
+from polyida.integrate.radau.tables.scene import rows as rows_at
+from polyida.integrate.radau.tables.scene_factors import Solver
+from polyida.jit import entry
 from polyida.linear.lu import dense, first_order_sizes, first_order_units
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
@@ -122,14 +132,55 @@ class PythonForm(PythonStages):
         return FormRows(self.system, self.factored.c[0], t, q, v, self._array(a, self.model.n).copy(), B)
 
 
+@entry
+def rate(w, instant, q, v, out, known, e, f):
+    """phi_q v + phi_t at the q of the last residual; known: with its v."""
+    vz = w.vz
+    if not known:
+        vz = w.points[DV]
+        joints.point_values(w.scene.links, pairs(w, v), vz)
+    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], vz, w.spare, rows_at(w, out), w.spare)
+    return DONE
+
+
+FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.INERTIA, of.REAL)} | {of.RATE: rate}
+
+
+class SceneForm(SceneStages):
+    """The table of a scene in a stabilised form: residuals and one co-rotated solve with a border; one factor that is filled anew in place."""
+
+    def __init__(self, model, tableau):
+        super().__init__(model, tableau, True)
+        self.entries, self.step, self.solver = FUNCTIONS, model.step_matrix(), None
+
+    def stand(self, t):
+        """Set the time of the equations."""
+        if self.model.profiles:
+            self.w["drives"][INSTANT] = self.model.drives(t)
+
+    def make(self, slot, h, made_at, counts):
+        """Factor S at a state. Raises SingularSystem."""
+        model, step, c, before = self.model, self.step, 1.0 / h, self.solver
+        at = float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3))
+        step.factor(*at, c * c, c)
+        damping = model.force_v(*at[:2], np.zeros(model.n)) / c if model.damped else None
+        in_place = before is not None and before.factored is step.corotated
+        columns = mass_columns(model, step.corotated, damping, before.mass_columns if in_place else None)
+        counts.backend = step.backend
+        counts.solves += 2 * step.solves
+        if in_place:
+            before.c[0] = c
+            return
+        self.solver = Solver(np.array([c]), step.corotated, step.workspace, columns, stabilised_workspace(model))
+        self.set_solvers(self.solver, None)
+
+
 def table_of(system, linear, scaling):
     """(the table of a System, True if its rows are evaluated in every iteration)."""
     model, form = system.model, system.form
     if model.compiled and form.stabilised and linear == "auto":
         heaviest = model.arrays.links.point_mass.max(initial=0.0)
         if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
-            from polyida.integrate.ida.scene import SceneForm
-
             return SceneForm(model, EULER), True
     if linear == "auto" and small_own(model):
         return dense_table(model, EULER, system.levels), system.rows_vary
