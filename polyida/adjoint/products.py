@@ -8,7 +8,7 @@ from polyida.adjoint import relaxation
 from polyida.assembly import compact, joints
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.element import cell_products, kernels
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, shared
 from polyida.linear.dense import clear
 
 
@@ -65,7 +65,7 @@ def scratch(model, tied=False):
     )
 
 
-@part
+@shared
 def hold_state(s, laws, drives, u, v, lam, x):
     """Evaluate everything at a state except the plates: points, their curvature, matrices of bodies of few coordinates."""
     joints.point_values(s.links, u, x.points[DZ])
@@ -96,7 +96,7 @@ def few_products(c, few, w, r):
                     r[first + j, k] += block[0, k] * w[first + i, 0] + block[1, k] * w[first + i, 1]
 
 
-@part
+@shared
 def body_products(s, viscosity, u, v, w, rotation, x):
     """Fill x.stiff, x.heavy and x.slowing with the parts of the bodies; rotation: x.rotation, or (0, 2) if it is already computed."""
     clear(x.stiff)

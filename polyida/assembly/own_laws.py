@@ -267,7 +267,7 @@ def laws_of(elements, states, elastic, points, drives, size):
         count = len(placed.rest)
         sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
         arguments = {"z": ("b", (count,), True)}
-        laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, arguments, (count,), 0, "-found", True)))
+        laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, arguments, (count,), 0, -1.0, True)))
     sides, data, addresses = zip(*laws) if laws else ((), (), ())
     numbers = [np.zeros(1), *(one.words for one in data)]  # the time comes first
     of_laws = [states.get(name) for name in elements] + [None] * len(elastic)
@@ -294,12 +294,12 @@ def laws_of(elements, states, elastic, points, drives, size):
     )
 
 
-def _addresses(name, part, forces, arguments, of_energy, shape, no_energy, *result):
+def _addresses(name, part, forces, arguments, of_energy, shape, no_energy, *options):
     """(OwnData, (address of the forces, address of the energy or `no_energy`, address of the rates or 0)) of a part."""
     functions = part.compiled_functions()
     data = OwnData(part, functions.values())
     try:
-        address = data.c_function(functions[forces], arguments, shape, *result)
+        address = data.c_function(functions[forces], arguments, shape, *options)
         energy, rates = functions.get("energy"), functions.get("rates")
         energy = data.c_function(energy, of_energy, ()) if energy else no_energy
         return data, (address, energy, data.c_function(rates, arguments, arguments["s"][1]) if rates else 0)

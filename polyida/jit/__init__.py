@@ -90,7 +90,7 @@ def own_address(function, kinds, cached):
     if compilers:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Cannot cache compiled function")  # because it contains addresses of this process
-            return compilers.c_address(function, None, kinds, _COMMON, compilers.OwnCompiler, cached)
+            return compilers.c_address(function, None, kinds, _COMMON, cached)
     compiled_function = numba.cfunc(kinds, nopython=True, **_COMMON)(function)
     _c_functions.append(compiled_function)
     return compiled_function.address

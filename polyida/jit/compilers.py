@@ -67,9 +67,9 @@ def entry(outer, part, compiler, options, cached=True):
     return new
 
 
-def c_address(outer, part, kinds, options, compiler=None, cached=True):
+def c_address(outer, part, kinds, options, cached=True):
     """The address of a function as a C function."""
-    new = entry(outer, part, compiler or EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, cached)
+    new = entry(outer, part, EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, cached)
     new.compile(kinds)
     result = new.overloads[kinds.args]
     environments = result._find_referenced_environments()

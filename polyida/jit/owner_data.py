@@ -16,7 +16,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload_method, r
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.fingerprint import machine_code_fingerprint
-from polyida.jit.user_functions import argument_of, c_function_of, for_numba, is_compiled, names_of
+from polyida.jit.user_functions import FILL, argument_of, c_function_of, for_numba, is_compiled, names_of
 from polyida.profile import Profile
 
 DTYPES = {
@@ -44,9 +44,9 @@ class OwnData:
     words: the values as float64 words, to be read when all are added. profiles: [(index of the word of its value, Profile)]. python: True if a field is a Python function.
     """
 
-    def __init__(self, owner, functions):
+    def __init__(self, owner, functions, helpers=()):
         self.owner, self.python, self.fields, self.functions, self.profiles, self._words = owner, False, {}, [], [], []
-        self.helpers = ()  # (name, compiled function) that source texts of arguments call
+        self.helpers = helpers  # (name, compiled function) that source texts call
         for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
             value = getattr(owner, name, None)
             if name in getattr(owner, "__dict__", ()) or not callable(value):
@@ -86,11 +86,11 @@ class OwnData:
         words = f"carray(pointer({at}), ({max(1, len(content) // 8)},)).view(np.{array.dtype})"
         return f"frozen({words}[:{array.size}].reshape({array.shape}))" if array.ndim else f"{words}[0]"
 
-    def c_function(self, function, arguments, shape, result="found", of_complex=False, store="", other=None):
+    def c_function(self, function, arguments, shape, factor=1.0, of_complex=False, store="", other=None):
         """The address of the C function of `function(self, ...)`. Raises InputError.
 
         arguments: {argument: (its name in `data, instant, t, b, c, d, e, out`, its shape, True if it is complex), or its source text}. shape: of
-        the result, () of a number. store: source text that stores `found`, and `also`, the value of another function `other(self, ...)`.
+        the result, () of a number. factor: of the stored result. store: source text that stores `found`, and `also`, the value of another function `other(self, ...)`.
         """
 
         def listed(function):
@@ -109,7 +109,7 @@ class OwnData:
     except Exception:
         return {RAISED}
     require_result(found)
-    {check}{store or f"{out}[...] = {result}"}
+    {check}{store or (f"{FILL[len(shape)]}({out}, found, {factor})" if shape else f"{out}[0] = found")}
     return {DONE}
 """
         mark = machine_code_fingerprint(*filter(None, (function, other)), *self.functions)

@@ -3,6 +3,8 @@
 numba passes each array of a tuple as seven values, in every call at every level; a scene and its workspace are several hundred values. A pack
 stores the addresses and shapes of its arrays in one block of words; `s.weights` in compiled code reads them from the block. The block never
 changes, and LLVM is told so: it moves the reads out of loops.
+
+None takes a word, like a pack: code that does not read a field may be compiled for the type with None there, and serves blocks with both.
 """
 
 import hashlib
@@ -38,7 +40,7 @@ def _words(value):
     if isinstance(value, np.ndarray):
         return value.__array_interface__["data"][0], *value.shape, *value.strides
     if value is None:
-        return ()
+        return (0,)
     if isinstance(value, _Packed):
         return (value.address,)
     return (int(value) if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.int64)),)
@@ -62,9 +64,7 @@ class PackType(types.BaseNamedTuple):
 
 def _size(kind):
     """Number of words of a field."""
-    if isinstance(kind, types.Array):
-        return 1 + 2 * kind.ndim
-    return 0 if kind is types.none else 1
+    return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
 
 
 @typeof_impl.register(_Packed)

@@ -15,6 +15,7 @@ from polyida.linear.lu import SingularSystem
 
 entry = partial(jit.entry, fastmath=jit.FAST)
 part = partial(jit.part, fastmath=jit.FAST)
+shared = partial(jit.shared, fastmath=jit.FAST)
 
 
 def factorize(symbolic, blocks, dtype=None, panels=None):
@@ -37,7 +38,7 @@ def single(values):
     return np.complex64 if np.iscomplexobj(values) else np.float32
 
 
-@entry
+@shared
 def fill_panels(s, blocks, panels, numbers, places):
     """Eliminate front after front; numbers, places are scratch. False if a pivot is zero or not finite."""
     workspace, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]

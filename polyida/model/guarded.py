@@ -13,7 +13,7 @@ from polyida.jit.user_functions import CALLBACK
 from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.row_laws import require_laws, with_velocity_rows
-from polyida.model.states import OwnStates, arguments_of
+from polyida.model.states import HELPERS, OwnStates, arguments_of
 from polyida.validation import floats, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)
@@ -324,7 +324,7 @@ class Compiled:
         n = guarded.n - guarded.k
         written = [name for name in names if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
         self.functions = functions = {name: getattr(type(model), name) for name in written}
-        self.own, self.guarded = OwnData(model, functions.values()), guarded
+        self.own, self.guarded = OwnData(model, functions.values(), HELPERS if own else ()), guarded
         kinds = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
         if own and "rates" in functions:
             kinds["x"] = own.read(self.own, functions["rates"], kinds, whole)

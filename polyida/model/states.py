@@ -8,10 +8,11 @@ import ctypes
 from inspect import signature
 
 import numpy as np
+from numba import carray
 from scipy.sparse import block_diag, csr_array, eye_array, hstack
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
-from polyida.jit import entry, part
+from polyida.jit import part, shared
 from polyida.jit.intrinsics import address, call
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.dense import factor, solve
@@ -46,7 +47,7 @@ def largest(change, s, first, sizes):
     return size
 
 
-@entry
+@shared
 def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
     """Fill the algebraic states of s, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
 
@@ -115,6 +116,36 @@ def with_algebraic(function, data, t, q, v, x, guess, sizes):
     if fill_algebraic(function, data, t, q, v, 0, s, k, sizes, np.zeros_like(s)) != FOUND:
         s[k:] = np.nan
     return s
+
+
+@part
+def states_at(numbers, sizes):
+    """The states whose velocities are at a pointer."""
+    x, v = np.empty(sizes.shape[0]), carray(numbers, sizes.shape)
+    for i in range(x.shape[0]):
+        x[i] = v[i] * sizes[i]
+    return x
+
+
+@part
+def fill_states(out, mass, a, rates, factors):
+    """The equations of states in r."""
+    for i in range(out.shape[0]):
+        out[i] = -rates[i] * factors[i]
+        if mass != 0.0:
+            out[i] += mass * a[i]
+
+
+@part
+def embed(whole, found, corner):
+    """whole = found in its first rows and columns, and corner on the diagonal behind them."""
+    for i in range(whole.shape[0]):
+        for j in range(whole.shape[1]):
+            inside = i < found.shape[0] and j < found.shape[1]
+            whole[i, j] = found[i, j] if inside else corner if i == j else 0.0
+
+
+HELPERS = ("with_algebraic", with_algebraic), ("states_at", states_at), ("fill_states", fill_states), ("embed", embed)  # of source texts
 
 
 def solved(f, s, sizes):
@@ -229,11 +260,10 @@ class OwnStates:
         """Source text of the argument x of compiled functions; whole: as of Compiled."""
         behind, k = f"pointer(c + {8 * self.n})", self.k
         if not whole:
-            return f"carray({behind}, ({self.total},)) * {data.view(np.ones(self.total))}"
-        x = f"carray({behind}, ({k},)) * {data.view(self.sizes[:k])}"
+            return f"states_at({behind}, {data.view(np.ones(self.total))})"
+        x = f"states_at({behind}, {data.view(self.sizes[:k])})"
         if self.total == k:
             return x
-        data.helpers = (("with_algebraic", with_algebraic),)
         alone = data.view(np.array(data.c_function(rates, kinds | {"x": ("d", (self.total,))}, (self.total,))))
         return f"with_algebraic({alone}, data, t, b, c, {x}, {data.view(self.start[k:])}, {data.view(self.sizes[k:])})"
 
@@ -245,11 +275,10 @@ class OwnStates:
             return {}
         lines = [f"whole = carray(pointer(out), {sizes[shape]})"]
         if shape == "n":
-            inertia = f"{data.view(np.array(self.mass))} * carray(pointer(d), ({N},))[{n}:] " if name == "residual" else ""
+            mass, factors = data.view(np.array(self.mass if name == "residual" else 0.0)), data.view(self.mass / self.sizes[: self.k])
+            a = f"carray(pointer(d), ({N},))[{n}:]" if name == "residual" else "whole"
             lines += ["require_result(also)", f"if also.shape != ({self.total},):", f"    return {WRONG_SHAPE}"]
-            lines += [f"whole[:{n}] = found", f"whole[{n}:] = {inertia}- also[:{self.k}] * {data.view(self.mass / self.sizes[: self.k])}"]
+            lines += [f"fill_states(whole[{n}:], {mass}, {a}, also, {factors})", f"fill_vector(whole[:{n}], found, 1.0)"]
         else:
-            lines += ["whole[:, :] = 0.0", f"whole[:{n if shape == 'nn' else m}, :{n}] = found"]
-            if name == "mass":
-                lines += [f"whole[{n}:, {n}:] = {data.view(self.mass * np.eye(self.k))}"]
+            lines += [f"embed(whole, found, {data.view(np.array(self.mass if name == 'mass' else 0.0))})"]
         return {"store": "\n    ".join(lines), "other": rates if shape == "n" else None}

@@ -25,7 +25,7 @@ from polyida.integrate.radau.step import (
     project_end,
     solve_stages,
 )
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import FACTORS as SLOTS
 from polyida.system import MATRICES, PREPARE, SELECT
@@ -251,7 +251,7 @@ def selected(t, z):
     return z.times[3 + t.c.shape[0] :]
 
 
-@part
+@shared
 def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
     """Try a step from the state of y: (status, local error). The stages are in x."""
     count, times, select = t.c.shape[0], z.times, selected(t, z)

@@ -355,6 +355,7 @@ FUNCTIONS = {
     of.BEGIN: begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
     of.TURN: turn, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia,
 }  # fmt: skip
+READS = {of.REAL: ("real",), of.PAIR: ("pair",), of.MATRICES: ("real", "pair"), of.SELECT: ("real", "pair")}  # modes that functions read
 
 
 def inverse_mass(model):
@@ -432,7 +433,7 @@ class SceneStages:
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
         if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = table_address(prepare, self.kind)
+            self.functions[of.PREPARE] = table_address(prepare, typeof(self.work._replace(real=None, pair=None)))
 
     def _prepare(self, model, first, times, *_):
         try:
@@ -473,7 +474,8 @@ class SceneStages:
         if kind != self.kind:
             self.kind = kind
             for number, function in self.entries.items():
-                self.functions[number] = table_address(function, kind)
+                unread = {"real", "pair"}.difference(READS.get(number, ()))
+                self.functions[number] = table_address(function, typeof(self.work._replace(**dict.fromkeys(unread))))
             self._compile_prepare()
 
     def end_reason(self, ended, engine, control):

@@ -12,7 +12,7 @@ from polyida import system as of
 from polyida.assembly import compact, corotated
 from polyida.assembly.stabilised_border import StabilisedWorkspace, momenta, stabilised_workspace
 from polyida.errors import DONE, SINGULAR
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer
 from polyida.linear.fronts import fill_panels
 from polyida.linear.lu import FACTORS
@@ -80,7 +80,7 @@ def factored(x, stored, mode, c, rotation, slot):
     return True if mode is None else factored_mode(x, stored, mode, mode.mass_columns, c, rotation, slot)
 
 
-@part
+@shared
 def factored_mode(x, stored, mode, mass, c, rotation, slot):
     """The same with a mode; mass: its mass columns, or None without mu."""
     s = mode.factored
