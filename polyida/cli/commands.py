@@ -70,10 +70,10 @@ def free_path(path, default, overwrite):
     """Where to write: an explicit path must be free unless `overwrite`; the default gets a number if it exists. Symlinks are followed."""
     target, number = path or default, 2
     if target.is_symlink():
-        try:
+        with suppress(OSError, RuntimeError):  # of a loop, before Python 3.13
             target = target.resolve()
-        except (OSError, RuntimeError):
-            raise InputError(f"{target} is a symlink that leads nowhere but to itself") from None
+    if target.is_symlink():
+        raise InputError(f"{target} is a symlink that leads nowhere but to itself")
     is_used = lambda place: place.exists() and not (place.is_dir() and not any(place.iterdir()))  # noqa: E731
     if overwrite or not is_used(target):
         return target

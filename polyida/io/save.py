@@ -197,6 +197,8 @@ def free(path_given, overwrite):
     except (TypeError, ValueError, OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path_given!r:.100} must be the path of a file ({reason})") from None
+    if path.is_symlink():  # Python 3.13 gives a loop back
+        raise InputError(f"{path_given} is a symlink that leads nowhere but to itself")
     if folder:
         raise InputError(f"{str(path_given)!r} is a folder; give the name of a file")
     if there and not file:
