@@ -21,6 +21,7 @@ from work_precision import tip_accuracy
 FOLDER = Path(__file__).parents[2] / "studies"
 BROKEN = {"error": "RuntimeError: it broke", "traceback": "where it broke"}
 T = [0.0, 10.0, 13.0, 20.0]
+MOST = 40  # rows of a study, about, each of which fails alone
 REQUIRED = {
     "work_precision": {
         "andrews_alpha_best_error",
@@ -241,7 +242,8 @@ def test_each_single_row_failed(name, monkeypatch):
     whole = StudyResult(silent, rows)
     assert all(np.isfinite(whole.figures[key]) for key in REQUIRED.get(name, ()))
     assert not [line for line in whole.notes if "not computed" in line]
-    for k, task in enumerate(study.tasks(True)):
+    for k in range(0, len(rows), max(1, len(rows) // MOST)):
+        task = study.tasks(True)[k]
         broken = rows[:k] + [task | BROKEN] + rows[k + 1 :]
         assert not [line for line in StudyResult(silent, broken).notes if "not computed" in line], task
 

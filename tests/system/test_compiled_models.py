@@ -110,7 +110,7 @@ def test_the_motion_is_that_of_the_functions_in_python(kind, method):
 
 
 def test_a_problem_s_own_model_is_compiled_as_it_stands():
-    problem, ends = get("car-axis"), []
+    problem, ends = get("pendulum"), []
     for kind in (type(problem.model), by_numba(type(problem.model))):
         run = pi.solve(kind(), problem.t_end / 50, pi.GeneralizedAlpha(h=problem.t_end / 1e4), q0=problem.q0, v0=problem.v0)
         ends.append(np.concatenate([run.q[-1], run.lam[-1]]))
