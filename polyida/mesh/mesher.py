@@ -157,10 +157,8 @@ def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike
 
     Parameters
     ----------
-    length, height : float, m, > 0
-    nx, ny : int, >= 1
-    origin : (2,) float, m
-        Translation of the mesh.
+    length, height, nx, ny, origin
+        As of `quads`.
 
     Returns
     -------

@@ -219,16 +219,8 @@ def drift(
 
     Parameters
     ----------
-    model, t_end, q0, v0
-        As in `work_precision`.
-    integrators : {label: integrator}
-        One integrator for each label.
-    frames : int
-        Largest number of points of each history.
-    every : int
-        Rows hold the maximum over every `every`-th step.
-    progress : callable or bool, optional
-        As in `work_precision`.
+    model, t_end, q0, v0, integrators, frames, every, progress
+        As in `energy`.
 
     Returns
     -------
