@@ -22,12 +22,16 @@ import numpy as np
 
 from polyida.adjoint.alpha import AlphaAdjoint
 from polyida.adjoint.mesh_error import MeshError
+from polyida.errors import DONE, REASONS, StepFailure
+from polyida.integrate.alpha.steps import table_of
 from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import motor_jump, started
 from polyida.jit import entry
+from polyida.jit.intrinsics import address, call
 from polyida.model.differences import beside, near_points, step_integrals
 from polyida.objective.objective import OneFrame, terms_of
 from polyida.objective.peak_stress import PeakStress
+from polyida.system import RATE, RESIDUAL
 
 WIDTHS = 3.0  # of the Gaussian, on each side
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
@@ -77,6 +81,31 @@ def averaged(t, h, widths, tau, factors, first, last, mean):
     return total
 
 
+@entry
+def left_over(f, workspace, q, v, a, lam, w, mu, kappa, r, phi):
+    """(`sum w . r + mu . phi + kappa . rate`, status) of the states (count, .) of prepared steps; kappa (0, m): no rates. r (n,), phi (m,): scratch.
+
+    f: addresses of the table's functions; workspace: address of the model's.
+    """
+    total = 0.0
+    for k in range(q.shape[0]):
+        at = address(q[k]), address(v[k])
+        ended = call(f[RESIDUAL], workspace, k, at[0], at[1], address(a[k]), address(lam[k]), address(r), address(phi))
+        if ended != DONE:
+            return total, ended
+        for i in range(r.shape[0]):
+            total += w[k, i] * r[i]
+        for i in range(phi.shape[0]):
+            total += mu[k, i] * phi[i]
+        if kappa.shape[0]:
+            ended = call(f[RATE], workspace, k, at[0], at[1], address(phi), 0, 0, 0)
+            if ended != DONE:
+                return total, ended
+            for i in range(phi.shape[0]):
+                total += kappa[k, i] * phi[i]
+    return total, DONE
+
+
 class AlphaErrors(AlphaAdjoint):
     """Backward sweep over a run that sums the parts of its error.
 
@@ -90,7 +119,7 @@ class AlphaErrors(AlphaAdjoint):
     def __init__(self, run, objective, memory_limit):
         super().__init__(run, objective, [], memory_limit)
         self.run, self.objective, model = run, objective, self.model
-        self.plain = replace(self.settings, start="plain")
+        self.plain, self.table, self.system = replace(self.settings, start="plain"), table_of(self.settings, model, False), None
         segments, count = self.history.segments, len(self.history.frames) - 1
         self.times = np.concatenate([np.asarray(self.history.states(k, k + 1)[0]) for k in (0, count)])
         breaks = [
@@ -146,17 +175,29 @@ class AlphaErrors(AlphaAdjoint):
         self.lost += self.steps[first:end].sum()
         self._average(begin + 0.5 * h, h, tau, np.stack(keep), first == piece[0])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
-        rows = self.model.velocity_rows
-        for k, (w, mu, *state) in enumerate(zip(result.w, result.mu, t.tolist(), q, v, a, lam)):
-            self.newton += w @ self.model.residual(*state) + mu @ self.model.phi(*state[:2])
-            if rows.size:
-                self.newton += result.kappa[k, rows] @ self.model.phi_rate(*state[:3])[rows]
+        self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
             mesh.add(*(x.reshape(count, -1, 2) for x in (q, v, result.w)), slopes.energies.get(name, np.zeros(count)))
         for one in (slopes.lam, slopes.a):
             if one is not None and one.size:
                 sizes = np.abs(one).sum(axis=1)
                 self.of_forces, self.at_instants = self.of_forces + sizes.sum(), max(self.at_instants, sizes.max())
+
+    def _left_over(self, h, begin, t, q, v, a, lam, result):
+        """What Newton's method left of the equations of some steps, times their multipliers."""
+        n, m, table = self.model.n, self.model.m, self.table
+        arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, result.w, result.mu)]
+        kappa = result.kappa if self.model.velocity_rows.size else np.zeros((0, m))
+        table.prepare(np.append(begin, t), (begin, t[-1]), h)
+        if self.system is None:  # a table works with a factor, though no residual needs it
+            self.system = table.system(self.settings)
+            table.factor(self.system, t[0], *(x[0].copy() for x in arrays[:4]), *self.settings.coefficients.rates(h))
+        with table.at_work(self.system) as at:
+            total, ended = left_over(*at, *arrays, kappa, np.empty(n), np.empty(m))
+        table.raise_error()
+        if ended != DONE:
+            raise StepFailure(*REASONS[ended], t[0])
+        return total
 
     def observe_start(self, segment, bars):
         """Add what the velocities deviate from consistent ones where a piece begins."""

@@ -22,7 +22,7 @@ from polyida.io.layout import MEMORY_LIMIT
 from polyida.mesh import PolygonMesh
 from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, require_objective
-from polyida.progress import over_time, require_progress
+from polyida.progress import backward, require_progress
 from polyida.run.solve import solve
 from polyida.trajectory import Trajectory
 from polyida.validation import is_flag, is_number, is_one_of, named_keywords, require_bytes
@@ -274,22 +274,14 @@ def error_of(
             )
         else:
             adjoint_of("error_of", run)
-            bars = _with_progress(run, objective, memory_limit, progress)
+            with backward(progress, run) as tell:
+                bars = _estimate(run, objective, memory_limit, tell)
         if not again:
             return bars
         second, changes = _time_again(run, objective, bars.value), {}
         if any(isinstance(model.parts[placed.name], Reduced) for placed in model.few):
             changes["modes"] = _modes_again(run, objective) - bars.value
         return replace(bars, again=second, time=second if bars.time is None else bars.time, **changes)
-
-
-def _with_progress(run, objective, memory_limit, progress):
-    """The ErrorBars of a run of generalized-alpha; progress: as of `error_of`."""
-    if progress is not True:
-        return _estimate(run, objective, memory_limit, progress or (lambda t: None))
-    begin, end = float(run.t[0]), float(run.t[-1])
-    with over_time(progress, begin, end) as tell:
-        return _estimate(run, objective, memory_limit, lambda t: tell(begin + end - t))
 
 
 def _time_again(run, objective, value):

@@ -35,7 +35,7 @@ from polyida.model.guarded import guard
 from polyida.model.row_laws import require_no_laws
 from polyida.objective.objective import Objective, along_way
 from polyida.objective.peak_stress import PeakStress, StrainEnergy
-from polyida.progress import over_time, require_progress
+from polyida.progress import backward, require_progress
 from polyida.trajectory import Trajectory
 from polyida.validation import named_keywords, require_bytes
 
@@ -140,13 +140,10 @@ def gradient(
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
         kind = adjoint_of("gradient", run)
-        begin, end = float(run.t[0]), float(run.t[-1])
         arguments = run, objective, names, memory_limit
         sweep = partial(gradient_of_events, kind, *arguments) if run.events.given else kind(*arguments).gradient
-        if progress is not True:
-            return sweep(progress or (lambda t: None))
-        with over_time(progress, begin, end) as tell:
-            return sweep(lambda t: tell(begin + end - t))
+        with backward(progress, run) as tell:
+            return sweep(tell)
 
 
 def adjoint_of(part, run):

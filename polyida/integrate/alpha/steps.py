@@ -37,13 +37,7 @@ class Steps:
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
-        incremental = settings.incremental_phi and model.has_constraint_increments
-        if model.compiled and settings.linear != "kkt":
-            from polyida.system.scene import SceneTable
-
-            self.table = SceneTable(model, self.stabilised or model.velocity_rows.size > 0, incremental)
-        else:
-            self.table = (None if settings.linear == "kkt" else small_table(model, incremental)) or PythonTable(model, incremental)
+        self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments)
         self.caution = self.table.system(settings).caution
         self.system = self.spare = self.resize = self.recorder = self.factored_for = None
         self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
@@ -255,6 +249,17 @@ class Steps:
         if p.incremental:
             memory |= {"phi": y.rows[step.PHI].copy(), "rate": y.rows[step.RATE].copy()}
         return memory if grid is None else memory | {"grid": grid}
+
+
+def table_of(settings, model, incremental):
+    """The table of a model for steps with these settings."""
+    if settings.linear == "kkt":
+        return PythonTable(model, incremental)
+    if not model.compiled:
+        return small_table(model, incremental) or PythonTable(model, incremental)
+    from polyida.system.scene import SceneTable
+
+    return SceneTable(model, (settings.form == "stabilised" and model.m > 0) or model.velocity_rows.size > 0, incremental)
 
 
 def _no_rows(count):
