@@ -266,14 +266,14 @@ class Sweep:
     def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
         """The SweepResult of steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
 
-        slopes: of the objective at these states; bars: the AdjointState from the step behind the last one. keep: arrays for y and z, (count, n)
-        each, or None. slips (count, n): of the stabilised form, the part of q from eta.
+        slopes: of the objective at these states; bars: the AdjointState from the step behind the last one. keep (2, count, n): for y and z,
+        or None. slips (count, n): of the stabilised form, the part of q from eta.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             self._forget()
         self.memory.bars[:], self.before = bars, t[0] - self.method.h
         table, states, n, m = self.table, (t, q, v, a, lam), self.model.n, self.model.m
-        self.out = SweepOutput(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, n))))
+        self.out = SweepOutput(np.empty_like(q), np.empty_like(lam), *(np.empty((2, 0, n)) if keep is None else keep))
         parts = (slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m)
         slopes_here = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
         self.frame_slopes, done = slopes_here, len(t)
@@ -394,7 +394,7 @@ class AlphaAdjoint(RunAdjoint):
                     slopes_here.lam[-1] += lam
             motion = self._motion(segment, first, last) if self.ready else None
             slip = self._slips(segment.h, *motion) if self.stabilised else None
-            keep = tuple(np.empty((2, *q.shape))) if self.events.speeds or self.observes else None
+            keep = np.empty((2, *q.shape)) if self.events.speeds or self.observes else None
             result = sweep.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
             self.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
             if self.stabilised:

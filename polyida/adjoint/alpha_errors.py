@@ -173,7 +173,7 @@ class AlphaErrors(AlphaAdjoint):
         truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], *keep, tau, self.steps[first:end])
         self.t[first:end], self.h[first:end] = begin + h, h
         self.lost += self.steps[first:end].sum()
-        self._average(begin + 0.5 * h, h, tau, np.stack(keep), first == piece[0])
+        self._average(begin + 0.5 * h, h, tau, keep, first == piece[0])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
         self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
@@ -236,7 +236,8 @@ class AlphaErrors(AlphaAdjoint):
                 behind = self._behind(first) if inside[0] == first else None
                 pieces.append((int(frames[inside[0]]), int(frames[inside[-1]]), behind))
         shares = self.steps.copy()
-        shares[states[1:] - 1] += self.objective.quadrature(self.run, pieces)
+        if quadrature := getattr(self.objective_slopes.slopes, "quadrature", None):
+            shares[states[1:] - 1] += quadrature(pieces)
         return float(shares.sum()), shares
 
     def _behind(self, first):

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PARTS = ("time", "newton", "mesh", "modes")
-CANCEL = 0.1  # of the larger of the two parts of the error of a mesh: their sum is not trusted below it
+REMAINDER = 0.5  # of the error of a mesh: an estimate that second-order terms may change by more is not within a factor of two
 FIELDS = 3  # that a reduced plate is enriched by
 DEFAULT_RTOL = 1e-5  # of a run whose tolerance is unknown
 TENTH = 0.1  # of the tolerances, in a run that is compared with one of adaptive steps
@@ -347,13 +347,14 @@ def _estimate(run, objective, memory_limit, progress):
     sweep.sweep_backward(progress)
     time, steps = sweep.of_time()
     share, why = sweep.reasons(time)
-    parts = {name: mesh.parts for name, mesh in sweep.meshes.items()}
-    cells = {name: sum(part) for name, part in parts.items()}
+    cells = {name: mesh.parts.sum(axis=0) for name, mesh in sweep.meshes.items()}
     left_out = sweep.reasons_of_mesh()
-    sums = np.sum([part.sum(axis=1) for part in parts.values()], axis=0) if parts else np.zeros(2)
-    if parts and abs(sums.sum()) < CANCEL * np.abs(sums).max():
+    sums = np.sum([mesh.parts.sum(axis=1) for mesh in sweep.meshes.values()], axis=0) if cells else np.zeros(2)
+    works, gaps = np.sum([np.abs(mesh.three).sum(axis=1) for mesh in sweep.meshes.values()], axis=0) if cells else (0.0, 0.0)
+    if gaps * np.abs(sums).max() > REMAINDER * works * abs(sums.sum()):
         left_out = (
-            f"the errors of shape functions and of their integration cancel, {100 * abs(sums.sum()) / np.abs(sums).max():.0f} % are left",
+            f"the errors of shape functions and of their integration cancel, {100 * abs(sums.sum()) / np.abs(sums).max():.0f} % are left, and "
+            f"strains vary so much within cells that either is known to {100 * gaps / works:.0f} %",
         )
     return ErrorBars(
         value=sweep.objective_slopes.value,

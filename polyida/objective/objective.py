@@ -123,20 +123,16 @@ class Objective:
         raise NotImplementedError(f"{type(self).__name__} gives no value")
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Return a function of a slice of frames that returns their Slopes; its attribute `value` is J if that is known by then."""
+        """Return a function of a slice of frames that returns their Slopes.
+
+        Its attribute `value` is J if that is known by then. `quadrature`, if it has one, is a function of the smooth pieces of the run, (first frame,
+        last frame, state behind the first frame as a OneFrame or None) each: what J, a sum over frames, lacks of an integral, (frames - 1,).
+        """
         raise NotImplementedError(f"{type(self).__name__} gives no slopes")
 
     def named(self, model: Any) -> Objective:
         """Return the objective with names instead of parts of a model, for models with other values of parameters."""
         return self
-
-    def quadrature(self, run: Any, pieces: Any) -> NDArray:
-        """Return what J, a sum over frames, lacks of an integral over time, as a sum over the intervals between frames, (frames - 1,).
-
-        pieces: list of (first frame, last frame, state behind the first frame as a OneFrame or None) of the smooth parts of the run. Zero by
-        default: J is what it is defined to be.
-        """
-        return np.zeros(max(0, len(run.t) - 1))
 
     def __add__(self, other: Objective) -> Sum:
         return Sum((*terms_of(self), *terms_of(other)))
@@ -181,10 +177,6 @@ class Sum(Objective):
         """Return the sum of the named terms."""
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
-    def quadrature(self, run: Any, pieces: Any) -> NDArray:
-        """Return the sum of the terms' quadrature."""
-        return np.sum([weight * part.quadrature(run, pieces) for weight, part in self.terms], axis=0)
-
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the sum of the terms' slopes."""
         each = [(weight, part.slopes(run)) for weight, part in self.terms]
@@ -197,6 +189,9 @@ class Sum(Objective):
 
         if all(hasattr(slopes, "value") for _, slopes in each):
             of.value = float(sum(weight * slopes.value for weight, slopes in each))  # type: ignore[attr-defined]
+        rules = [(weight, slopes.quadrature) for weight, slopes in each if hasattr(slopes, "quadrature")]
+        if rules:
+            of.quadrature = lambda pieces: np.sum([w * lacks(pieces) for w, lacks in rules], axis=0)  # type: ignore[attr-defined]
         return of
 
 

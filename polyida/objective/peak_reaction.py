@@ -42,7 +42,7 @@ class PeakReaction(TimeMean):
     joint: Any
     p: float = 8.0
     unit: str | None = None
-    _of_material = True
+    _of_material, _along_v = True, False
 
     def __post_init__(self):
         settle(self, p=power("PeakReaction", self.p))

@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.errors import InputError
+from polyida.adjoint.error_bars import error_of
+from polyida.errors import InputError, StepFailure
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import declared
+from polyida.objective.objective import Objective, require_objective
 from polyida.progress import teller
 from polyida.show.style import INK, literal, marker_style, on_axes
 from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
@@ -37,6 +40,8 @@ COLUMNS = {
     "error_v": ("error in v", "{:.1e}"),
     "error_lam": ("error in lam", "{:.1e}"),
     "error_x": ("error in x", "{:.1e}"),  # of models with first-order states
+    "error_J": ("error in J", "{:.1e}"),  # with an objective
+    "estimated_J": ("error in J, estimated", "{:.1e}"),
     "cpu_s": ("CPU s", "{:.3g}"),
     "steps": ("steps", "{}"),
     "residuals": ("residuals", "{}"),
@@ -83,18 +88,18 @@ def stagnation_notes(rows, runs, reference):
 
 
 class Precision(Result):
-    """Runs with their errors in q, v, lam, and of a model with first-order states in x, at the end.
+    """Runs with their errors at the end in q, v, lam, in x of a model with first-order states, and in an objective J.
 
     Attributes
     ----------
     reference : dict
-        {"q", "v", "lam", "x": values at t_end, "made_by": [methods], "known_to": {part: accuracy}}.
+        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}}.
     """
 
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
-        self.parts = (*PARTS, *(["x"] if any("error_x" in row for row in rows) else []))
+        self.parts = (*PARTS, *(part for part in ("x", "J") if any(f"error_{part}" in row for row in rows)))
         for part in self.parts:
             count = sum(row[f"error_{part}"] <= self._accuracy(part) for row in self.rows)
             if count and self.known_to[part] > 0:
@@ -171,9 +176,35 @@ class Precision(Result):
         return axis
 
 
-def measure_errors(study, ivp, integrators, reference, repeats, progress):
+def _with_estimates(ivp, integrators, objective, rows, reference, progress):
+    """(rows with their estimated and, relative to the most accurate corrected value, measured errors in J; notes; reference with that value)."""
+    bars, notes = [], []
+    for row, integrator in zip(rows, (one for settings in integrators.values() for one in settings)):
+        progress(f"{row['integrator']}, {row['setting']}: estimate")
+        try:
+            with ivp.user_errors():
+                if row["status"] != "done":
+                    raise InputError(row["message"])
+                bars.append(error_of(ivp.run(integrator), objective, again=not isinstance(integrator, GeneralizedAlpha)))
+        except (InputError, StepFailure) as error:
+            bars.append(None)
+            notes.append(f"{row['integrator']}, {row['setting']} has no estimated error: {str(error).removeprefix('error_of: ')}")
+    errors = [NAN if one is None or not one.trusted else one.time + (one.newton or 0.0) for one in bars]
+    known = [(abs(error), one.value + error) for one, error in zip(bars, errors) if np.isfinite(error)]
+    least, value = min(known, default=(NAN, NAN))
+    result = []
+    for row, one, error in zip(rows, bars, errors):
+        if one is not None and not np.isfinite(error):
+            notes.append(f"{row['integrator']}, {row['setting']}: the estimated error is not trusted: {'; '.join(one.reasons['time'])}")
+        result.append(row | {"error_J": NAN if one is None else abs(one.value - value), "estimated_J": abs(error)})
+    return result, notes, reference | {"J": value, "known_to": reference.get("known_to", {}) | {"J": least}}
+
+
+def measure_errors(study, ivp, integrators, reference, repeats, progress, objective=None):
     """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None."""
-    if reference is not None:
+    if reference is False:
+        reference = {"made_by": [], "failed": []}
+    elif reference is not None:
         reference = user_reference(study, ivp, reference)
     elif "known_to" in ivp.published:
         reference = user_reference(study, ivp, ivp.published)
@@ -196,12 +227,16 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress):
         errors = [errors_at_end(run, ivp.parts, reference) for run in runs]
         return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 
-    reference = reference or make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
+    if reference is None:
+        reference = make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
     errors = (errors_at_end(run, ivp.parts, reference) for run in runs)
     rows = [row | {f"error_{part}": error for part, error in each.items()} for row, each in zip(rows, errors)]
     progress(total + 1, total + 1, "")
     notes = [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
-    if "q" not in reference:
+    if objective is not None:
+        rows, more, reference = _with_estimates(ivp, integrators, objective, rows, reference, lambda text: progress(total, total + 1, text))
+        notes += more
+    if "q" not in reference and reference["failed"]:
         notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
     return rows, [*notes, *unresolved_pulse_notes(reference), *stagnation_notes(rows, runs, reference)], reference
 
@@ -220,7 +255,7 @@ class WorkPrecision(Precision):
 
         Parameters
         ----------
-        part : {"q", "v", "lam", "x"}
+        part : {"q", "v", "lam", "x", "J"}
         axes : Axes, optional
             New pyplot axes if None.
         work : {"cpu_s", "steps", "residuals", "factorizations", "solves"}
@@ -242,11 +277,11 @@ class WorkPrecision(Precision):
             for i, label in enumerate(self.labels):
                 rows = [row for row in self._finished(label) if row[work] > 0]
                 self._draw_line(axis, part, i, label, rows, lambda row, error: (error, row[work]))
-            return self._finish(axis, part, "x", xlabel=f"error in {part} at the end", ylabel=WORK[work])
+            return self._finish(axis, part, "x", xlabel=f"error in {part}", ylabel=WORK[work])
 
     def pictures(self) -> dict:
         """CPU time against the errors of all parts, and residuals against the error in q."""
-        pictures = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in self.parts}
+        pictures = {f"error-{part}": (f"CPU seconds against the error in {part}.", part, "cpu_s") for part in self.parts}
         pictures["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
         return {
             name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
@@ -263,6 +298,7 @@ def work_precision(
     v0: ArrayLike | None = None,
     integrators: dict[str, object] | None = None,
     reference: object = None,
+    objective: Objective | None = None,
     repeats: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> WorkPrecision:
@@ -278,9 +314,12 @@ def work_precision(
         State at t = 0. Default: that of the problem, or zero.
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
-    reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, optional
+    reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, or False, optional
         Default: the published digits of the problem, or else Radau IIA, refined until a method of another family agrees with it to a tenth
-        of the smallest error.
+        of the smallest error. False: none, which an objective does not need.
+    objective : Objective, optional
+        A quantity J, one of `pi.objective`. Each run is repeated for `pi.error_of`. J of the run with the smallest trusted estimate, corrected by it,
+        is the reference of J; its accuracy is the size of that estimate.
     repeats : int
         Runs of each setting; the CPU time is their median.
     progress : callable or bool, optional
@@ -289,8 +328,8 @@ def work_precision(
     Returns
     -------
     result : WorkPrecision
-        A row for each run. Errors are the largest absolute deviations, in the units of q, v, lam and x. A failed run is a row with its status
-        and message.
+        A row for each run. Errors are the largest absolute deviations, in the units of q, v, lam, x and J; beside that in J stands the estimated
+        one. A failed run is a row with its status and message.
 
     Raises
     ------
@@ -303,10 +342,14 @@ def work_precision(
     """
     ivp = initial_value_problem("work_precision", model, t_end, q0, v0)
     lists = integrator_lists("work_precision", ivp, integrators)
+    if objective is not None:
+        require_objective("work_precision", objective)
+    elif reference is False:
+        raise InputError("work_precision: reference = False leaves no errors; give an objective, such as pi.objective.Deviation(...)")
     if not is_whole(repeats):
         raise InputError(f"work_precision: repeats = {repeats!r} must be a whole number of at least 1")
     with teller("work_precision", progress) as report:
-        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report))
+        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective))
 
 
 class StepSizes(Precision):

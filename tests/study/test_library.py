@@ -231,3 +231,23 @@ def test_states_have_errors_and_orders():
     rows = compare(InitialValueProblem("lag", Lagging(), 1.0, v0=[1.0]), integrators={"alpha": pi.GeneralizedAlpha(h=0.01)}).rows
     assert [rows[0]["states_end"], rows[0]["error_end"]] == pytest.approx([errors[2], errors[0]], rel=1e-4)
     assert rows[0]["states_max"] >= rows[0]["states_end"]
+
+
+def test_errors_of_a_quantity_without_a_reference():
+    def slopes(run):
+        result = np.zeros(run.q.shape)
+        result[-1, 0] = 1.0
+        return {"q": result}
+
+    place, start = pi.objective.UserObjective(lambda run: float(run.q[-1, 0]), slopes), {"q0": [1.0, 0.0]}
+    integrators = {"alpha": [pi.GeneralizedAlpha(h=h, tolerance=1e-10) for h in (1e-2, 2.5e-3)], "Radau IIA": [pi.RadauIIA(rtol=1e-3)]}
+    result = pi.study.work_precision(Swing(), 0.5, **start, integrators=integrators, reference=False, objective=place)
+    coarse, fine, radau = result.rows
+    exact = place(pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-11), **start))
+    measured = abs(place(pi.solve(Swing(), 0.5, integrators["alpha"][0], **start)) - exact)
+    assert coarse["error_J"] == pytest.approx(measured, rel=0.01) and coarse["estimated_J"] == pytest.approx(measured, rel=0.05)
+    assert abs(result.reference["J"] - exact) <= result.known_to["J"] and np.isnan(coarse["error_q"])
+    assert fine["estimated_J"] > radau["estimated_J"] > 0.0
+    assert "error-J" in result.pictures() and "error in J, estimated" in str(result.shown_columns())
+    with pytest.raises(pi.InputError, match="give an objective"):
+        pi.study.work_precision(Swing(), 0.5, **start, integrators=integrators, reference=False)
