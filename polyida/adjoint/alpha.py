@@ -253,15 +253,15 @@ def adjoint_table(model, settings, h, counts):
 
 
 class Sweep:
-    """Backward sweep over steps of h of a model. counts: Counts to be increased."""
+    """Backward sweep over steps of h of a model. counts: Counts to be increased; table: that of `adjoint_table`, if it is known."""
 
-    def __init__(self, model, settings, h, counts):
+    def __init__(self, model, settings, h, counts, table=None):
         c, n, m = settings.coefficients, model.n, model.m
         self.model, self.settings, self.counts = model, settings, counts
         self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h))
         self.memory = Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS))
         self.trial = Trial(np.zeros((6, n)), np.zeros((2, m)))
-        self.table, self.before = adjoint_table(model, settings, h, counts), np.inf
+        self.table, self.before = table or adjoint_table(model, settings, h, counts), np.inf
 
     def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
         """The SweepResult of steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
@@ -323,7 +323,7 @@ class AlphaAdjoint(RunAdjoint):
 
     def __init__(self, run, objective, names, memory_limit):
         super().__init__(run, objective, names, memory_limit)
-        self.sweeps, self.ready, self.ahead = FactorCache(), {}, {}
+        self.sweeps, self.tables, self.ready, self.ahead = FactorCache(), FactorCache(), {}, {}
         self.longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
         if self.stabilised or self.events.speeds or self.observes:
@@ -363,11 +363,17 @@ class AlphaAdjoint(RunAdjoint):
         beta = self.settings.coefficients.beta
         return q[1:] - (q[:-1] + h * v[:-1] + h * h * ((0.5 - beta) * ahead[:-1] + beta * ahead[1:]))
 
-    def sweep_backward(self, progress):
-        """The bars of q, v, a and lam of the run's first state."""
+    def beside(self, run, objective):
+        """The sweep for another objective, which shares the tables with this one."""
+        other = super().beside(run, objective)
+        other.sweeps = FactorCache()
+        return other
+
+    def stretches_backward(self):
+        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state."""
         bars, lam = AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
         for segment in reversed(self.history.segments):
-            bars = self._steps(segment, bars, lam, progress)
+            bars = yield from self._steps(segment, bars, lam)
             if self.observes:
                 self.observe_start(segment, bars)
             if self.events.speeds:
@@ -378,10 +384,13 @@ class AlphaAdjoint(RunAdjoint):
                 self.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
         return *bars[:3], lam
 
-    def _steps(self, segment, bars, lam, progress):
+    def _steps(self, segment, bars, lam):
         """The AdjointState at the start of a segment, by sweeping over it; lam: the bar of the multipliers of its last state."""
         key, end = f"{segment.h:.9e}", segment.first + segment.count
-        sweep = self.sweeps.get(key) or Sweep(self.model, self.settings, segment.h, self.counts)
+        if (sweep := self.sweeps.get(key)) is None:
+            table = self.tables.get(key)
+            sweep = Sweep(self.model, self.settings, segment.h, self.counts, table and table.beside())
+            self.tables.keep(key, table or sweep.table)
         self.sweeps.keep(key, sweep)
         for first, last in self._stretches(segment):
             t, q, v, a, rows = self.history.states(first + 1, last + 1)
@@ -408,7 +417,7 @@ class AlphaAdjoint(RunAdjoint):
                 if (by_time := slopes_here.by_time()) is not None:
                     self.events.add_at(t, by_time)
             bars = result.bars
-            progress(float(t[0]))
+            yield float(t[0])
         return bars
 
     def observe(self, segment, first, t, motion, slopes, result, keep):

@@ -11,14 +11,14 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, overload
 
 import numpy as np
 
 from polyida.adjoint.alpha import AlphaAdjoint
-from polyida.adjoint.jumps import TIME_STEPPING, gradient_of_events
-from polyida.adjoint.parameter import AdjointMultipliers
+from polyida.adjoint.jumps import TIME_STEPPING, gradients_of_events
+from polyida.adjoint.parameter import AdjointMultipliers, Parameter
 from polyida.adjoint.radau import RadauAdjoint
 from polyida.adjoint.run import Gradient, Totals
 from polyida.environment import one_blas_thread
@@ -45,14 +45,34 @@ ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
 
 
-@named_keywords
+@overload
 def gradient(
     run: Any,
     objective: Objective,
     parameters: Sequence[str] | None = None,
     memory_limit: float = MEMORY_LIMIT,
     progress: Callable[[float], object] | bool | None = None,
-) -> Gradient:
+) -> Gradient: ...
+
+
+@overload
+def gradient(
+    run: Any,
+    objective: Sequence[Objective],
+    parameters: Sequence[str] | None = None,
+    memory_limit: float = MEMORY_LIMIT,
+    progress: Callable[[float], object] | bool | None = None,
+) -> list[Gradient]: ...
+
+
+@named_keywords
+def gradient(
+    run: Any,
+    objective: Objective | Sequence[Objective],
+    parameters: Sequence[str] | None = None,
+    memory_limit: float = MEMORY_LIMIT,
+    progress: Callable[[float], object] | bool | None = None,
+) -> Gradient | list[Gradient]:
     """Return the value of an objective and its slopes dJ/dp in the parameters of the model.
 
     The slopes of a run come from the discrete adjoint of GeneralizedAlpha or RadauIIA, those of an equilibrium and of modes from one
@@ -62,8 +82,8 @@ def gradient(
     ----------
     run : Trajectory, Equilibrium or Modes
         Result of `pi.solve`, `pi.static` or `pi.modes`.
-    objective : Objective
-        From `pi.objective`.
+    objective : Objective or list of Objective
+        From `pi.objective`. Several share one backward sweep: frames are read once, steps taken again once, factors made once.
     parameters : list of str, optional
         Names. By default all whose slopes cost next to nothing: of plates `stiffness` and `mass` (factors of each cell), `E`, `thickness`,
         `rho`, and `prony` of viscoelastic ones; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
@@ -76,8 +96,9 @@ def gradient(
 
     Returns
     -------
-    gradient : Gradient
-        Value and slopes; `left_out` has the parameters without a slope, with the reason.
+    gradient : Gradient or list of Gradient
+        Value and slopes; `left_out` has the parameters without a slope, with the reason. A list, in the order of the objectives, if
+        `objective` is a list.
 
     Raises
     ------
@@ -120,30 +141,54 @@ def gradient(
     >>> result = pi.gradient(run, pi.objective.Deviation("tip", path))
     >>> result.value, result["arm.stiffness"]
     """
-    if not isinstance(objective, Objective):
-        raise InputError(
-            f"gradient: {objective!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
-        )
+    several = isinstance(objective, (list, tuple))
+    objectives: list = list(objective) if several else [objective]  # type: ignore[arg-type]
+    if not objectives:
+        raise InputError("gradient: the list of objectives is empty; give at least one")
+    for one in objectives:
+        if not isinstance(one, Objective):
+            raise InputError(
+                f"gradient: {one!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
+            )
     names = _names(parameters)
     if isinstance(run, (Trajectory, Equilibrium, Modes)) and (relaxing := _relaxing(run.model)):
         names_of = ", ".join(map(repr, relaxing))
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
-        if isinstance(objective, ELASTIC):
-            raise InputError(f"gradient: {type(objective).__name__} is of elastic bodies, and {names_of} viscoelastic")
+        for one in objectives:
+            if isinstance(one, ELASTIC):
+                raise InputError(f"gradient: {type(one).__name__} is of elastic bodies, and {names_of} viscoelastic")
     if progress is not None:
         require_progress("gradient", progress)
     require_bytes("gradient", memory_limit)
     with one_blas_thread():
         if isinstance(run, (Equilibrium, Modes)):
-            return gradient_of_state(run, objective, names)
-        if not isinstance(run, Trajectory):
+            gradients = gradients_of_state(run, objectives, names)
+        elif isinstance(run, Trajectory):
+            gradients = _gradients_of_run(run, objectives, names, memory_limit, progress)
+        else:
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
-        kind = adjoint_of("gradient", run)
-        arguments = run, objective, names, memory_limit
-        sweep = partial(gradient_of_events, kind, *arguments) if run.events.given else kind(*arguments).gradient
-        with backward(progress, run) as tell:
-            return sweep(tell)
+    return gradients if several else gradients[0]
+
+
+def _gradients_of_run(run, objectives, names, memory_limit, progress):
+    kind = adjoint_of("gradient", run)
+    moving = [one for one in objectives if one.of_frames]
+    if len(moving) < len(objectives):
+        swept = iter(_gradients_of_run(run, moving, names, memory_limit, progress) if moving else ())
+        return [next(swept) if one.of_frames else _of_model(run, one, names) for one in objectives]
+    gradients = partial(gradients_of_events, kind) if run.events.given else kind.gradients
+    with backward(progress, run) as tell:
+        return gradients(run, objectives, names, memory_limit, tell)
+
+
+def _of_model(run, objective, names):
+    """The Gradient of an objective that depends on no frame."""
+    totals = Totals(run.model, names, run.plan.get("began") != "state")
+    totals.add_own(objective.slopes(run)(slice(0, len(run))))
+    if totals.with_v0:
+        totals.sums["v0"] = np.zeros(run.model.n)
+    return Gradient(objective(run), totals.slopes(), Counts(), totals.left_out)
 
 
 def adjoint_of(part, run):
@@ -187,37 +232,51 @@ def _names(parameters):
     if parameters is None:
         return None
     names = list(parameters) if np.iterable(parameters) and not isinstance(parameters, str) else None
-    if names is None or not all(isinstance(name, str) for name in names):
+    if names is None or not all(isinstance(name, (str, Parameter)) for name in names):
         raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
     return names
 
 
-def gradient_of_state(subject, objective, names=None):
-    """The Gradient of an objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
+def gradients_of_state(subject, objectives, names=None):
+    """The Gradient of each objective of an Equilibrium or of Modes. Raises StepFailure if the structure can move freely."""
     require_no_laws("gradient", guard(subject.model), OF_LAWS)
     _require_no_velocity_rows("gradient", guard(subject.model), "equilibria and modes have", "runs have")
     totals, counts = Totals(subject.model, names), Counts()
-    own = objective.slopes(subject)(slice(0, 1))
-    totals.add_own(own)
     equilibrium = subject.state if isinstance(subject, Modes) else subject
-    if isinstance(equilibrium, Equilibrium) and any(slope is not None and slope.any() for slope in (own.q, own.lam)):
-        _add_static(equilibrium, own, totals, counts)
-    return Gradient(objective(subject), totals.slopes(), counts, totals.left_out)
+    system, gradients = lru_cache(maxsize=1)(partial(_static_system, equilibrium, counts)), []
+    for objective in objectives:
+        own, totals = objective.slopes(subject)(slice(0, 1)), totals.empty()
+        totals.add_own(own)
+        if isinstance(equilibrium, Equilibrium) and any(slope is not None and slope.any() for slope in (own.q, own.lam)):
+            _add_static(equilibrium, system(), own, totals, counts)
+        gradients.append(Gradient(objective(subject), totals.slopes(), counts, totals.left_out))
+    return gradients
 
 
-def _add_static(equilibrium, own, totals, counts):
+def _about(equilibrium):
+    """(q, lam) about which an equilibrium is linear."""
+    return (np.zeros_like(equilibrium.q), np.zeros_like(equilibrium.lam)) if equilibrium.linear else (equilibrium.q, equilibrium.lam)
+
+
+def _static_system(equilibrium, counts):
+    """The factored KKT matrix of an equilibrium. Raises StepFailure if it is singular."""
+    model, t, (q, lam) = guard(equilibrium.model), equilibrium.t, _about(equilibrium)
+    still = np.zeros(model.n)
+    counts.tangents, counts.factorizations = 1, 1
+    try:
+        return KKT(model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0), model.phi_q(t, q))
+    except SingularSystem:
+        raise StepFailure("singular", FREE, t) from None
+
+
+def _add_static(equilibrium, system, own, totals, counts):
     """Add to the totals the slopes of an objective's q and lam in an equilibrium, by its adjoint."""
     model, t, lam = guard(equilibrium.model), equilibrium.t, equilibrium.lam
     j_q, j_lam = (np.zeros(x.shape) if slope is None else slope[0] for x, slope in ((equilibrium.q, own.q), (lam, own.lam)))
     still, none = np.zeros(model.n), np.zeros(model.m)
-    about = (still, none) if equilibrium.linear else (equilibrium.q, lam)
-    K = model.tangent(t, about[0], still, still, about[1], 0.0, 0.0, 1.0)
-    counts.tangents, counts.factorizations, counts.solves = 1, 1, 1
-    try:
-        w, mu = KKT(K, model.phi_q(t, about[0])).solve(j_q, j_lam, transposed=True)
-    except SingularSystem:
-        raise StepFailure("singular", FREE, t) from None
-    entry = (t, about[0], still, still, lam, w, mu)
+    counts.solves += 1
+    w, mu = system.solve(j_q, j_lam, transposed=True)
+    entry = (t, _about(equilibrium)[0], still, still, lam, w, mu)
     totals.add(AdjointMultipliers(*(np.asarray(x, float)[None] for x in entry)))
     if equilibrium.linear:
         totals.add(AdjointMultipliers(*along_way(model, t, still, none, equilibrium.q, w, mu)))

@@ -19,7 +19,7 @@ import numpy as np
 
 from polyida.adjoint.history import stored_state
 from polyida.adjoint.parameter import stacked
-from polyida.adjoint.run import Gradient, Totals
+from polyida.adjoint.run import Gradient, Totals, together
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import InputError
 from polyida.event import Events, Impact, Remove
@@ -317,8 +317,8 @@ class _Part:
         return total
 
 
-def gradient_of_events(kind, run, objective, names, memory_limit, progress):
-    """The Gradient of a run with located events. kind: the RunAdjoint of its integrator."""
+def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
+    """The Gradient of each objective of a run with located events. kind: the RunAdjoint of its integrator."""
     if run.status == "stopped":
         raise InputError("gradient: the run ended at an event or by `until`, whose time has no slope; solve to a time of its own")
     motions = _Motions(run)
@@ -329,31 +329,45 @@ def gradient_of_events(kind, run, objective, names, memory_limit, progress):
             raise InputError(f"gradient: the motion to t = {end:.9g} s cannot be solved again: {runs[-1].message}")
     firsts = np.cumsum([0, *(len(one) for one in runs)])
     whole = _joined(run, runs, motions, firsts, m)
-    slopes = objective.slopes(whole)
     with_v0 = run.plan.get("began") != "state"
     totals, counts = Totals(run.model, names, with_v0), Counts()
     _exclude_kinks(totals, names, run)
-    parts = [_Part(slopes, first, len(one), mode.columns) for first, one, mode in zip(firsts, runs, motions.modes)]
-    by_times, bars = [part.by_time(one) for part, one in zip(parts, runs)], None
+    each = [_Backward(objective, totals.empty(), whole, runs, firsts, motions.modes) for objective in objectives]
     for k in reversed(range(len(runs))):
-        part, mode, one = parts[k], motions.modes[k], replace(runs[k], plan=runs[k].plan | {"began": "start"})
-        part.end = bars
-        adjoint = kind(one, part, [], memory_limit)
-        adjoint.counts = counts
-        adjoint.totals = adjoint.objective_slopes.totals = _ModeTotals(totals, mode, m)
-        ends, own = adjoint.sweep_backward(progress), adjoint.objective_slopes.at_states(0, 1)
-        ends = [bar if slope is None else bar + slope[0] for bar, slope in zip(ends, (own.q, own.v, own.a, own.lam))]
-        ends[0] = ends[0] + adjoint.first_state_bar()
-        state = stored_state(adjoint.history, 0)
-        if k:
-            bars = _through(motions.jumps[k - 1], _start_bars(mode, state, ends, adjoint.totals), _time_slope(by_times, runs, k), totals, m)
-        elif with_v0:
-            v0, entries = adjoint._start(state, ends)
-            if entries:
-                adjoint.totals.add(stacked(entries))
-            totals.add_start(state, v0, mode)
-    value = float(slopes.value if hasattr(slopes, "value") else objective(whole))
-    return Gradient(value, totals.slopes(), counts, totals.left_out)
+        mode, one = motions.modes[k], replace(runs[k], plan=runs[k].plan | {"began": "start"})
+        parts = [backward.part(k) for backward in each]
+        sweeps = kind(one, parts[0], [], memory_limit).with_others(one, parts[1:])
+        for backward, sweep in zip(each, sweeps):
+            sweep.counts = counts
+            sweep.totals = sweep.objective_slopes.totals = _ModeTotals(backward.totals, mode, m)
+        state = stored_state(sweeps[0].history, 0)
+        for backward, sweep, ends in zip(each, sweeps, together(sweeps, progress)):
+            ends = sweep.start_bars(ends)
+            if k:
+                before, by_time = _start_bars(mode, state, ends, sweep.totals), _time_slope(backward.by_times, runs, k)
+                backward.bars = _through(motions.jumps[k - 1], before, by_time, backward.totals, m)
+            elif with_v0:
+                v0, entries = sweep._start(state, ends)
+                if entries:
+                    sweep.totals.add(stacked(entries))
+                backward.totals.add_start(state, v0, mode)
+    return [Gradient(backward.value, backward.totals.slopes(), counts, totals.left_out) for backward in each]
+
+
+class _Backward:
+    """An objective on its way back through the motions. bars: of the last state of the motion that is next, None for the last motion."""
+
+    def __init__(self, objective, totals, whole, runs, firsts, modes):
+        slopes = objective.slopes(whole)
+        self.value = float(slopes.value if hasattr(slopes, "value") else objective(whole))
+        self.totals, self.bars = totals, None
+        self.parts = [_Part(slopes, first, len(one), mode.columns) for first, one, mode in zip(firsts, runs, modes)]
+        self.by_times = [part.by_time(one) for part, one in zip(self.parts, runs)]
+
+    def part(self, k):
+        """The _Part of motion k with these bars."""
+        self.parts[k].end = self.bars
+        return self.parts[k]
 
 
 def _joined(run, runs, motions, firsts, m):

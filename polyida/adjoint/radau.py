@@ -1,6 +1,7 @@
 """Backward sweep over a run of Radau IIA: compiled for stretches of equal steps (radau_sweep.py), on a tape between them and at the start."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -119,8 +120,18 @@ class RadauAdjoint(RunAdjoint):
         self.lift_varies = engine.table.lifts and self.tied and not model.uniform_units
         self.lift = lift(model, engine.shares) if self.lift_varies else np.ones(model.n)
         self.table, self.pending, self.entries, self.lift_bar = self._table(), ([], [], [], []), [], np.zeros(model.n)
-        n, m, s = model.n, model.m, settings.stages
-        self.sweep = Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), np.zeros((3, s, n)))
+        self.stages, self.sweep = lru_cache(maxsize=1)(self._stages), self._empty_sweep()
+
+    def _empty_sweep(self):
+        n, m, s = self.model.n, self.model.m, self.settings.stages
+        return Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), np.zeros((3, s, n)))
+
+    def beside(self, run, objective):
+        """The sweep for another objective, which shares the stages and the factors with this one."""
+        other = super().beside(run, objective)
+        other.table, other.sweep, other.lift_bar = self.table.beside(), self._empty_sweep(), np.zeros(self.model.n)
+        other.pending, other.entries = ([], [], [], []), []
+        return other
 
     def _table(self):
         model, W, tied = self.model, self.tableau.W.T, self.tied
@@ -149,13 +160,13 @@ class RadauAdjoint(RunAdjoint):
         """The States with numbers first to end - 1."""
         return States(*(np.ascontiguousarray(x, float) for x in self.history.states(first, end)))
 
-    def sweep_backward(self, progress):
-        """The bars of q, v, a and lam of the run's first state."""
+    def stretches_backward(self):
+        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state."""
         together = int(max(1, min(self.engine.most, CHUNK // (8 * self.model.n * self.settings.stages))))
         longest = 1 if self.single_steps else together
         for segment in reversed(self.history.segments):
             for end in range(segment.first + segment.count, segment.first, -longest):
-                progress(self._steps(segment, max(segment.first, end - longest), end))
+                yield self._steps(segment, max(segment.first, end - longest), end)
                 if sum(len(x.t) for x in self.pending[0]) >= together:
                     self._flush()
         self._flush()
@@ -163,14 +174,9 @@ class RadauAdjoint(RunAdjoint):
 
     def _steps(self, segment, first, end):
         """Sweep backward over the steps from state number `first` to `end`. Returns the time of the first."""
-        model, h, bars, b = self.model, segment.h, self.sweep.bars, self._states(first, end + 1)
-        kink = first == segment.first and at_kink(model, float(b.t[0]))
-        begin = b.state(0)
-        if kink:  # the first step begins from the state of the far side
-            b = States(*(x.copy() for x in b))
-            far = step_start_state(model, begin)
-            b.q[0], b.v[0], b.a[0], b.lam[0] = far.q, far.v, far.a, far.lam
-        x, slopes = self._solved(b, h), self._objective_slopes(b, first, end, h)
+        model, h, bars = self.model, segment.h, self.sweep.bars
+        begin, kink, b, x = self.stages(segment, first, end)
+        slopes = self._objective_slopes(b, first, end, h)
         q, v = b.q[:-1, None] + self.tableau.c[:, None] * h * b.v[:-1, None] + x.e, b.v[:-1, None] + x.dv
         if self.moves_v:  # in form "index3" the last stage's v is moved onto its constraint
             bars[:] = bars[0] + slopes.q.sum(axis=0), bars[1] + slopes.v.sum(axis=0)
@@ -184,6 +190,17 @@ class RadauAdjoint(RunAdjoint):
         if kink:
             bars[:] = self._projection_bars(begin, beside(begin.t, 1), bars)
         return begin.t
+
+    def _stages(self, segment, first, end):
+        """(first State, True if it is at a kink, States, Stages) of the steps from state number `first` to `end`."""
+        b = self._states(first, end + 1)
+        begin = b.state(0)
+        kink = first == segment.first and at_kink(self.model, begin.t)
+        if kink:  # the first step begins from the state of the far side
+            b = States(*(x.copy() for x in b))
+            far = step_start_state(self.model, begin)
+            b.q[0], b.v[0], b.a[0], b.lam[0] = far.q, far.v, far.a, far.lam
+        return begin, kink, b, self._solved(b, segment.h)
 
     def _objective_slopes(self, b, first, end, h):
         """The objective's Slopes at the ends of steps; those in a and lam are converted to q and v."""

@@ -2,13 +2,15 @@
 
 from collections.abc import ItemsView, Iterator, KeysView
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from polyida.adjoint.history import stored_state
-from polyida.adjoint.parameter import AdjointMultipliers, stacked
+from polyida.adjoint.parameter import AdjointMultipliers, Parameter, stacked
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.profile_parameters import in_time
 from polyida.adjoint.taped import Tape, TapedModel, add_to
@@ -39,7 +41,7 @@ class Gradient:
     slopes : dict of str to float or array
         {name: dJ/dp}, of the shape of the parameter, in the unit of J over that of the parameter.
     counts : Counts
-        Work of the backward sweep.
+        Work of the backward sweep, of all objectives that were swept together.
     left_out : dict of str to str
         {name: reason} of parameters without a slope; `pi.gradient(run, J, parameters=[name])` gives it.
     """
@@ -87,18 +89,26 @@ class Gradient:
 class Totals:
     """Sums of slopes by the names of parameters.
 
-    names: the requested ones, or None for all inexpensive ones; with_v0: True if v0, the initial velocities of the run, is a parameter too.
+    names: the requested ones, names or Parameters, or None for all inexpensive ones; with_v0: True if v0, the initial velocities of the run, is a parameter too.
     left_out: {name: reason} of parameters that are taken by name only.
     """
 
     def __init__(self, model, names=None, with_v0=False):
-        self.known = known = parameters_of(model)
+        own = {one.name: one for one in names or () if isinstance(one, Parameter)}
+        self.known = known = parameters_of(model) | own
+        names = names and [getattr(one, "name", one) for one in names]
         inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
         wanted = inexpensive if names is None else [_find(name, known, with_v0).name for name in names if not (with_v0 and name == "v0")]
         self.parameters = {name: known[name] for name in wanted}
         self.with_v0 = with_v0 and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
         self.left_out = {} if names is not None else {name: parameter.reason for name, parameter in known.items() if parameter.only_by_name}
+
+    def empty(self):
+        """Totals of the same parameters without slopes, for another objective."""
+        other = copy(self)
+        other.sums = {name: np.zeros_like(total) for name, total in self.sums.items()}
+        return other
 
     def add(self, multipliers):
         """Add the slopes of AdjointMultipliers."""
@@ -178,6 +188,10 @@ class AdjointTable:
 
     kappa = slips = None
 
+    def beside(self):
+        """The table for the sweep of another objective over the same steps, with the same factors."""
+        return self
+
     def refresh(self, k):
         """Make sure that there is a factor; True if it was made for state k. Raises SingularSystem."""
         return True
@@ -212,16 +226,17 @@ def sweep_with_fallback(table, exact, count, steps):
 
 
 class RunAdjoint:
-    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `sweep_backward(progress)`.
+    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `stretches_backward()`.
 
-    `sweep_backward` adds the slopes of all steps to `totals` and returns the bars of q, v, a and lam of the run's first state. start_is_given:
-    True if the run starts from a given state, which is held constant.
+    `stretches_backward` is a generator: it adds the slopes of a stretch of steps to `totals`, yields the time at which the stretch begins, and
+    returns the bars of q, v, a and lam of the run's first state. start_is_given: True if the run starts from a given state, which is held constant.
     """
 
     def __init__(self, run, objective, names, memory_limit):
         self.model, self.settings, self.counts = guard(run.model), run.integrator, Counts()
         self.start_is_given = run.plan.get("began") == "state"
-        self.history = self.history_of(run, self.model, memory_limit)
+        history = self.history_of(run, self.model, memory_limit)
+        self.history = history._replace(states=lru_cache(maxsize=2)(history.states))
         self.totals = Totals(run.model, names, not self.start_is_given)
         self.objective_slopes = OwnSlopes(objective, run, self.history.frames, self.totals)
         self.events = EventTimeSensitivity(self.model, run, self.totals.parameters)
@@ -231,11 +246,36 @@ class RunAdjoint:
     def require_settings(settings):
         """Raise InputError if the integrator has no adjoint with these settings."""
 
-    def gradient(self, progress):
-        """The Gradient; progress is called with t."""
-        bars, own = self.sweep_backward(progress), self.objective_slopes.at_states(0, 1)
+    @classmethod
+    def gradients(cls, run, objectives, names, memory_limit, progress):
+        """The Gradient of each objective, from one sweep; progress is called with t."""
+        sweeps = cls(run, objectives[0], names, memory_limit).with_others(run, objectives[1:])
+        return [sweep.gradient(bars) for sweep, bars in zip(sweeps, together(sweeps, progress))]
+
+    def with_others(self, run, objectives):
+        """This sweep, and one for each of more objectives, with the same steps and factors."""
+        return [self, *(self.beside(run, objective) for objective in objectives)]
+
+    def beside(self, run, objective):
+        """The sweep for another objective."""
+        other = copy(self)
+        other.totals, other.events = self.totals.empty(), self.events.empty()
+        other.objective_slopes = OwnSlopes(objective, run, self.history.frames, other.totals)
+        return other
+
+    def sweep_backward(self, progress):
+        """The bars of q, v, a and lam of the run's first state; progress is called with t."""
+        return together([self], progress)[0]
+
+    def start_bars(self, bars):
+        """The bars of the first state with the objective's slopes there and `first_state_bar`."""
+        own = self.objective_slopes.at_states(0, 1)
         bars = [bar if slope is None else bar + slope[0] for bar, slope in zip(bars, (own.q, own.v, own.a, own.lam))]
-        bars[0] = bars[0] + self.first_state_bar()
+        return bars[0] + self.first_state_bar(), *bars[1:]
+
+    def gradient(self, bars):
+        """The Gradient, from the bars of the sweep."""
+        bars = self.start_bars(bars)
         if self.events.speeds:
             self.events.add_to(self.totals.sums, self.history)
         if not self.start_is_given:
@@ -293,6 +333,18 @@ class RunAdjoint:
                 totals.left_out[name] = why
 
 
+def together(sweeps, progress):
+    """The results of the sweeps' `stretches_backward`, stretch by stretch of all; progress is called with t."""
+    results = [None] * len(sweeps)
+
+    def noted(k, sweep):
+        results[k] = yield from sweep.stretches_backward()
+
+    for times in zip(*(noted(k, sweep) for k, sweep in enumerate(sweeps)), strict=True):
+        progress(times[0])
+    return results
+
+
 def given_velocity(model, state):
     """(initial velocities that the run was given, True if they are the bodies' own)."""
     initial = model.initial_velocity(state.t, state.q)
@@ -315,6 +367,12 @@ class EventTimeSensitivity:
         self.model, self.edges = model, np.array([*edges(model, begin, end)])
         self.speeds = {name: self._speeds(kinks) for name, kinks in moving.items() if kinks}
         self.times, self.slopes, self.step_slopes = [], [], []
+
+    def empty(self):
+        """The same without slopes, for another objective."""
+        other = copy(self)
+        other.times, other.slopes, other.step_slopes = [], [], []
+        return other
 
     def _speeds(self, kinks):
         speeds, times = np.zeros(len(self.edges)), np.array(list(kinks))

@@ -15,6 +15,7 @@ of the middle stage:
 """
 
 from contextlib import contextmanager, nullcontext
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -468,6 +469,13 @@ class SceneAdjoint(AdjointTable):
             }
         self.scale(1.0)
 
+    def beside(self):
+        """The same with marks of its own, which belong to an objective."""
+        other = copy(self)
+        other.w = self.w | {"marks": np.zeros_like(self.w["marks"])}
+        other.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
+        return other
+
     def scale(self, h):
         """Set the step h; to_v and to_a were given for h = 1."""
         self.h = h
@@ -485,6 +493,8 @@ class SceneAdjoint(AdjointTable):
         key = f"{self.h:.9e}"
         entries = self.factor_cache.get(key)
         if entries is not None:
+            if self.w.get("real") is not entries["real"]:  # another objective's sweep made the factor
+                self.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
             self.w |= entries
             self.w["marks"][SLOWEST] = OLD
             return False

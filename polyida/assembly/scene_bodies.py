@@ -281,6 +281,10 @@ class Constraints(Model):
         rest = np.full(len(q), rest_of(*place))
         return rest if place[0].body is None else rest + complex_of_pairs(self._moved(*place, q))
 
+    def rate_of(self, place, v):
+        """Rate of change, (frames,), complex, of a place of a body over frames v (frames, n)."""
+        return complex_of_pairs(self._moved(*place, v))
+
     def turn(self, name, q):
         """Angle by which side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
 

@@ -39,6 +39,7 @@ class Frequency(Objective):
     """
 
     number: int = 0
+    of_frames = False
 
     def __post_init__(self):
         if not is_whole(self.number, 0):

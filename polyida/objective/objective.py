@@ -116,7 +116,14 @@ class Objective:
     A run has model, t, q, v, a and lam; an equilibrium is a run of one frame. `pi.gradient` calls `objective(run)` once for the value, then
     `slopes(run)` once, and the function that it returns for slice after slice of the frames, from the last to the first. `2.0 * one +
     other`, `one - other` and `sum([...])` are objectives again. UserObjective makes one of two functions.
+
+    Attributes
+    ----------
+    of_frames : bool
+        False if J depends on the model alone: `pi.gradient` then takes no backward sweep.
     """
+
+    of_frames: bool = True
 
     def __call__(self, run: Any) -> float:
         """Return the value."""
@@ -133,6 +140,10 @@ class Objective:
     def named(self, model: Any) -> Objective:
         """Return the objective with names instead of parts of a model, for models with other values of parameters."""
         return self
+
+    def largest(self, run: Any) -> float | None:
+        """Return the maximum over the frames of a run that J approximates from below; None if J stands for no maximum."""
+        return None
 
     def __add__(self, other: Objective) -> Sum:
         return Sum((*terms_of(self), *terms_of(other)))
@@ -169,6 +180,11 @@ class Sum(Objective):
     """
 
     terms: tuple[tuple[float, Objective], ...]
+
+    @property
+    def of_frames(self) -> bool:  # type: ignore[override]
+        """True if a term depends on frames."""
+        return any(part.of_frames for _, part in self.terms)
 
     def __call__(self, run: Any) -> float:
         return float(sum(weight * part(run) for weight, part in self.terms))
@@ -221,6 +237,42 @@ def _objective(objective):
 def terms_of(objective):
     """(weight, objective) of each term of a sum, or of the objective itself."""
     return objective.terms if isinstance(objective, Sum) else ((1.0, _objective(objective)),)
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Limit:
+    """`J <= upper` of a design.
+
+    Parameters
+    ----------
+    objective : Objective
+        J. If it stands for a maximum (PeakStress, PeakReaction, PeakTorque, PeakPower), the limit holds for the maximum over the frames itself:
+        `J (max / J) <= upper` with the ratio of the last stage of the optimiser.
+    upper : float
+        In the unit of J; not zero.
+    case : str, optional
+        Name of the load case that it holds in; by default all.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+
+    objective: Objective
+    upper: float
+    case: str | None = None
+
+    def __post_init__(self):
+        require_objective("Limit", self.objective)
+        if not (is_number(self.upper) and self.upper):
+            raise InputError(f"Limit: upper = {self.upper!r:.100} must be a finite number that is not zero, in the unit of the objective")
+
+    def value(self, run: Any) -> float:
+        """Return the maximum that the objective stands for, or J."""
+        largest = self.objective.largest(run)
+        return self.objective(run) if largest is None else largest
 
 
 class OneFrame(NamedTuple):

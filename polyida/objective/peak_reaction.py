@@ -1,4 +1,4 @@
-"""Peak reaction of a joint as an objective."""
+"""Peak reaction of a joint, torque and power of a motor as objectives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ UNITS = ("N", "N m")
 class PeakReaction(TimeMean):
     """`(time mean of |R|^p)^(1/p)`, R the reaction of a joint on its side b, N or N m, as `run.reaction`.
 
-    It is below the largest |R| and approaches it as p grows.
+    It is below the largest |R| and approaches it as p grows: `largest(run)` is at most `(T / w)^(1/p)` times J, w being the trapezoidal weight
+    of the frame that has it and T the sum of the weights.
 
     Parameters
     ----------
@@ -45,17 +46,27 @@ class PeakReaction(TimeMean):
     _of_material, _along_v = True, False
 
     def __post_init__(self):
-        settle(self, p=power("PeakReaction", self.p))
+        settle(self, p=power(type(self).__name__, self.p))
         if not (self.unit is None or is_one_of(self.unit, UNITS)):
-            raise InputError(f'PeakReaction: unit = {self.unit!r:.100} must be "N" or "N m", or None')
+            raise InputError(f'{type(self).__name__}: unit = {self.unit!r:.100} must be "N" or "N m", or None')
 
-    def _evaluator(self, model, span):
+    def largest(self, run: Any) -> float:
+        """Return the largest value of a frame."""
+        return self._largest(run)
+
+    def _chosen(self, model):
+        """(name of the joint, its rows, the chosen components)."""
         name = self._name(model)
         units = [unit for _, unit in components(model, name)]
         chosen = [k for k, unit in enumerate(units) if self.unit in (None, unit)]
         if not chosen or len({units[k] for k in chosen}) > 1:
-            raise InputError(f"PeakReaction: the reaction of {name!r} is in {' and '.join(sorted(set(units)))}; give one of these as unit")
-        columns = model.rows[name]
+            what = f"the reaction of {name!r} is in {' and '.join(sorted(set(units)))}"
+            advice = "give one of these as unit" if self.unit is None else f"it has no {self.unit}"
+            raise InputError(f"{type(self).__name__}: {what}; {advice}")
+        return name, model.rows[name], chosen
+
+    def _evaluator(self, model, span):
+        name, columns, chosen = self._chosen(model)
 
         def evaluate(frames):
             reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
@@ -76,14 +87,86 @@ class PeakReaction(TimeMean):
         joints = {name: joint for name, joint in model.joints.items() if isinstance(joint, Joint)}
         name = named(model, self.joint)
         if not is_one_of(name, joints):
-            raise InputError(f"PeakReaction: no joint is called {self.joint!r:.100}; known: {', '.join(map(repr, joints)) or 'none'}")
+            raise InputError(
+                f"{type(self).__name__}: no joint is called {self.joint!r:.100}; known: {', '.join(map(repr, joints)) or 'none'}"
+            )
         if model.redundant is not None and not model.redundant.unique(name):
-            raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
+            raise InputError(f"{type(self).__name__}: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
         return name
 
     def named(self, model: Any) -> PeakReaction:
         """Return the objective with the joint's name."""
         return replace(self, joint=self._name(model))
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class PeakTorque(PeakReaction):
+    """`(time mean of |M|^p)^(1/p)`, N m, M the torque of a motor, or the moment of another joint. Bound and parameters as of PeakReaction.
+
+    Parameters
+    ----------
+    joint : str or Joint
+    p : float
+        Order of the mean, 1 or more.
+    unit : "N m"
+
+    Raises
+    ------
+    InputError
+        As for PeakReaction, and for a joint without a moment.
+    """
+
+    unit: str | None = "N m"
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class PeakPower(PeakTorque):
+    """`(time mean of |M omega|^p)^(1/p)`, W, M the torque of a motor and omega the rate of turn of its side b against side a.
+
+    Bound and parameters as of PeakReaction. omega is that of the frames, not that of the motor's profile.
+
+    Parameters
+    ----------
+    joint : str or Joint
+        Its sides have directions.
+    p : float
+        Order of the mean, 1 or more.
+    unit : "N m"
+
+    Raises
+    ------
+    InputError
+        As for PeakTorque, and for a side without a direction.
+    """
+
+    def _evaluator(self, model, span):
+        name, columns, chosen = self._chosen(model)
+        joint = model.joints[name]
+        joint.require_directions()
+        sides = [(sign, (side, "direction")) for sign, side in ((-1.0, joint.a), (1.0, joint.b)) if side.body is not None]
+
+        def evaluate(frames):
+            reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
+            turning = [(sign, place, model.place(place, frames.q), model.rate_of(place, frames.v)) for sign, place in sides]
+            omega = sum(sign * (d.conj() * e).imag / np.abs(d) ** 2 for sign, _, d, e in turning)
+            work = reaction.reaction[:, 0] * omega
+
+            def to_slopes(factor):
+                signed = factor * np.sign(work)
+                toward, along = (signed * omega)[:, None], signed * reaction.reaction[:, 0]
+                lam, q, v = np.zeros_like(frames.lam), reaction.by_coordinates(toward), np.zeros_like(frames.v)
+                lam[:, columns] = reaction.by_multipliers(toward)
+                for sign, place, d, e in turning:  # omega = Im(conj(d) e) / |d|^2
+                    own = (d.conj() * e).imag / np.abs(d) ** 2
+                    v += model.pulled(place, sign * along * 1j * d / np.abs(d) ** 2)
+                    q += model.pulled(place, sign * along * (-1j * e - 2.0 * own * d) / np.abs(d) ** 2)
+                return Slopes(q=q, v=v, lam=lam, t=lambda: reaction.by_time(toward))
+
+            return lambda: np.abs(work), to_slopes
+
+        return evaluate
 
 
 class Reaction:

@@ -16,7 +16,8 @@ from polyida.element.kernels import _differences, _gradient, _workspace
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, load2, scatter_add, store, traced, zeros2
-from polyida.objective.objective import Slopes
+from polyida.model.guarded import guard
+from polyida.objective.objective import Slopes, run_of
 from polyida.objective.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative
 from polyida.results.motion import von_mises
 from polyida.validation import named_keywords, settle
@@ -27,7 +28,8 @@ from polyida.validation import named_keywords, settle
 class PeakStress(TimeMean):
     """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
 
-    It is below the largest stress and approaches it as p grows. With factors of cells it is the stress of the scaled cells.
+    It is below the largest stress and approaches it as p grows: `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal
+    weight w of the frame and the area a of the cell that have it, T and A being their sums. With factors of cells it is the stress of the scaled cells.
 
     Parameters
     ----------
@@ -53,10 +55,20 @@ class PeakStress(TimeMean):
         """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def _evaluator(self, model, span):
+    def largest(self, run: Any) -> float:
+        """Return the largest von Mises stress of a cell in a frame, Pa."""
+        run = run_of("PeakStress", run)
+        model = guard(run.model, "PeakStress")
+        moved, bodies = (model.nodal(np.asarray(q, float)) for q in run.q), self._bodies(model)
+        return float(max(body.von_mises(body.stress(u)).max() for u in moved for body in bodies))
+
+    def _bodies(self, model):
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
-        bodies = [CellStress(body) for body in chosen("PeakStress", model, self.plate, known)]
+        return [CellStress(body) for body in chosen("PeakStress", model, self.plate, known)]
+
+    def _evaluator(self, model, span):
+        bodies = self._bodies(model)
         areas = np.concatenate([body.operator.areas for body in bodies])
         share, splits = areas / areas.sum(), np.cumsum([body.operator.n_cells for body in bodies])[:-1]
 

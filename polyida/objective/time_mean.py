@@ -83,6 +83,11 @@ class Frames:
         return q if self.moves is None else q + self.moves[:, None] * np.asarray(self.run.v[self.part], float)
 
     @cached_property
+    def v(self):
+        """(count, n)."""
+        return np.asarray(self.run.v[self.part], float)
+
+    @cached_property
     def lam(self):
         """(count, m)."""
         return np.asarray(self.run.lam[self.part], float)
@@ -107,6 +112,11 @@ class TimeMean(Objective):
     def __call__(self, run: Any) -> float:
         run = run_of(type(self).__name__, run)
         return self._mean(run, self._of(run)).value
+
+    def _largest(self, run):
+        """The largest value of a frame."""
+        run = run_of(type(self).__name__, run)
+        return float(np.max(self._sizes(run, self._of(run))))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each slice."""

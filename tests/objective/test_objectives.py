@@ -54,6 +54,9 @@ KINDS = {
     "stress": of.PeakStress,
     "stress of a plate": lambda: of.PeakStress("upper", p=1),
     "stress of a reduced plate": lambda: of.PeakStress("lower", p=4),
+    "torque of a motor": lambda: of.PeakTorque("motor", p=3),
+    "power of a motor": lambda: of.PeakPower("motor", p=2),
+    "power of a joint between bodies": lambda: of.PeakPower("elbow", p=2),
     "work of loads": of.Compliance,
     "sum": lambda: 2.0 * of.StrainEnergy() - 0.3 * of.PeakReaction("motor") + of.Deviation("tip", (2.0, 0.0)),
 }
@@ -198,3 +201,50 @@ def test_own_objectives(motion):
 def test_own_slopes_are_looked_at(slopes, match, motion):
     with pytest.raises(pi.InputError, match=match):
         of.UserObjective(lambda run: 0.0, lambda run: slopes).slopes(motion)
+
+
+def test_masses_and_their_slopes():
+    model = scene()
+    run = pi.solve(model, 4e-3, pi.GeneralizedAlpha(1e-3, tolerance=1e-10))
+    plate = model.factors["upper"][1] @ model.bodies[0].mesh.cell_areas * 0.01 * 1100.0
+    assert of.Mass("upper")(run) == pytest.approx(plate, rel=1e-12)
+    assert of.Mass()(run) == pytest.approx(plate + 1.1 + 0.5, rel=1e-12)
+    names = ["upper.mass", "upper.stiffness", "upper.rho", "upper.thickness", "tip.mass", "lower.rho", "lower.thickness", "v0"]
+    one, other = pi.gradient(run, [of.Mass(), of.Mass() + of.StrainEnergy("upper")], names)
+    assert one.counts.solves == 0 and other.counts.solves > 0
+    assert not one["v0"].any() and not np.any(one["upper.stiffness"])
+    errors = pi.check_gradient(run, of.Mass(), names)
+    assert max(errors.values()) < 1e-8, errors
+    with pytest.raises(pi.InputError, match="Mass: no body or point mass is called 'hub'"):
+        of.Mass("hub")(run)
+
+
+def test_maxima_and_their_bounds(motion):
+    steps = np.diff(motion.t)
+    weights = np.convolve(steps, [0.5, 0.5]) / steps.sum()
+    torque = np.abs(motion.reaction("motor")[:, 0])
+    for p in (2.0, 8.0, 64.0):
+        mean, largest = of.PeakTorque("motor", p=p)(motion), of.PeakTorque("motor", p=p).largest(motion)
+        assert largest == pytest.approx(torque.max(), rel=1e-12)
+        assert mean <= largest <= (1.0 + 1e-12) * mean * weights[torque.argmax()] ** (-1.0 / p)
+    stress = np.array([motion.von_mises(k) for k in range(len(motion))])
+    assert of.PeakStress().largest(motion) == pytest.approx(stress.max(), rel=1e-12)
+    areas = np.concatenate([body.mesh.cell_areas for body in motion.model.drawn])
+    frame, cell = np.unravel_index(stress.argmax(), stress.shape)
+    share = weights[frame] * areas[cell] / areas.sum()
+    assert of.PeakStress(p=8)(motion) <= stress.max() <= of.PeakStress(p=8)(motion) * share ** (-1.0 / 8.0)
+    assert of.Deviation("tip", (0.0, 0.0)).largest(motion) is None and (2.0 * of.PeakStress()).largest(motion) is None
+
+
+def test_power_is_that_of_the_motor():
+    model = scene()
+    run = pi.solve(model, 0.05, pi.GeneralizedAlpha(1e-3, tolerance=1e-10))
+    speed = np.array([pi.profile.quintic(0.0, 0.6, 0.1).at(t)[1] for t in run.t])
+    power = np.abs(run.reaction("motor")[:, 0] * speed)
+    assert of.PeakPower("motor").largest(run) == pytest.approx(power.max(), rel=1e-3)
+    errors = pi.check_gradient(run, of.PeakPower("motor", p=4), ["upper.stiffness", "upper.mass", "tip.mass", "motor.end"])
+    assert max(errors.values()) < 1e-6, errors
+    with pytest.raises(pi.InputError, match="PeakTorque: the reaction of 'hub' is in N; it has no N m"):
+        of.PeakTorque("hub")(run)
+    with pytest.raises(pi.InputError, match="Limit: upper = 0"):
+        of.Limit(of.Mass(), 0.0)
