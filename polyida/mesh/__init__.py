@@ -2,8 +2,8 @@
 
 from polyida.mesh.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
 from polyida.mesh.mesher import polygonize, quads, rectangle, triangles
-from polyida.mesh.outline import Outline, read_outline, svg_path
-from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh, density_filter
+from polyida.mesh.outline import Outline, outline_of, read_outline, svg_path, write_outline
+from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh, density_filter, moved
 from polyida.mesh.raw import MeshWarning, RawMesh
 from polyida.mesh.read_write import FORMATS, Format, from_lists, read, write
 from polyida.mesh.sections import Section
@@ -26,6 +26,8 @@ __all__ = [
     "Union",
     "density_filter",
     "from_lists",
+    "moved",
+    "outline_of",
     "polygonize",
     "quads",
     "read",
@@ -34,6 +36,7 @@ __all__ = [
     "svg_path",
     "triangles",
     "write",
+    "write_outline",
 ]
 
 

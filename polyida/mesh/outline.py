@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import topology
 from polyida.mesh.domains import Capsule, Chain, Domain, nearest
+from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, counted, guarded, unit_note, unit_size
 from polyida.mesh.read_write import existing
 from polyida.mesh.sections import ROUND, centre, signed_area
@@ -24,6 +25,8 @@ AT_ONCE = 2_000_000  # pairs of points and edges in memory
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
 STRAIGHT = 0.05  # of the ring's length: a longer edge is no chord of a curve
 REENTRANT = np.radians(160.0)  # turn of the sharpest corner that cells can surround
+FLAT = 1e-9  # rad, turn of a corner on a straight line
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SAME = 1e-9  # of the size: nearer neighbours are one corner
 
 
@@ -375,3 +378,85 @@ def _outline(what, read, unit, corner):
     if notes := [*drawing.notes, *unit_note(outer, unit, drawing.metres)]:
         warnings.warn(f"{what}: {'; '.join(notes)}", MeshWarning, stacklevel=4)
     return outline
+
+
+@named_keywords
+def outline_of(mesh: PolygonMesh) -> list[np.ndarray]:
+    """Return the closed rings of a mesh's boundary, the largest first.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+
+    Returns
+    -------
+    list of (k, 2) float, m
+        Corners in order, without those on straight lines, the first not repeated: outer rings counter-clockwise, holes clockwise. Where two cells
+        meet in a corner only, the rings keep the cells apart.
+    """
+    after: dict[int, list[int]] = {}
+    for begin, end in mesh.boundary_edges.tolist():
+        after.setdefault(begin, []).append(end)
+    rings = []
+    while after:
+        here = first = next(iter(after))
+        before: int | None = None
+        ring: list[int] = []
+        while not ring or here != first:
+            ring.append(here)
+            ends = after[here]
+            chosen = ends[0] if len(ends) == 1 or before is None else min(ends, key=lambda end: _turn(mesh.points, before, ring[-1], end))  # noqa: B023
+            ends.remove(chosen)
+            if not ends:
+                del after[here]
+            before, here = here, chosen
+        points = mesh.points[ring]
+        bent = np.abs(topology.ring_turns(points)) > FLAT
+        rings.append(points[bent] if bent.sum() > 2 else points)
+    return sorted(rings, key=lambda ring: -abs(signed_area(ring)))
+
+
+def _turn(points, before, at, end):
+    """The angle by which a way along the boundary turns at a node; the least, most to the right, leaves the other cells aside."""
+    into, out = points[at] - points[before], points[end] - points[at]
+    return -float(np.arctan2(topology.cross(into, out), into @ out))
+
+
+@named_keywords
+def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm") -> None:
+    """Write the outline of a mesh with its holes as a drawing, to be cut or extruded: SVG or DXF, which `read_outline` reads again.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+    path : str or Path
+        .svg or .dxf (needs ezdxf: `pip install 'polyida[mesh]'`).
+    unit : "m", "cm" or "mm"
+        Of the drawing.
+
+    Raises
+    ------
+    InputError
+        For another ending or unit, or if ezdxf is not installed.
+    """
+    path = Path(path)
+    if unit not in UNITS:
+        raise InputError(f"write_outline: unit = {unit!r:.40} must be one of {', '.join(UNITS)}")
+    rings = [ring / UNITS[unit] for ring in outline_of(mesh)]
+    if path.suffix.lower() == ".dxf":
+        _library("ezdxf")
+        import ezdxf
+
+        drawing = ezdxf.new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
+        for ring in rings:
+            drawing.modelspace().add_lwpolyline(ring.tolist(), close=True)
+        drawing.saveas(path)
+    elif path.suffix.lower() == ".svg":
+        low, high = np.min([ring.min(axis=0) for ring in rings], axis=0), np.max([ring.max(axis=0) for ring in rings], axis=0)
+        width, height = high - low
+        lines = [" L ".join(f"{x - low[0]:.9g} {high[1] - y:.9g}" for x, y in ring) for ring in rings]
+        ways = " ".join(f"M {line} Z" for line in lines)
+        size = f'width="{width:.9g}{unit}" height="{height:.9g}{unit}" viewBox="0 0 {width:.9g} {height:.9g}"'
+        path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}><path fill-rule="evenodd" d="{ways}"/></svg>\n', encoding="utf-8")
+    else:
+        raise InputError(f"write_outline: {str(path)!r} must end in .svg or .dxf")

@@ -197,6 +197,28 @@ class PolygonMesh:
 
 
 @named_keywords
+def moved(mesh: PolygonMesh, points: "ArrayLike") -> PolygonMesh:
+    """Return the mesh with its nodes at other places: the same cells and sections, for designs whose lengths and outlines change.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+    points : (n_nodes, 2) float, m
+
+    Returns
+    -------
+    PolygonMesh
+        With the same numbers of nodes and cells.
+
+    Raises
+    ------
+    InputError
+        As PolygonMesh: if a cell turns inside out or cells overlap.
+    """
+    return PolygonMesh(np.asarray(points), mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
+
+
+@named_keywords
 def density_filter(mesh: PolygonMesh, radius: float) -> "csr_array":
     """Return the matrix F of the density filter: `rho = F @ x`; derivatives with respect to x are `F.T @ (dJ/drho)`.
 

@@ -1,0 +1,271 @@
+"""Variables of a design: densities of the cells of a plate, and sizes. The optimiser sees numbers from 0 to 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.adjoint.parameter import Parameter, total
+from polyida.adjoint.parameters import parameters_of
+from polyida.assembly.motion import moves_at
+from polyida.design.interpolation import mass, project, ramp
+from polyida.design.threshold import cells_along
+from polyida.errors import InputError
+from polyida.mesh import density_filter
+from polyida.model.differences import along
+from polyida.validation import floats, is_flag, is_number, named_keywords, settle
+
+
+@dataclass(frozen=True)
+class Sharpness:
+    """How sharply densities become stiffness.
+
+    Parameters
+    ----------
+    q : float
+        Of RAMP.
+    beta : float or None
+        Of the projection; None for none.
+    """
+
+    q: float = 20.0
+    beta: float | None = None
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Densities:
+    """Densities of the cells of a full plate: `rho = project(filter @ x)`, and 1 along the sections of joints.
+
+    The stiffness of a cell follows RAMP, its mass is in proportion, both with `void` left at rho = 0.
+
+    Parameters
+    ----------
+    plate : str
+        Name of a plate.
+    radius : float, m
+        Of the hat filter: about the least width of a member.
+    keep : str or iterable of str
+        Sections of the mesh whose cells stay solid.
+    start : float or (cells,) float, 0 to 1
+        Of the variables.
+    void : float in (0, 1)
+
+    Raises
+    ------
+    InputError
+        For wrong numbers, and of a problem for an unknown plate or section.
+    """
+
+    plate: str
+    radius: float
+    keep: Iterable[str] = ()
+    start: float | NDArray = 0.5
+    void: float = 1e-3
+
+    def __post_init__(self):
+        start = floats(self.start)
+        if start is None or start.ndim > 1 or not ((start >= 0) & (start <= 1)).all():
+            raise InputError(f"Densities of {self.plate!r}: start = {self.start!r:.80} must be a number from 0 to 1, or one for each cell")
+        settle(self, start=start, keep=(self.keep,) if isinstance(self.keep, str) else tuple(self.keep))
+        ramp(0.5, void=self.void)
+
+    name = property(lambda self: self.plate)
+
+    def bound(self, model: Any) -> DensityMap:
+        """Return the map from the variables of this plate of a model to its factors."""
+        known = {body.name: body for body in model.bodies} if model.is_scene else {}
+        if self.plate not in known:
+            raise InputError(f"Densities: no full plate is called {self.plate!r:.80}; known: {', '.join(map(repr, known)) or 'none'}")
+        mesh, shape = known[self.plate].mesh, np.shape(self.start)
+        if shape not in ((), (mesh.n_cells,)):
+            raise InputError(f"Densities of {self.plate!r}: start has shape {shape}, the plate has {mesh.n_cells} cells")
+        return DensityMap(self, mesh)
+
+
+class DensityMap:
+    """Maps variables (cells,) of a plate on a mesh to factors of its cells, and slopes back."""
+
+    unit = "of the cells"
+
+    def __init__(self, variable, mesh):
+        self.variable, self.name, self.mesh, self.size = variable, variable.plate, mesh, mesh.n_cells
+        self.blur, self.free = density_filter(mesh, variable.radius), np.ones(mesh.n_cells, bool)
+        for cells in cells_along(f"Densities of {self.name!r}", mesh, variable.keep).values():
+            self.free[cells] = False
+        self.start = np.broadcast_to(variable.start, self.size)
+
+    def value(self, x, sharp):
+        """rho (cells,)."""
+        return self._densities(x, sharp)[0]
+
+    def _densities(self, x, sharp):
+        blurred = np.clip(self.blur @ x, 0.0, 1.0)
+        rho, rate = (blurred, 1.0) if sharp.beta is None else project(blurred, sharp.beta)
+        return np.where(self.free, rho, 1.0), np.where(self.free, rate, 0.0)
+
+    def parameters(self, model):
+        """Names of the parameters of a model that it sets."""
+        return [f"{self.name}.stiffness", f"{self.name}.mass"]
+
+    def applied(self, model, x, sharp):
+        """The model with these densities."""
+        rho, void = self.value(x, sharp), self.variable.void
+        return model.with_factors(**{self.name: (ramp(rho, sharp.q, void)[0], mass(rho, void=void)[0])})
+
+    def slopes(self, gradient, x, sharp):
+        """dJ/dx (cells,), from a Gradient."""
+        (rho, rate), void = self._densities(x, sharp), self.variable.void
+        by_rho = gradient[f"{self.name}.stiffness"] * ramp(rho, sharp.q, void)[1] + gradient[f"{self.name}.mass"] * mass(rho, void=void)[1]
+        return self.blur.T @ (rate * by_rho)
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Size:
+    """A number of the model between two bounds: a parameter, or an argument of the function that builds the model.
+
+    Parameters such as "arm.thickness", "spring.stiffness" or "pid.kp" have the slopes of `pi.gradient`. What has no parameter, such as a length, the
+    place of a joint or a height of an outline, is an argument of `Case(build)`, which moves the nodes of one mesh (`pi.mesh.moved`); its slopes
+    come from the multipliers of the sweep and differences of the built models, exact to about 1e-9.
+
+    Parameters
+    ----------
+    name : str
+    lower, upper : float
+    start : float, optional
+        By default the middle, of the logarithm if `log`.
+    log : bool
+        True: the optimiser sees the logarithm, for numbers whose order of magnitude is searched.
+
+    Raises
+    ------
+    InputError
+        For wrong bounds, a start outside of them, and of a problem for an unknown name.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    start: float | None = None
+    log: bool = False
+
+    def __post_init__(self):
+        label = f"Size {self.name!r}"
+        if not isinstance(self.name, str):
+            raise InputError(f"Size: name = {self.name!r:.80} must be a text, such as 'arm.thickness'")
+        if not (is_number(self.lower) and is_number(self.upper) and self.lower < self.upper):
+            raise InputError(f"{label}: lower = {self.lower!r:.40} must be less than upper = {self.upper!r:.40}")
+        if not is_flag(self.log) or (self.log and not self.lower > 0):
+            raise InputError(f"{label}: log = {self.log!r:.40} must be True or False, and True only with lower > 0")
+        if not (self.start is None or (is_number(self.start) and self.lower <= self.start <= self.upper)):
+            raise InputError(f"{label}: start = {self.start!r:.40} must be a number from {self.lower:g} to {self.upper:g}, or None")
+
+    def value(self, x: float) -> float:
+        """Return the number at x, 0 to 1."""
+        return float(self.lower * (self.upper / self.lower) ** x if self.log else self.lower + x * (self.upper - self.lower))
+
+    def rate(self, x: float) -> float:
+        """Return its derivative in x."""
+        return self.value(x) * float(np.log(self.upper / self.lower)) if self.log else self.upper - self.lower
+
+    @property
+    def first(self) -> float:
+        """x of the start."""
+        if self.start is None:
+            return 0.5
+        ends = np.array([self.lower, self.start, self.upper], float)
+        low, at, high = np.log(ends) if self.log else ends
+        return float((at - low) / (high - low))
+
+
+class SizeMap:
+    """Maps a variable (1,) to a parameter of a model, and slopes back."""
+
+    unit = ""
+
+    def __init__(self, variable, model):
+        known = parameters_of(model)
+        if variable.name not in known or np.ndim(known[variable.name].value):
+            numbers = ", ".join(repr(name) for name, one in known.items() if not np.ndim(one.value))
+            raise InputError(
+                f"Size {variable.name!r}: neither an argument of the case's function nor a number of the model; known: {numbers or 'none'}"
+            )
+        self.variable, self.name, self.size, self.start = variable, variable.name, 1, np.array([variable.first])
+
+    def value(self, x, sharp):
+        """The number."""
+        return self.variable.value(x[0])
+
+    def parameters(self, model):
+        """Names of the parameters of a model that it sets."""
+        return [self.name]
+
+    def applied(self, model, x, sharp):
+        """The model with this number."""
+        return parameters_of(model)[self.name].replaced(self.value(x, sharp))
+
+    def slopes(self, gradient, x, sharp):
+        """dJ/dx (1,), from a Gradient."""
+        return np.array([gradient[self.name] * self.variable.rate(x[0])])
+
+
+class BuiltSizeMap(SizeMap):
+    """The same of an argument of the function that builds the model; `Problem` gives the parameter."""
+
+    def __init__(self, variable):
+        self.variable, self.name, self.size, self.start = variable, variable.name, 1, np.array([variable.first])
+
+    def parameters(self, model):
+        """None: `Problem` has it."""
+        return []
+
+    def applied(self, model, x, sharp):
+        """The model, which was built with it."""
+        return model
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltSize(Parameter):
+    """An argument of a function that builds the model. build: function of its value -> model; scale: over which the model varies."""
+
+    build: Callable[[float], Any]
+    scale: float
+    changes_coordinates = True
+
+    @cached_property
+    def _models(self):
+        return {}
+
+    def _model(self, s):
+        if s not in self._models:
+            self._models[s] = other = self.replaced(self.value + s)
+            if (other.n, other.m) != (self.model.n, self.model.m):
+                raise InputError(
+                    f"Size {self.name!r}: the model has {self.model.n} coordinates, with a slightly different value {other.n}; "
+                    "move the nodes of one mesh, as with pi.mesh.moved"
+                )
+        return self._models[s]
+
+    def slope(self, work):
+        """Differences of fourth order."""
+        return float(along(lambda s: total(self._model(s), work), self.scale))
+
+    def of_model(self, function):
+        """Differences."""
+        return float(along(lambda s: function(self._model(s)), self.scale))
+
+    def start(self, t, q, bar):
+        """Differences of the initial velocities, if the scene starts in motion."""
+        if self.model.is_scene and not moves_at(self.model, t, q):
+            return None
+        return float(along(lambda s: bar @ self._model(s).initial_velocity(t, q), self.scale))
+
+    def replaced(self, value):
+        """The model of another value."""
+        return self.build(value)
