@@ -11,14 +11,14 @@ from polyida.study.tasks import Study
 
 DECADES = {"1e3": 1_000, "1e4": 10_000}
 SPANS = {1_000: 1.0, 3_000: 1.0, 10_000: 0.5, 30_000: 0.2}  # s
-AIMS = {"gradient_over_run_1e3": 1.5, "gradient_over_run_1e4": 1.1}
+AIMS = {"gradient_over_run_1e3": 1.5, "gradient_over_run_1e4": 1.1, "several_over_one_1e3": 1.6, "several_over_one_1e4": 1.6}
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-8)
-RUNS = {"time": measure.ratio_row, "error": measure.error_row}
+RUNS = {"time": measure.ratio_row, "several": measure.several_row, "error": measure.error_row}
 PARTS = ("solve", "product", "rest")
 
 
 def tasks(quick):
-    """Times of each scene and objective at each size, then errors at each tolerance."""
+    """Times of each scene and objective at each size, of several objectives together, then errors at each tolerance."""
     sizes, repeats = (DECADES.values(), 3) if quick else (SPANS, 7)
     cases = [(scene, objective) for scene in measure.SCENES for objective in measure.OBJECTIVES]
     selection = [
@@ -26,6 +26,7 @@ def tasks(quick):
         for dof in sizes
         for scene, objective in cases
     ]
+    selection += [{"part": "several", "scene": "scene 2", "dof": dof, "t_end": SPANS[dof], "repeats": repeats} for dof in DECADES.values()]
     dof, span = (300, 0.2) if quick else (1_000, 1.0)
     return selection + [
         {"part": "error", "scene": scene, "objective": objective, "dof": dof, "t_end": span, "tolerance": tolerance}
@@ -46,6 +47,9 @@ def figures(rows):
         ratios = [row["ratio"] for row in pick(rows, part="time", dof=dof)]
         if ratios:
             result |= {f"gradient_over_run_{name}": float(np.median(ratios)), f"gradient_over_run_{name}_largest": max(ratios)}
+        if several := pick(rows, part="several", dof=dof):
+            result[f"several_over_one_{name}"] = several[0]["several_over_one"]
+            result[f"several_over_apart_{name}"] = several[0]["several_over_apart"]
     for tolerance in TOLERANCES:
         errors = [max(row["stiffness_error"], row["mass_error"]) for row in pick(rows, part="error", tolerance=tolerance)]
         if errors:

@@ -1,1 +1,1 @@
-"""Modules of studies/designed_in_motion.py: machines, densities, optimiser, analysis of solid designs, pictures."""
+"""Modules of studies/designed_in_motion.py: machines, designs, analysis of solid designs, pictures."""

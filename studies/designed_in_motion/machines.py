@@ -14,6 +14,7 @@ from polyida.problems import plates
 
 THICKNESS = plates.THICKNESS
 KEPT = ("left", "end")  # sections of joints and masses
+VOLUME = 0.45  # of full plates, the mass of every design
 
 
 @dataclass(frozen=True)

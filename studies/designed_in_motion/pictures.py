@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 
 import polyida as pi
-from designed_in_motion import optimiser, solids
-from designed_in_motion.machines import MACHINES
+from designed_in_motion import solids
+from designed_in_motion.machines import MACHINES, VOLUME
 
 APART, STEPS = 1.3, 100  # m, between the hinges of machines that are shown moving, and steps of their run
 
@@ -42,7 +42,7 @@ def _frame(axes, points):
 def meshes_of(row):
     """The meshes on which a row's design was made."""
     machine = MACHINES[row["machine"]]
-    height = machine.height * (optimiser.VOLUME if row["design"] == "bar" else 1.0)
+    height = machine.height * (VOLUME if row["design"] == "bar" else 1.0)
     return [machine.mesh(row["cells"], height)] * len(machine.names)
 
 

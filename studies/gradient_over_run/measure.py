@@ -64,6 +64,31 @@ def ratio_row(scene, dof, objective, t_end, repeats):
     }
 
 
+def several_row(scene, dof, t_end, repeats):
+    """Medians over `repeats` alternations of the CPU microseconds of a step in the gradient of one objective, of four together, and of four one after the
+    other, and of their ratios to one.
+    """
+    model = model_of(scene, dof)
+    objectives = [*(make() for make in OBJECTIVES.values()), pi.objective.StrainEnergy("lower")]
+    run = pi.solve(model, t_end, pi.GeneralizedAlpha(h=H))
+    ways = {
+        "one": lambda: pi.gradient(run, objectives[0]),
+        "four": lambda: pi.gradient(run, objectives),
+        "apart": lambda: [pi.gradient(run, one) for one in objectives],
+    }
+    pi.gradient(run, objectives)
+    with one_blas_thread():
+        times = np.array([[cpu(way)[0] for way in ways.values()] for _ in range(repeats)])
+    per_step = 1e6 * np.median(times, axis=0) / run.counts.steps
+    return {
+        "n": model.n,
+        "steps": run.counts.steps,
+        **dict(zip(("gradient_us", "four_us", "apart_us"), per_step.tolist())),
+        "several_over_one": float(np.median(times[:, 1] / times[:, 0])),
+        "several_over_apart": float(np.median(times[:, 1] / times[:, 2])),
+    }
+
+
 @entry
 def _products(count, s, u, v, w, x):
     for _ in range(count):

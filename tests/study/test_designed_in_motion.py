@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from designed_in_motion import designs, optimiser, solids
-from designed_in_motion.densities import Densities
-from designed_in_motion.machines import KEPT, MACHINES
+import polyida as pi
+from designed_in_motion import designs, solids
+from designed_in_motion.machines import KEPT, MACHINES, VOLUME
 
 ARM, ARMS = (replace(MACHINES[name], t_end=0.2) for name in ("arm", "two arms"))
 
@@ -16,22 +16,13 @@ ARM, ARMS = (replace(MACHINES[name], t_end=0.2) for name in ("arm", "two arms"))
 @pytest.mark.parametrize("kind", ["motion", "rest"])
 def test_slopes_in_the_variables(which, kind):
     meshes = [which.mesh(40)] * len(which.names)
-    densities = Densities(which.names, meshes, 0.1)
-    made = (
-        designs.in_motion(which, meshes)
-        if kind == "motion"
-        else designs.at_rest(which, meshes, designs.LOADS["static, tip load and weight"])
-    )
-    x = 0.6 + 0.3 * np.sin(np.arange(len(densities.share)))
+    rest = designs.at_rest(which, meshes, designs.LOADS["static, tip load and weight"])
+    objective, case = designs.in_motion(which, meshes) if kind == "motion" else rest
+    x = 0.6 + 0.3 * np.sin(np.arange(sum(mesh.n_cells for mesh in meshes)))
     way = np.cos(2.0 * np.arange(len(x)))
-
-    def value(x):
-        rho, rate = densities.of(x, 4.0)
-        found, slopes = densities.evaluated(*made, rho, 5.0)
-        return found, densities.blur.T @ (slopes * rate)
-
-    (ahead, _), (behind, _) = value(x + 1e-4 * way), value(x - 1e-4 * way)
-    assert value(x)[1] @ way == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)
+    problem, sharp = pi.design.Problem(objective, *designs.bounded(which, case, x)), pi.design.Sharpness(5.0, 4.0)
+    ahead, behind = (problem.evaluate(x + s * way, sharp).values for s in (1e-4, -1e-4))
+    assert problem.evaluate(x, sharp).slopes @ way == pytest.approx((ahead - behind) / 2e-4, rel=1e-3)
 
 
 def test_solid_designs_have_equal_mass_and_whole_ends():
@@ -46,9 +37,8 @@ def test_solid_designs_have_equal_mass_and_whole_ends():
 
 
 def test_material_placed_in_motion_helps():
-    densities = Densities(ARM.names, [ARM.mesh(60)], 0.05)
-    x = np.full(60, 0.35)
-    value = designs.compiled(densities, x, *designs.in_motion(ARM, [ARM.mesh(60)]))
-    _, (rho,), history, reached = optimiser.minimised(densities, value, ((5.0, None, 10),), x)
-    assert value(rho, 5.0)[0] == pytest.approx(reached, rel=1e-9) and reached < 0.2 * history[0]
-    assert densities.share @ rho <= optimiser.VOLUME + 1e-6 and (rho[~densities.free] == 1.0).all()
+    meshes = [ARM.mesh(60)]
+    (design,) = designs.searched(*designs.in_motion(ARM, meshes), ARM, np.full(60, 0.35), [pi.design.Stage(10, 5.0)])
+    rho, share = designs.densities_of(design), meshes[0].cell_areas / meshes[0].area
+    assert design.met and design.objective < 0.2 * design.history["objective"][0]
+    assert share @ rho <= 1.005 * VOLUME and (rho[~design.problem.maps[0].free] == 1.0).all()

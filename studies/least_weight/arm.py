@@ -1,0 +1,116 @@
+"""The slewing arm of designed_in_motion: least mass at limited tracking error, peak torque and peak stress."""
+
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+import polyida as pi
+from designed_in_motion.machines import KEPT, MACHINES
+
+ARM = replace(MACHINES["arm"], radius=0.05)  # of the filter, m, the same for all meshes
+UPPER = {"Deviation tip": 2e-5, "PeakTorque arm motor": 60.0, "PeakStress arm": 6e5}  # m2, N m, Pa
+LOADS = {"tip load": ((0.0, -1.0), (0.0, 0.0)), "tip load and weight": ((0.0, -1.0), (0.0, -1.0))}  # N, m/s2
+VOLUMES = (0.5, 0.6, 0.7, 0.8)  # of static designs
+STAGE = pi.design.Stage
+REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0))
+HARDER = (STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))  # more stages for static designs that are not moved
+MOTION = {
+    "full": (STAGE(20, 10.0, 2.0), STAGE(16, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(20, 20.0, 16.0)),
+    "short": (STAGE(12, 10.0, 2.0), STAGE(8, 15.0, 4.0), STAGE(8, 20.0, 8.0)),
+}
+OTHERS = {  # the solid design once more
+    "smaller steps": pi.GeneralizedAlpha(h=ARM.h / 2.5, tolerance=1e-6),
+    "RadauIIA": pi.RadauIIA(rtol=1e-4),
+    "IDA": pi.IDA(rtol=1e-5),
+    "EnergyMomentum": pi.EnergyMomentum(h=ARM.h / 2.5),
+}
+
+
+def in_motion(model, integrator=None):
+    """The run of the arm."""
+    return pi.solve(model, ARM.t_end, integrator or pi.GeneralizedAlpha(h=ARM.h, tolerance=1e-6))
+
+
+def at_rest(model):
+    """The equilibrium of the arm, its motor held."""
+    return pi.static(model, linear=True)
+
+
+def limits():
+    """The limits of the motion."""
+    objectives = (pi.objective.Deviation("tip", ARM.path), pi.objective.PeakTorque("arm motor", p=12), pi.objective.PeakStress("arm", p=12))
+    return [pi.objective.Limit(one, upper) for one, upper in zip(objectives, UPPER.values())]
+
+
+def static_design(mesh, load, volume, stages, start=None):
+    """The Design of least compliance under a load, with a share `volume` of the arm's mass."""
+    force, gravity = LOADS[load]
+    model = ARM.scene([mesh], gravity=gravity, load=force).build()
+    whole = pi.objective.Mass("arm")(at_rest(model))
+    variable = pi.design.Densities("arm", ARM.radius, KEPT, volume if start is None else start)
+    limit = pi.objective.Limit(pi.objective.Mass("arm"), volume * whole)
+    return quietly(pi.objective.Compliance(), [limit], [variable], pi.design.Case(model, at_rest), stages)
+
+
+def moving_design(mesh, start, stages):
+    """The Design of least mass within the limits of the motion, from variables `start`."""
+    model = ARM.scene([mesh]).build()
+    variable = pi.design.Densities("arm", ARM.radius, KEPT, start)
+    return quietly(pi.objective.Mass("arm"), limits(), [variable], pi.design.Case(model, in_motion), stages)
+
+
+def quietly(*arguments):
+    """`minimise` without the words on limits that the start exceeds: the rows have them."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return pi.design.minimise(*arguments)
+
+
+def row(cells, way, effort, load="tip load", volume=0.55):
+    """One row: a design in motion that begins with the static one of a load and volume, or that static design itself."""
+    mesh, begun = ARM.mesh(cells), (time.perf_counter(), time.process_time())
+    rest = static_design(mesh, load, volume, REST if way == "in motion" else REST + HARDER)
+    history, stages = [], [rest.values["arm"].tolist()]
+    if way == "in motion":
+        x, excesses = rest.x, []
+        for stage in MOTION[effort]:
+            design = moving_design(mesh, x, [stage])
+            x = design.x
+            history += design.history["objective"].tolist()
+            excesses += design.history["excess"].tolist()
+            stages.append(design.values["arm"].tolist())
+    else:  # judged by the limits of the motion
+        moving = pi.design.Problem(
+            pi.objective.Mass("arm"),
+            limits(),
+            [pi.design.Densities("arm", ARM.radius, KEPT)],
+            pi.design.Case(ARM.scene([mesh]).build(), in_motion),
+        )
+        found = moving.evaluate(rest.x, rest.sharp)
+        kept = {label: (float(value), limit.upper) for label, value, (limit, _) in zip(moving.labels, found.largest[1:], moving.held)}
+        design, excesses = replace(rest, problem=moving, objective=float(found.values[0]), limits=kept), []
+    spent = time.perf_counter() - begun[0], time.process_time() - begun[1]
+    others = OTHERS if effort == "full" and way == "in motion" else {"smaller steps": OTHERS["smaller steps"]}
+    solid = pi.design.solid(
+        design,
+        lambda arm: ARM.scene([arm]).build(),
+        others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
+    )
+    names = dict(zip(solid.table.index, ("mass", "deviation", "torque", "stress")))
+    rho = np.asarray(design.values["arm"])
+    return {
+        **{f"{name}_{column}": float(value) for column in solid.table for name, value in zip(names.values(), solid.table[column])},
+        "excess": solid.excess,
+        "at": solid.at,
+        "grey": float(4.0 * (mesh.cell_areas / mesh.area) @ (rho * (1.0 - rho))),
+        "evaluations": len(history),
+        "history": history,
+        "excesses": excesses,
+        "stages": stages[:-1],
+        "rho": rho.tolist(),
+        "wall_s": spent[0],
+        "cpu_s": spent[1],
+        "message": design.message,
+    }
