@@ -248,7 +248,7 @@ class StageEquations(PythonTable, AdjointTable):
         """
         model, h, s, n, m = self.model, self.h, len(t), self.model.n, self.model.m
         here = t.tolist(), q
-        stacked = lambda function, *states: block_diag([function(*state) for state in zip(*states)], format="csr")  # noqa: E731
+        stacked = lambda function, *states: block_diag([csr_array(function(*state)) for state in zip(*states)], format="csr")  # noqa: E731
         self.R = kron(self.tableau.W / h, eye_array(n), format="csr")
         self.K = stacked(lambda *state: model.tangent(*state, 0.0, 0.0, 1.0), *here, v, a, lam)
         self.M = stacked(model.mass, q)

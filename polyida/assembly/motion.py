@@ -67,7 +67,7 @@ def rigid_motions(model, q):
     Coordinates z of a rigid body move by `T V + i spin (z - T x_G)`: V is the velocity of its centre of mass, `x_G = T^H M z / T^H M T`,
     zero for a body without mass.
     """
-    from scipy.sparse import block_diag
+    from scipy.sparse import block_diag, coo_array
 
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     columns = []
@@ -77,12 +77,12 @@ def rigid_motions(model, q):
         units = [T * velocity + 1j * spin * (own - T * centre) for velocity, spin in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
         columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
     columns += [np.zeros((2 * len(placed.rest), 0)) for placed in (*model.states.values(), *model.strains.values())]
-    return block_diag(columns, format="csr")
+    return block_diag([coo_array(one) for one in columns], format="csr")
 
 
 def rows_of_motions(model, t, q, R):
     """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass; sparse."""
-    from scipy.sparse import block_diag, csr_array
+    from scipy.sparse import block_diag, coo_array, csr_array
 
     metric = csr_array(R.T @ model.mass(q) @ R)
     diagonal, blocks = metric.diagonal(), metric.tobsr((3, 3))  # only the motions of one body are coupled
@@ -91,7 +91,7 @@ def rows_of_motions(model, t, q, R):
     by_body[blocks.indices] = blocks.data
     sizes, axes = np.linalg.eigh(units[:, :, None] * by_body * units[:, None])
     roots = [unit[:, None] * axis[:, size > NO_MASS] / np.sqrt(size[size > NO_MASS]) for unit, size, axis in zip(units, sizes, axes)]
-    return csr_array(csr_array(model.phi_q(t, q)) @ R), csr_array(block_diag(roots))
+    return csr_array(csr_array(model.phi_q(t, q)) @ R), block_diag([coo_array(root) for root in roots], format="csr")
 
 
 def _least_solution(A, b):
