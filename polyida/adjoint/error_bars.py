@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 
 from polyida.adjoint.alpha_errors import AlphaErrors
 from polyida.adjoint.gradient import adjoint_of
-from polyida.adjoint.parameter import with_part
+from polyida.adjoint.parameter import parts_with, with_part
+from polyida.adjoint.run import given_velocity
+from polyida.assembly.scene_model import SceneModel
 from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.state import Counts, declared
+from polyida.integrate.state import Counts, State, declared
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.mesh import PolygonMesh
+from polyida.mesh.mesher import remeshed
 from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import backward, require_progress
@@ -56,8 +59,10 @@ class ErrorBars:
         Error of the modes of reduced plates, from a run with three more fields each; with `again=True`.
     again : float or None
         Error of the time steps from another run; with `again=True`.
+    mesh_again : float or None
+        Error of the meshes from a run with half the cells; with `again=True`. It misleads where errors of one mesh cancel.
     reasons : dict of str to tuple of str
-        {part: why its estimate is missing or not trusted}.
+        {part: why its estimate is missing or not trusted}; "mesh_again" too.
     fast_share : float
         Share of `time` that comes from vibrations whose phase is lost with steps of this size; above 0.45 it is not trusted.
     t : (steps,) float, s
@@ -78,6 +83,7 @@ class ErrorBars:
     mesh: float | None = None
     modes: float | None = None
     again: float | None = None
+    mesh_again: float | None = None
     reasons: dict[str, tuple[str, ...]] = field(default_factory=dict)
     fast_share: float = 0.0
     t: NDArray = field(default_factory=lambda: np.zeros(0))
@@ -151,8 +157,10 @@ class ErrorBars:
                 lines.append(
                     f"  {part:7s}{_number(error):>11s}" + (f"  {'not trusted' if error is not None else 'none'}: {why}" if why else "")
                 )
-        if self.again is not None:
-            lines.append(f"  time   {_number(self.again):>11s}  from another run")
+        for part, error in (("time", self.again), ("mesh", self.mesh_again)):
+            if error is not None:
+                lines.append(f"  {part:7s}{_number(error):>11s}  from another run")
+        lines += [f"  mesh             -  no run with half the cells: {why}" for why in self.reasons.get("mesh_again", ())]
         return "\n".join(lines)
 
     def plot_cells(self, name: str, mesh: PolygonMesh, axes: Axes | None = None) -> Axes:
@@ -220,7 +228,7 @@ def error_of(
         The quantity J, one of `pi.objective`.
     again : bool
         True: solve the run again with 2 h (GeneralizedAlpha and EnergyMomentum; a third of the difference), h / 2 (RadauIIA) or a tenth of the
-        tolerances, and with three more fields in each reduced plate (`pi.missing_fields`).
+        tolerances, with three more fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -281,6 +289,8 @@ def error_of(
         second, changes = _time_again(run, objective, bars.value), {}
         if any(isinstance(model.parts[placed.name], Reduced) for placed in model.few):
             changes["modes"] = _modes_again(run, objective) - bars.value
+        if model.is_scene and model.bodies:
+            changes |= _mesh_again(run, objective, bars)
         return replace(bars, again=second, time=second if bars.time is None else bars.time, **changes)
 
 
@@ -320,15 +330,36 @@ def _modes_again(run, objective):
     return _solved(run, model, run.integrator, objective.named(old), (before, after))
 
 
+def _mesh_again(run, objective, bars):
+    """Changes of ErrorBars: the error of the meshes from a run with half the cells, or the reason why there is none."""
+    old = guard(run.model)
+    parts, start = dict(old.parts), State(float(run.t[0]), *(np.asarray(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
+    try:
+        if start.q.any() or not given_velocity(old, start)[1]:
+            raise InputError("the run does not begin as drawn")
+        if any(np.ptp(factor) or factor[0] != 1.0 for body in old.bodies for factor in body.factors):
+            raise InputError("cells have factors")
+        for body in old.bodies:
+            coarse = replace(parts[body.name], mesh=remeshed(body.mesh, max(1, body.mesh.n_cells // 2)))
+            parts = parts_with(parts, body.name, coarse, lambda side, new: new.section(side.name))
+        model = SceneModel(parts, old.gravity, old.treats_redundant)
+        return {"mesh_again": bars.value - _solved(run, model, run.integrator, objective.named(old), False)}
+    except InputError as error:
+        return {"reasons": bars.reasons | {"mesh_again": (str(error),)}}
+
+
 def _solved(run, model, settings, objective, places=None):
-    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates. Raises InputError if it fails."""
+    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin as drawn. Raises
+    InputError if it fails.
+    """
     if run.plan.get("output") or run.status == "stopped":
         raise InputError("error_of: again=True needs a run without `output` and `until`")
     model = guard(model)
     q, v = (np.asarray(x[0], float) for x in (run.q, run.v))
-    if places is not None:
+    if places:
         q, v = (_placed(x, model.n, *places) for x in (q, v))
-    options = {"every": run.plan.get("every", 1), "t0": float(run.t[0]), "q0": q, "v0": v}
+    start = {} if places is False else {"q0": q, "v0": v}
+    options = {"every": run.plan.get("every", 1), "t0": float(run.t[0]), **start}
     other = solve(unguarded(model), float(run.t[-1]), settings, **options)
     if not other.success:
         raise InputError(f"error_of: the run with {settings!r:.100} failed: {other.message}")

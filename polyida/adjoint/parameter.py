@@ -167,9 +167,14 @@ def with_field(part, path, value):
 
 def with_part(model, name, new):
     """A copy of the model with one part replaced; attachments to a replaced body move to the new one."""
-    old = model.parts[name]
-    on_new = lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value  # noqa: E731
-    return with_parts(model, {known: new if part is old else _with_values(part, on_new) for known, part in model.parts.items()})
+    return with_parts(model, parts_with(model.parts, name, new, Attachment.on))
+
+
+def parts_with(parts, name, new, move):
+    """Parts with one replaced; attachments to a replaced body become move(attachment, new)."""
+    old = parts[name]
+    on_new = lambda value: move(value, new) if isinstance(value, Attachment) and value.body is old else value  # noqa: E731
+    return {known: new if part is old else _with_values(part, on_new) for known, part in parts.items()}
 
 
 def with_profile(model, old, new):

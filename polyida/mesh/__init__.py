@@ -1,7 +1,7 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
 from polyida.mesh.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
-from polyida.mesh.mesher import polygonize, quads, rectangle, triangles
+from polyida.mesh.mesher import polygonize, quads, rectangle, refine, triangles
 from polyida.mesh.outline import Outline, outline_of, read_outline, svg_path, write_outline
 from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh, density_filter, moved
 from polyida.mesh.raw import MeshWarning, RawMesh
@@ -33,6 +33,7 @@ __all__ = [
     "read",
     "read_outline",
     "rectangle",
+    "refine",
     "svg_path",
     "triangles",
     "write",

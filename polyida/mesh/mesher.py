@@ -13,13 +13,16 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
-from polyida.mesh.domains import Domain, Moved, Rectangle, meet, project
+from polyida.mesh.domains import Domain, Moved, Rectangle, meet, nearest, project
+from polyida.mesh.outline import Outline
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.sections import ON_CIRCLE, automatic
+from polyida.mesh.sections import ON_CIRCLE, automatic, edges_within, rings
 from polyida.validation import is_whole, named_keywords, positive, vector2
 
 ATTEMPTS = 8  # with different seeds, if a part of the boundary gets no cells
 SAMPLES = 20_000  # points that estimate the area of a domain
+PARTS = 4  # cells in place of one that is refined
+BLEND = 10  # iterations that follow the wanted sizes of cells
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
@@ -71,10 +74,81 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
             f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
             "too far for the digits of its walls; mesh it at the origin and move the plate by its origin="
         )
-    polygons = _polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations)
+    return _numbered(_polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations), shift)
+
+
+def _numbered(polygons, shift=0.0):
     points, nodes, offsets, _ = topology.renumber(polygons.points, polygons.nodes, polygons.offsets)
     rim = topology.boundary_edges(nodes, offsets, len(points))
     return PolygonMesh(points + shift, nodes, offsets, automatic(points, rim))
+
+
+@named_keywords
+def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
+    """Return a mesh of the same outline with about four cells in place of each chosen one.
+
+    The mesher starts from the centroids of the other cells and four points in each chosen one. A few of Lloyd's iterations, with the wanted size of
+    cells as density, blend the sizes.
+
+    Parameters
+    ----------
+    mesh : PolygonMesh
+    cells : (k,) int, or (n_cells,) bool
+        The cells to be refined, such as those with the largest shares in `bars.cells["arm"]`.
+
+    Returns
+    -------
+    PolygonMesh
+        With the sections of the mesh that lie on its boundary. Loads and supports of files are left out.
+
+    Raises
+    ------
+    InputError
+        For cells that do not exist, and if the mesher fails.
+
+    Examples
+    --------
+    >>> shares = np.abs(bars.cells["arm"])
+    >>> finer = pi.mesh.refine(mesh, np.argsort(shares)[-20:])
+    """
+    if not isinstance(mesh, PolygonMesh):
+        raise InputError(f"refine: mesh is {type(mesh).__name__}, it must be a PolygonMesh")
+    chosen, array = np.zeros(mesh.n_cells, bool), np.asarray(cells)
+    whole = array.dtype.kind in "iu" and array.ndim == 1 and array.size and array.min() >= 0 and array.max() < mesh.n_cells
+    if not (whole or (array.dtype == bool and array.shape == chosen.shape)):
+        raise InputError(
+            f"refine: cells = {cells!r:.80} must be indices from 0 to {mesh.n_cells - 1}, or a mask of all {mesh.n_cells} cells"
+        )
+    chosen[array] = True
+    return remeshed(mesh, np.where(chosen, PARTS, 1))
+
+
+def remeshed(mesh, parts):
+    """A mesh of the same outline and sections: cells of a mesh with `parts` (n_cells,) int new ones each; or about `parts`, a number, of equal size."""
+    from scipy.spatial import cKDTree
+
+    outer, *holes = sorted((mesh.points[ring] for ring in rings(mesh)), key=lambda ring: -np.prod(np.ptp(ring, axis=0)))
+    domain = Outline(outer, holes)
+    if np.ndim(parts):
+        centres, areas, tree = mesh.cell_centroids, mesh.cell_areas / parts, cKDTree(mesh.cell_centroids)
+        way = np.repeat(0.5 * np.sqrt(areas), parts)[:, None]
+        number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+        angle = 0.7 + 2.0 * np.pi * number / np.repeat(parts, parts)
+        alone = np.repeat(parts == 1, parts)[:, None]
+        seeds = np.repeat(centres, parts, axis=0) + np.where(alone, 0.0, 1.4 * way * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        seeds = seeds[domain.distance(seeds) < 0.0]
+        new = _numbered(_polygons(domain, len(seeds), 0, BLEND, start=seeds, density=lambda points: areas[tree.query(points)[1]] ** -2.0))
+    else:
+        new = polygonize(domain, parts)
+    sections = dict(new.sections)
+    for name, nodes in mesh.sections.items():
+        start, end = mesh.points[edges_within(mesh, nodes).T]
+        if name not in sections and len(start):
+            rim = new.points[new.boundary_nodes]
+            edge, share = nearest(rim, start, end - start)
+            away = np.hypot(*(rim - start[edge] - share[:, None] * (end - start)[edge]).T)
+            sections[name] = new.boundary_nodes[away < 1e-9 * np.ptp(mesh.points)]
+    return PolygonMesh(new.points, new.nodes, new.offsets, sections)
 
 
 @named_keywords
@@ -192,10 +266,11 @@ def _structured(function, length, height, nx, ny, origin, cut=False):
     return PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height))
 
 
-def _polygons(domain, cells, seed, iterations, tolerance=5e-3):
+def _polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None, density=None):
     """Polygons of a domain before numbering, with boundary nodes on the walls and exact corners.
 
-    If the boundary is not resolved, the next random seeds of the same stream are tried.
+    If the boundary is not resolved, the next random seeds of the same stream are tried. start (cells, 2): seeds in place of random ones; density: as
+    of `_lloyd`.
     """
     rng = np.random.default_rng(seed)
     size = domain.upper - domain.lower
@@ -205,8 +280,12 @@ def _polygons(domain, cells, seed, iterations, tolerance=5e-3):
 
     def attempt():
         fixed = cleanup.corner_seeds(domain, corners, spacing)[: cells - 1]
-        free = _random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
-        seeds, diagram = _lloyd(fixed, free, domain, area, iterations, tolerance)
+        free = (
+            _random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
+            if start is None
+            else start + 1e-3 * spacing * rng.random(start.shape)
+        )
+        seeds, diagram = _lloyd(fixed, free, domain, area, iterations, tolerance, density)
         polygons = cleanup.place_corners(_snapped(seeds, diagram, domain, spacing, corners), corners, spacing)
         polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), lambda points: _to_boundary(points, domain))
         polygons = cleanup.split_concave_cells(cleanup.relax(polygons, lambda points: _to_boundary(points, domain)))
@@ -349,10 +428,11 @@ def _bounded_cells(seeds, domain, spacing, reach):
         reach *= 2.0
 
 
-def _lloyd(fixed, free, domain, area, iterations, tolerance):
+def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
     """(seeds, cells): fixed seeds stay, free ones move to their centroids until sqrt(sum A_i^2 |c_i - s_i|^2) n / A^1.5 < tolerance.
 
-    The move is multiplied by 1.7, which about halves the number of iterations, if the seed then stays inside the domain.
+    The move is multiplied by 1.7, which about halves the number of iterations, if the seed then stays inside the domain. density: function of points
+    (n, 2) that weighs the centroids; areas become proportional to its power -1/2.
     """
     seeds = np.concatenate([fixed, free])
     spacing = np.sqrt(area / len(seeds))
@@ -367,6 +447,7 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance):
             cell = cells.ridges[own, side]
             u, v = a[own] - seeds[cell], b[own] - seeds[cell]
             triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+            triangle = triangle if density is None else triangle * density(seeds[cell] + (u + v) / 3.0)
             areas += np.bincount(cell, triangle, cells.n)
             for k in (0, 1):
                 moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)

@@ -38,10 +38,10 @@ def rigid_crank():
     return model, [*means, at_end(model), 2.0 * means[0] - 1e-4 * means[1]]
 
 
-def damped_scene(plane="stress", element="wachspress", cells=20, height=0.1):
+def damped_scene(plane="stress", element="wachspress", cells=20, height=0.1, mesh=None):
     """A plate with viscosity that a motor turns."""
     scene, material = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=2e-3, plane=plane)
-    mesh = pi.mesh.rectangle(1.0, height, cells=cells, seed=1)
+    mesh = pi.mesh.rectangle(1.0, height, cells=cells, seed=1) if mesh is None else mesh
     arm = scene.add(pi.Plate(mesh, material, thickness=0.01, element=element, name="arm"))
     scene.add(pi.Revolute(pi.ground, arm.section("left"), name="shoulder"))
     scene.add(pi.AngleMotor(pi.ground, arm.section("left"), profile.quintic(0.0, np.pi / 2, duration=0.5), name="motor"))
@@ -292,6 +292,18 @@ def test_cells_are_drawn():
     bars = pi.error_of(pi.solve(model, 0.1, pi.GeneralizedAlpha(h=5e-3)), objectives[0])
     axes = bars.plot_cells("arm", model.bodies[0].mesh)
     assert np.array_equal(axes.collections[0].get_array(), bars.cells["arm"])
+
+
+def test_error_of_the_mesh_by_half_the_cells():
+    scene, goal = damped_scene(cells=60, height=0.25), P.Deviation("tip", (0.3, -0.1))
+    run = pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=4e-3, tolerance=1e-8))
+    bars = pi.error_of(run, goal, again=True)
+    half = pi.mesh.polygonize(pi.mesh.Outline([(0.0, -0.125), (1.0, -0.125), (1.0, 0.125), (0.0, 0.125)]), 30)
+    coarse = damped_scene(mesh=half).build()
+    assert bars.mesh_again == pytest.approx(bars.value - goal(pi.solve(coarse, 0.1, run.integrator)), rel=1e-6)
+    assert bars.trusted and "mesh" in repr(bars)
+    other = pi.solve(coarse.with_factors(arm=(2.0, None)), 0.02, run.integrator)
+    assert "cells have factors" in repr(pi.error_of(other, goal, again=True))
 
 
 def reduced_arm(modes, **fields):

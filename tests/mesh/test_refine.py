@@ -1,0 +1,36 @@
+"""Meshes with smaller cells in chosen places."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+PLATE = pi.mesh.Difference(pi.mesh.Rectangle(1.0, 0.4), pi.mesh.Circle(0.08, center=(0.3, 0.2)))
+
+
+def test_cells_are_small_where_they_are_asked_for():
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=60, seed=1)
+    before = mesh.cell_areas.mean()
+    for _ in range(3):
+        chosen = np.argsort(mesh.cell_centroids[:, 0])[:12]
+        mesh = pi.mesh.refine(mesh, chosen)
+    x = mesh.cell_centroids[:, 0]
+    assert mesh.area == pytest.approx(0.25, rel=1e-12) and mesh.quality().convex
+    assert mesh.cell_areas[x < 0.05].mean() < 0.25 * before < 0.8 * before < mesh.cell_areas[x > 0.6].mean()
+    assert {"left", "right", "top", "bottom"} <= set(mesh.sections) and len(mesh.sections["left"]) > 12
+
+
+def test_holes_and_own_sections_stay():
+    mesh = pi.mesh.polygonize(PLATE, 100, seed=2)
+    lower = np.flatnonzero((mesh.points[:, 1] == 0.0) & (mesh.points[:, 0] < 0.5))
+    own = pi.mesh.PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, {**mesh.sections, "foot": lower})
+    finer = pi.mesh.refine(own, own.cell_centroids[:, 0] < 0.4)
+    assert finer.n_cells > 150 and "hole 0" in finer.sections and finer.quality().holes == 1
+    foot = finer.points[finer.sections["foot"]]
+    assert np.abs(foot[:, 1]).max() < 1e-15 and foot[:, 0].max() <= own.points[lower, 0].max() + 1e-9 and len(foot) > len(lower)
+
+
+@pytest.mark.parametrize("cells", [[200], [-1], [0.5], np.zeros(3, bool), "left"])
+def test_wrong_cells_are_refused(cells):
+    with pytest.raises(pi.InputError, match="refine: cells"):
+        pi.mesh.refine(pi.mesh.rectangle(1.0, 0.25, cells=20), cells)
