@@ -14,13 +14,14 @@ from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
 from polyida.element.kernels import _differences, _gradient, _workspace
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
+from polyida.errors import InputError
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, load2, scatter_add, store, traced, zeros2
 from polyida.model.guarded import guard
 from polyida.objective.objective import Slopes, run_of
 from polyida.objective.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative
 from polyida.results.motion import von_mises
-from polyida.validation import named_keywords, settle
+from polyida.validation import is_number, named_keywords, settle
 
 
 @named_keywords
@@ -29,7 +30,8 @@ class PeakStress(TimeMean):
     """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
 
     It is below the largest stress and approaches it as p grows: `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal
-    weight w of the frame and the area a of the cell that have it, T and A being their sums. With factors of cells it is the stress of the scaled cells.
+    weight w of the frame and the area a of the cell that have it, T and A being their sums. With factors f of stiffness, s is `f^power` times
+    the stress of the solid material at the strain of the cell.
 
     Parameters
     ----------
@@ -37,19 +39,25 @@ class PeakStress(TimeMean):
         By default all.
     p : float
         Order of the means, 1 or more.
+    power : float, 0 to 1
+        1: the stress of the scaled cells, as `run.von_mises`. Designs by densities need less, such as 0.2: the stress of scaled cells that share a
+        given load does not depend on their factor, so that a limit of it allows a plate without material.
 
     Raises
     ------
     InputError
-        For p below 1; of a run if the plate is not in its scene.
+        For p below 1 and a power out of range; of a run if the plate is not in its scene.
     """
 
     plate: Any = None
     _of_material = True
     p: float = 8.0
+    power: float = 1.0
 
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
+        if not (is_number(self.power) and 0 <= self.power <= 1):
+            raise InputError(f"PeakStress: power = {self.power!r:.100} must be a number from 0 to 1")
 
     def named(self, model: Any) -> PeakStress:
         """Return the objective with the name of its body."""
@@ -65,7 +73,7 @@ class PeakStress(TimeMean):
     def _bodies(self, model):
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
-        return [CellStress(body) for body in chosen("PeakStress", model, self.plate, known)]
+        return [CellStress(body, self.power) for body in chosen("PeakStress", model, self.plate, known)]
 
     def _evaluator(self, model, span):
         bodies = self._bodies(model)
@@ -104,13 +112,14 @@ def _pull(bodies, u, stresses, bar):
 class CellStress:
     """The stress of the cells of a body at displacements u (nodes, 2) of all meshes."""
 
-    def __init__(self, body):
+    def __init__(self, body, power=1.0):
         modulus, nu = body.plate.material.in_plane
+        self.power, self.share = power, body.factors[0] ** (power - 1.0)
         self.body, self.operator, self.moduli, self.across = body, body.operator, (modulus / (1 - nu**2), nu), body.plate.material.across
 
     def von_mises(self, stress):
-        """(cells,), Pa."""
-        return von_mises(stress, self.across * (stress[:, 0] + stress[:, 1]))
+        """(cells,), Pa, times the share of the factors."""
+        return self.share * von_mises(stress, self.across * (stress[:, 0] + stress[:, 1]))
 
     def stress(self, u):
         """Cauchy's, (cells, 3): xx, yy, xy, Pa."""
@@ -121,17 +130,17 @@ class CellStress:
     def pull(self, u, stress, bar, forces):
         """forces (nodes, 2) += the slope in u of `bar (cells,) . von Mises stress`; no slope where that is zero."""
         xx, yy, xy = stress.T
-        zz, size = self.across * (xx + yy), self.von_mises(stress)
+        zz, size = self.across * (xx + yy), self.von_mises(stress) / self.share
         out = self.across * (2.0 * zz - xx - yy)
         squares = np.stack([2.0 * xx - yy - zz + out, 2.0 * yy - xx - zz + out, 6.0 * xy])
-        toward = squares * np.divide(bar, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
+        toward = squares * np.divide(self.share * bar, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
         by_lanes = np.moveaxis(toward[:, self.operator.lane_cells].reshape(3, -1, LANES), 0, 1)
         arrays = *self.operator.force_arrays, np.ascontiguousarray(by_lanes), *self.moduli
         add_stress_forces(*arrays, np.ascontiguousarray(u[self.body.nodes]), forces[self.body.nodes])
 
     def by_parameters(self, work):
         """(parameter, slope) of a sum whose parts `work` (cells,) grow with the stress of the cells."""
-        yield f"{self.body.name}.stiffness", work / self.body.factors[0]
+        yield f"{self.body.name}.stiffness", self.power * work / self.body.factors[0]
         yield f"{self.body.name}.E", float(work.sum()) / self.body.plate.material.E
 
 

@@ -53,6 +53,7 @@ KINDS = {
     "moment": lambda: of.PeakReaction("elbow", p=2, unit="N m"),
     "stress": of.PeakStress,
     "stress of a plate": lambda: of.PeakStress("upper", p=1),
+    "stress of what is solid": lambda: of.PeakStress("upper", p=3, power=0.2),
     "stress of a reduced plate": lambda: of.PeakStress("lower", p=4),
     "torque of a motor": lambda: of.PeakTorque("motor", p=3),
     "power of a motor": lambda: of.PeakPower("motor", p=2),

@@ -56,8 +56,8 @@ print({name: round(value, 4) for name, value in design.values.items()})
 # The way of the search, and the tip's error before and after.
 
 figure, (way, error) = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
-way.plot(design.history["objective"], label="mass of the arm, kg")
-way.plot(design.history["excess"], "--", label="largest excess of a limit")
+way.semilogy(design.history["objective"], label="mass of the arm, kg")
+way.semilogy(np.maximum(design.history["excess"], 1e-4), "--", label="largest excess of a limit")
 way.set(xlabel="evaluation")
 way.legend()
 for label, run in (("first", move(build())), ("designed", design.run())):
