@@ -3,7 +3,7 @@
 import numpy as np
 
 from designed_in_motion.pictures import draw_densities, draw_meshes
-from least_weight import arm, rod
+from least_weight import arm, bracket, rod
 from polyida.cli.study import main
 from polyida.design import threshold
 from polyida.mesh import MeshWarning
@@ -12,16 +12,17 @@ from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import last, pick, value
 from polyida.study.tasks import Study
 
-STARTS = (("tip load", 0.55), ("tip load", 0.7), ("tip load and weight", 0.55))
+STARTS = (("tip load and weight", 0.45), ("tip load", 0.45), ("tip load", 0.6))
 MEASURES = ("deviation", "torque", "stress")
-RUNS = {"arm": arm.row, "rod": rod.row}
+RUNS = {"arm": arm.row, "rod": rod.row, "bracket": bracket.row}
 
 
 def tasks(quick):
     """Designs in motion from three starts, static designs of several volumes, and the rod."""
     if quick:
         task = {"part": "arm", "cells": 200, "way": "in motion", "effort": "short"}
-        return [task, {"part": "arm", "cells": 200, "way": "static", "effort": "short"}, {"part": "rod", "cells": 30, "effort": "short"}]
+        still = {"part": "arm", "cells": 200, "way": "static", "effort": "short", "load": "tip load", "volume": 0.45}
+        return [task, still, {"part": "rod", "cells": 30, "effort": "short"}, {"part": "bracket", "cells": 300, "effort": "short"}]
     result = []
     for cells in (400, 1600):
         starts = STARTS if cells == 400 else STARTS[:1]
@@ -33,7 +34,7 @@ def tasks(quick):
             for load in arm.LOADS
             for volume in arm.VOLUMES
         ]
-    return [*result, {"part": "rod", "cells": 60, "effort": "full"}]
+    return [*result, {"part": "rod", "cells": 60, "effort": "full"}, {"part": "bracket", "cells": 1500, "effort": "full"}]
 
 
 def run(part, **task):
@@ -63,7 +64,8 @@ def figures(rows):
         if len(moving) > 1:
             masses = [row["mass_solid"] for row in moving]
             result[f"arm_spread_{cells}"] = max(masses) / min(masses) - 1.0
-    slider = last(rows, part="rod")
+    slider, angle = last(rows, part="rod"), last(rows, part="bracket")
+    result |= {"bracket_share": value(angle, "share"), "bracket_excess": value(angle, "excess")}
     return result | {"rod_over_thickness": value(slider, "mass_heights") / value(slider, "mass_thickness")}
 
 
@@ -75,7 +77,7 @@ def notes(rows):
             f"{name} {row[f'{name}_optimiser']:.3g} / {row[f'{name}_solid']:.3g} <= {row[f'{name}_upper']:.3g}" for name in MEASURES
         )
         lines.append(
-            f"arm, {row['cells']} polygons, {row['way']} from {row.get('load', 'tip load')} at {row.get('volume', 0.55):g}: mass "
+            f"arm, {row['cells']} polygons, {row['way']} from {row.get('load', 'tip load and weight')} at {row.get('volume', 0.45):g}: mass "
             f"{row['mass_optimiser']:.4g} / {row['mass_solid']:.4g} kg (densities / solid from {row['at']:g}); {kept}; {row['message']}"
         )
         again = {
@@ -88,15 +90,20 @@ def notes(rows):
             sizes = ", ".join(f"{name} {number:.4g}" for name, number in row[f"sizes_{way}"].items())
             kept = ", ".join(f"{name} {number:.4g}" for name, number in row[f"limits_{way}"].items())
             lines.append(f"rod by {way}: {row[f'mass_{way}']:.4g} kg with {sizes}; {kept}; {row[f'message_{way}']}")
+    for row in pick(rows, part="bracket"):
+        lines.append(
+            f"bracket, {row['cells']} polygons: {100 * row['share']:.3g} % of the mass; largest stress {row['stress_solid']:.4g} Pa, limit "
+            f"{row['stress_upper']:.4g}, of the whole bracket {row['start_stress']:.4g}; {row['message']}"
+        )
     return lines
 
 
-def _solid(row):
+def _solid(row, mesh, keep):
     """The mesh of a row's solid design."""
     import warnings
 
     with warnings.catch_warnings(action="ignore", category=MeshWarning):
-        return threshold(arm.ARM.mesh(row["cells"]), row["rho"], at=row["at"], keep=arm.KEPT, hanging="leave out")
+        return threshold(mesh, row["rho"], at=row["at"], keep=keep, hanging="leave out")
 
 
 @study_figure
@@ -107,10 +114,23 @@ def designs_figure(rows):
     fig, axes = panels(2 * len(shown), width=8.0, height=1.3, columns=2)
     for row, (left, right) in zip(shown, np.reshape(axes, (-1, 2))):
         draw_densities(left, [arm.ARM.mesh(row["cells"])], row["rho"])
-        draw_meshes(right, [_solid(row)], arm.ARM.height)
+        draw_meshes(right, [_solid(row, arm.ARM.mesh(row["cells"]), arm.KEPT)], arm.ARM.height)
         left.set_title(f"{row['cells']} polygons, {row['way']}", loc="left")
         right.set_title(f"{row['mass_solid']:.3f} kg, limits exceeded by {100 * max(row['excess'], 0.0):.2g} %", loc="left")
     return picture(fig, "least-weight-designs")
+
+
+@study_figure
+def bracket_figure(rows):
+    """The L-bracket: densities (left), what is solid (right)."""
+    shown = pick(rows, part="bracket")
+    fig, axes = panels(2 * len(shown), width=6.0, height=2.8, columns=2)
+    for row, (left, right) in zip(shown, np.reshape(axes, (-1, 2))):
+        mesh = bracket.mesh_of(row["cells"])
+        draw_densities(left, [mesh], row["rho"])
+        draw_meshes(right, [_solid(row, mesh, ("top", "tip"))], 0.0)
+        right.set_title(f"{100 * row['share']:.3g} % of the mass", loc="left")
+    return picture(fig, "least-weight-bracket")
 
 
 @study_figure
@@ -119,7 +139,7 @@ def history_figure(rows):
     arms, rods = pick(rows, part="arm", way="in motion"), pick(rows, part="rod")
     fig, axes = panels(2 if arms or rods else 0, width=8.0, height=2.8)
     for i, row in enumerate(arms):
-        label = f"{row['cells']} polygons, {row.get('load', 'tip load')} at {row.get('volume', 0.55):g}"
+        label = f"{row['cells']} polygons, {row.get('load', 'tip load and weight')} at {row.get('volume', 0.45):g}"
         axes[0].plot(row["history"], label=label, **marker_style(i) | {"marker": ""})
     for row in rods:
         for i, way in enumerate(("thickness", "heights")):
@@ -136,7 +156,7 @@ STUDY = Study(
     tasks,
     run,
     figures,
-    (designs_figure, history_figure),
+    (designs_figure, bracket_figure, history_figure),
     (
         "part",
         "cells",

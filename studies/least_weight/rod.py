@@ -43,13 +43,16 @@ def row(cells, effort):
         pi.objective.PeakTorque("drive", p=12),
     )
     limits = [pi.objective.Limit(one, upper) for one, upper in zip(objectives, UPPER.values())]
-    thickness = pi.design.Size("rod.thickness", 2e-3, 2e-2, start=1e-2, log=True)
+    first = 1e-2
     heights = [pi.design.Size(name, 0.4, 2.0, start=1.0, log=True) for name in STATIONS]
     case = pi.design.Case(lambda left=1.0, middle=1.0, right=1.0: build(cells, left=left, middle=middle, right=right), moved)
     result, begun = {}, (time.perf_counter(), time.process_time())
-    stages = [pi.design.Stage(10 if effort == "short" else 25, move=0.4), pi.design.Stage(8 if effort == "short" else 25, move=0.2)]
-    for way, variables in (("thickness", [thickness]), ("heights", [thickness, *heights])):
+    evaluations = 6 if effort == "short" else 25
+    stages = [pi.design.Stage(evaluations, move=0.4), pi.design.Stage(evaluations, move=0.2)]
+    for way, more in (("thickness", []), ("heights", heights)):  # the second begins with the thickness that the first found
+        variables = [pi.design.Size("rod.thickness", 2e-3, 2e-2, start=first, log=True), *more]
         design = pi.design.minimise(pi.objective.Mass("rod"), limits, variables, case, stages)
+        first = design.values["rod.thickness"]
         result |= {f"mass_{way}": design.objective, f"excess_{way}": float(design.history["excess"].iloc[-1])}
         result |= {f"sizes_{way}": {name: float(value) for name, value in design.values.items()}}
         result |= {f"history_{way}": design.history["objective"].tolist(), f"message_{way}": design.message}

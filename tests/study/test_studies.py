@@ -10,6 +10,7 @@ import pytest
 
 from against_peers import gain
 from designed_in_motion.machines import MACHINES
+from least_weight import bracket
 from mbb_beam.beam import mesh_of
 from polyida.cli import study as cli_study
 from polyida.show import style
@@ -150,11 +151,20 @@ def weighed(task):
         ways |= {f"message_{way}": "limits kept" for way in ("thickness", "heights")}
         ways |= {f"sizes_{way}": {"rod.thickness": 0.01} for way in ("thickness", "heights")}
         return costs | ways | {f"limits_{way}": {"PeakReaction pin": 300.0} for way in ("thickness", "heights")}
-    mesh = MACHINES["arm"].mesh(task["cells"])
+    mesh = bracket.mesh_of(task["cells"]) if task["part"] == "bracket" else MACHINES["arm"].mesh(task["cells"])
     rho = (np.abs(mesh.cell_centroids[:, 1]) > 0.06) + 1.0 * (mesh.cell_centroids[:, 0] > 0.8)
     columns = ("upper", "optimiser", "solid", "smaller steps")
     values = {f"{measure}_{column}": 1.0 for measure in ("mass", "deviation", "torque", "stress") for column in columns}
-    found = {"excess": 0.01, "at": 0.5, "grey": 0.1, "evaluations": 2, "history": [1.0, 0.9], "stages": [], "rho": rho.tolist()}
+    found = {
+        "excess": 0.01,
+        "at": 0.5,
+        "grey": 0.1,
+        "evaluations": 2,
+        "history": [1.0, 0.9],
+        "stages": [],
+        "rho": np.minimum(rho, 1.0).tolist(),
+    }
+    found |= {"share": 0.5, "start_stress": 1.0}
     return costs | values | found
 
 
