@@ -9,6 +9,8 @@ _PLACES = {
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
+    "StepMatrix": "linear.saddle",
+    "SingularSystem": "linear.lu",
     "compiled": "jit.user_functions",
     "check_derivatives": "model.check",
     "Material": "body.plate",

@@ -1,6 +1,7 @@
 """Static equilibrium: `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0`, by Newton's method along a growing load."""
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, negative_directions, require_independent, typical
 from polyida.model import Model, differences
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, unguarded
+from polyida.model.guarded import guard, unguarded, writes
 from polyida.model.row_laws import require_no_laws
 from polyida.reprs import brief
 from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, read_only
@@ -24,6 +25,7 @@ from polyida.validation import floats, is_flag, is_number, is_whole, named_keywo
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
 REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
+SLOW = 0.3  # contraction above which a model's own step matrix is made anew
 HALVINGS = 10  # of a part of the load, in a row
 ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
 
@@ -60,6 +62,26 @@ class Equilibrium(State):
         kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
         how = f"; load in {self.parts} parts, halved {self.halved} times" if self.halved else ""
         return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}{how}"
+
+
+class OwnSystem:
+    """The system of `c_m M + K` and B at a state at rest by the model's own step matrix. Raises SingularSystem."""
+
+    def __init__(self, model, t, q, lam, c_m):
+        self.step, self.at, zero = model.step_matrix(), (t, q, lam), np.zeros(model.n)
+        self.step.factor(t, q, zero, zero, lam, c_m, 0.0)
+
+    def solve(self, r, phi):
+        """(dq, dlam) for the residuals r (n,) and phi (m,)."""
+        return self.step.saddle(*self.at, r, phi)
+
+
+def own_system(model, t, q, lam, c_m=0.0):
+    """The OwnSystem of a model that writes its step matrix; None for others, and if that matrix is singular."""
+    if not (model.is_scene or model.k) and writes(unguarded(model), "step_matrix"):
+        with suppress(SingularSystem):
+            return OwnSystem(model, t, q, lam, c_m)
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +137,23 @@ class Loading:
         require_independent(model, B, q)
         return np.linalg.solve(dense(B @ B.T), B @ (self.base + factor * self.slope - model.force(self.t, *self.at_rest(q)[:2])))
 
-    def solve(self, q, lam, factor):
-        """(q, lam, the factored system) in equilibrium, from a guess. Raises StepFailure."""
+    def solve(self, q, lam, factor, system=None):
+        """(q, lam, the system factored there) in equilibrium, from a guess; system: that of the guess, if it is known. Raises StepFailure."""
+        own, last = system if isinstance(system, OwnSystem) else None, np.inf
         for iteration in range(self.max_iterations):
             r, phi = self.residuals(q, lam, factor)
+            if own := own or own_system(self.model, self.t, q, lam):
+                with suppress(SingularSystem, StepFailure):
+                    dq, dlam = own.step.saddle(self.t, q, lam, r, phi)
+                    self.require_near(q, dq, iteration)
+                    q, lam, regular, moved = q + dq, lam + dlam, True, np.abs(dq).max()
+                    if self.converged(q, dq) and (here := own_system(self.model, self.t, q, lam)):
+                        return q, lam, here
+                    if not own.step.near_any_state or moved > SLOW * last:
+                        own, moved = None, np.inf
+                    last = moved
+                    continue
+                own = None
             K, B = self.stiffness(q, lam), self.model.phi_q(self.t, q)
             for regular in (True, False):  # a hanging chain that is not stretched yet is singular; a small mass regularizes it
                 M = None if regular else self.model.mass(q)
@@ -160,14 +195,14 @@ class Loading:
         if objection := self.model.rejection_reason(self.t, q):
             raise StepFailure("objection", objection, self.t)
 
-    def equilibrium(self, q, lam, solve, **parts):
-        """The Equilibrium at (q, lam); solve: of the system factored there."""
+    def equilibrium(self, q, lam, solve, definite=False, **parts):
+        """The Equilibrium at (q, lam); solve: of the system factored there; definite: True if K is known to be positive definite."""
         model, t, (place, v, zero) = self.model, self.t, self.at_rest(q)
         memory = {} if model.k else memory_of_rest(model, t, q, lam, model.residual(t, q, v, zero, lam), solve)
-        try:
-            directions = negative_directions(self.stiffness(q, lam), model.phi_q(t, q))
-        except SingularSystem:
-            directions = None
+        directions = 0 if definite else None
+        if not definite:
+            with suppress(SingularSystem):
+                directions = negative_directions(self.stiffness(q, lam), model.phi_q(t, q))
         return Equilibrium(t, place, v, zero.copy(), lam, memory, falling=directions, model=unguarded(model), **parts).of(model)
 
     def small_displacements(self):
@@ -280,7 +315,7 @@ def static(
     while factor < 1.0:
         target = 1.0 if factor + part > 1.0 - 1e-9 else factor + part
         try:
-            *reached, system = loading.solve(q, loading.multipliers(q, target) if lam is None else lam, target)
+            *reached, system = loading.solve(q, loading.multipliers(q, target) if lam is None else lam, target, system)
             loading.require_accepted(reached[0])
         except StepFailure as failure:
             if part * steps < 0.5**HALVINGS * 1.5 or parts + halved > steps + ATTEMPTS:
@@ -292,7 +327,8 @@ def static(
             continue
         factor, parts, (q, lam) = target, parts + 1, reached
         part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
-    equilibrium = loading.equilibrium(q, lam, system.solve, parts=parts, halved=halved)
+    definite = isinstance(system, OwnSystem) and system.step.positive_definite()
+    equilibrium = loading.equilibrium(q, lam, system.solve, definite, parts=parts, halved=halved)
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
         path = "the path of the bodies, here that of Newton's method; more steps follow the load"

@@ -216,23 +216,41 @@ class Border:
 
 
 class StepMatrix:
-    """`S = c_m M + c_v C + K` of any model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
+    """`S = c_m M + c_v C + K` of a model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
 
-    made_at: t, q, v, a, lam of the factor in one array; `again` repeats it from that. solves: those for its border.
-    If S alone is singular, or may be, as with coordinates without mass, or constraints are many, `saddle` factors the whole matrix with its
-    constraints, whose B is as old as S.
+    A user's model returns an own one from `step_matrix`: a subclass with another factor, which overrides `factor`, `beside`, `solve` and, if its
+    S has an inverse at any state, `stands_alone`. By default S is factored by LAPACK or SuperLU. If S alone is singular, or may be, as with
+    coordinates without mass, or constraints are many, `saddle` factors the whole matrix with its constraints, whose B is as old as S.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+
+    Attributes
+    ----------
+    made_at : (1 + 3 n + m,) float
+        t, q, v, a, lam of the factor; `factor` sets it.
+    near_any_state : bool
+        True if `solve` fits S to its q, as S turns with the bodies: it then serves far from the state of the factor.
+    caution : float
+        Share of Newton's tolerance to which a correction is trusted: 0.5 if contraction becomes slower in a step, 1 with near_any_state.
+    solves : int
+        Number of solves that `factor` took.
+    backend : str
+        Name in summaries.
     """
 
     backend = ""
-    near_any_state = False  # True if it turns with the bodies: then it is useful at states far from that of the factor
-    caution = 0.5  # share of Newton's tolerance: a matrix that does not turn with its bodies contracts ever slower in a step
+    near_any_state = False
+    caution = 0.5
 
     def __init__(self, model):
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
         self.S = self.lu = self.border = self.whole = None
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at a state; the rest is made at the first solve."""
+        """Factor S at a state, now or at the first solve. Raises SingularSystem, here or there."""
         self.made_at = np.concatenate([[t], q, v, a, lam])
         self._set_matrix(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
 
@@ -258,6 +276,10 @@ class StepMatrix:
             raise SingularSystem("the step matrix is singular")
         return self.lu.solve(b, transposed)
 
+    def columns(self, q, B):
+        """S^-1 B^T, (n, m), at q near to where S was factored; B (m, n), dense or sparse. Raises SingularSystem."""
+        return self.solve(q, dense(B).T)
+
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
@@ -266,10 +288,14 @@ class StepMatrix:
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
-        if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
+        if self.border is None or self.near_any_state or self.model.needs.phi_q_varies or self.model.needs.driven:
             columns = self.model.columns_of_forces(t, q, lam)
-            self.border = Border(self.solve(q, dense(B if columns is None else columns).T))
+            self.border = Border(self.columns(q, B if columns is None else columns))
         return self.border.solve(self.solve(q, -r), B, -phi)
+
+    def positive_definite(self):
+        """True if S is known to be positive definite: of K, an equilibrium is then stable without another factor."""
+        return False
 
     def stands_alone(self):
         """True if S certainly has an inverse; with constraints, some coordinates may be held by these alone."""

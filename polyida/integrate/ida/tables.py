@@ -186,4 +186,5 @@ def table_of(system, linear, scaling):
         return dense_table(model, EULER, system.levels), system.rows_vary
     if linear == "whole":
         return PythonForm(system, partial(WholeForm, system=system, scaling=scaling)), False
-    return PythonForm(system, partial(Matrices, linear="kkt")), system.rows_vary and model.m <= MANY
+    own = linear == "auto" and not model.is_scene  # the step matrix of a user's model; that of a scene is of single precision
+    return PythonForm(system, Matrices if own else partial(Matrices, linear="kkt")), system.rows_vary and model.m <= MANY

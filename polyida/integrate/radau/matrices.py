@@ -19,8 +19,6 @@ with |c| for c, s the mean size of the diagonal of `S = K + c C + c^2 M`. Form "
 number grows as h^-3 (index3) or h^-2 (ggl) where h is small; scaled, it is flat. Sources: as linear/saddle.py's.
 """
 
-from functools import partial
-
 import numpy as np
 
 from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_order_sizes, first_order_units
@@ -65,6 +63,21 @@ class Rows:
         return corner
 
 
+class Held:
+    """The factor of a matrix in place of a StepMatrix."""
+
+    def __init__(self, S):
+        self.lu, self.dtype = LU(S), S.dtype
+
+    def solve(self, q, b):
+        """S^-1 b."""
+        return self.lu.solve(b)
+
+    def columns(self, q, B):
+        """S^-1 B^T."""
+        return self.lu.solve(B.T.astype(self.dtype))
+
+
 class Matrices:
     """S of every mode for steps of h, factored on first use at `made_at`: t, q, v, a and lam in one array.
 
@@ -76,7 +89,7 @@ class Matrices:
         self.model, self.modes, self.made_at = model, modes, made_at
         self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
-        self.backend = ""
+        self.backend, self.turns = "", False  # True if the factors turn with the bodies, and the border with them
 
     def make(self):
         """Factor S unless it is factored. Raises SingularSystem."""
@@ -87,7 +100,7 @@ class Matrices:
         more = ((c, c * slope - self.c[0] * self.slopes[0]) for c, slope in zip(self.c[1:], self.slopes[1:]))
         steps = [first, *(first.beside(c**2, c, change) for c, change in more)]
         self.backend, self.added = first.backend, 0.0
-        self.factors = [partial(step.solve, at[1]) for step in steps]
+        self.factors, self.turns = steps, first.near_any_state
         self.bare = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]
 
     def _evaluated(self):
@@ -106,10 +119,11 @@ class Matrices:
         largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (B, R))
         self.added = size / np.prod(list(largest)) if self.model.m else 0.0
         BB = self.added * (B.T @ R)
-        self.factors = [LU(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)).solve for S in self.bare]
+        self.factors = [Held(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)) for S in self.bare]
 
-    def surround(self, rows, counts):
-        """Set the constraint rows and solve for the columns of the border."""
+    def surround(self, rows, q, counts):
+        """Set the constraint rows at q and solve for the columns of the border."""
+        self.q = q
         if self.bare:
             counts.factorizations += len(self.bare)
             self._hold(rows.B, rows.both[: self.model.m])
@@ -117,8 +131,8 @@ class Matrices:
         self.last = (None,)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):
-            columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T
-            self.borders.append(Border(self._free(k, columns)))
+            X = self.factors[k].columns(q, rows.B)
+            self.borders.append(Border(np.hstack([X, self._free(k, slope @ rows.G.T)]) if rows.tied else X))
 
     def inertia(self, v, a):
         """C v + M a."""
@@ -134,7 +148,7 @@ class Matrices:
         return dq, w[:m] - self.added * r3, w[m:]
 
     def _free(self, k, b):
-        return self.factors[k](b.astype(complex) if self.modes[k].paired else b)
+        return self.factors[k].solve(self.q, b.astype(complex) if self.modes[k].paired else b)
 
 
 def whole_matrix(c, K, slope, rows):
@@ -163,7 +177,7 @@ class WholeModes(Matrices):
         if self.K is None:
             self.K = self.model.tangent(*self._evaluated(), 0.0, 0.0, 1.0)
 
-    def surround(self, rows, counts):
+    def surround(self, rows, q, counts):
         """Set the constraint rows; the whole matrices are factored on first use."""
         counts.factorizations += len(self.modes)
         self.rows, self.borders = rows, [None] * len(self.modes)

@@ -123,9 +123,9 @@ class PythonStages(Stages, PythonTable):
 
     def _rows(self, instant, q, v, a, *_):
         needs, matrices = self.model.needs, self.factored
-        if matrices.borders is None or needs.phi_q_varies or needs.driven:
+        if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.turns:
             at = *self._state(instant, q), self._array(v, self.model.n).copy()
-            return self._tried(lambda: matrices.surround(self._made_rows(*at, a), self.counts))
+            return self._tried(lambda: matrices.surround(self._made_rows(*at, a), at[1], self.counts))
         return DONE
 
     def _made_rows(self, t, q, v, a):
