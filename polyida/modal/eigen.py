@@ -10,7 +10,7 @@ roots of no full set of shapes.
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.linalg import eigh, null_space
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
+from polyida.integrate.static import own_system
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, negative_directions, require_independent, symmetric
 from polyida.model import Model
@@ -38,6 +39,7 @@ STILL = 1e-12  # of |C| |x|: round-off of C x
 LEAST = 1e-14  # of the largest of C and x: a smaller C x is round-off too, if a rigid motion has few coordinates
 RESTARTS = 100  # of Arnoldi's method
 GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
+REFINEMENTS = 3  # solves by a model's own step matrix for one of full precision, if each leaves less than 1e-5
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
 
 
@@ -252,9 +254,8 @@ def _dense(system, count):
 def _lanczos(system, count):
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    shift = _below_all(system)
-    factor, none = system.factor(-shift, 0.0), np.zeros(system.B.shape[0])
-    inverse = LinearOperator((system.n,) * 2, lambda b: factor.solve(-b, none)[0], dtype=float)
+    shift, solve = _below_all(system)
+    inverse = LinearOperator((system.n,) * 2, solve, dtype=float)
     start = inverse @ np.random.default_rng(0).standard_normal(system.n)
     X = eigsh(system.K, count, system.M, sigma=shift, OPinv=inverse, v0=start)[1]
     K, M = (X.T @ (matrix @ X) for matrix in (system.K, system.M))
@@ -262,12 +263,25 @@ def _lanczos(system, count):
 
 
 def _below_all(system):
-    """A shift below all omega^2, by the count of directions in which K - shift M falls."""
-    size = np.abs(system.K.diagonal()).mean() / np.abs(system.M.diagonal()).mean()
+    """(a shift below all omega^2, b -> x of `[[K - shift M, B^T], [B, 0]] (x, mu) = (b, 0)`), by the count of directions in which K - shift M falls."""
+    size, none, at = np.abs(system.K.diagonal()).mean() / np.abs(system.M.diagonal()).mean(), np.zeros(system.B.shape[0]), system.state
     for shift in -size * SHIFTS:
+        own = own_system(system.model, at.t, at.q, at.lam, -shift)
+        if own and own.step.positive_definite():
+            return shift, partial(_refined, own, system.K - shift * system.M, system.B)
         if not _falls(system, shift):
-            return shift
+            factor = system.factor(-shift, 0.0)
+            return shift, lambda b: factor.solve(-b, none)[0]  # noqa: B023
     raise InputError(NO_MASS)
+
+
+def _refined(own, S, B, b):
+    """x of `S x + B^T mu = b`, `B x = 0` by a model's own step matrix, which may be of single precision."""
+    x, mu = np.zeros(len(b)), np.zeros(B.shape[0])
+    for _ in range(REFINEMENTS):
+        dx, dmu = own.solve(S @ x + B.T @ mu - b, B @ x)
+        x, mu = x + dx, mu + dmu
+    return x
 
 
 def _falls(system, shift):
