@@ -9,7 +9,7 @@ from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, pick
 from polyida.study.tasks import Study
 
-RUNS = {"time": cases.time_row, "mesh": cases.mesh_row, "modes": cases.modes_row, "random": cases.random_row}
+RUNS = {"time": cases.time_row, "mesh": cases.mesh_row, "adapted": cases.adapted_row, "modes": cases.modes_row, "random": cases.random_row}
 MEANS = ("mean place", "mean strain energy")
 
 
@@ -29,6 +29,8 @@ def tasks(quick):
             for name in MEANS
         ]
     result += [{"part": "modes", "modes": modes} for modes in (cases.MODES[:2] if quick else cases.MODES)]
+    if not quick:
+        result += [{"part": "adapted", "refinements": k} for k in range(4)]
     return result + [{"part": "random", "seed": seed} for seed in range(4 if quick else 40)]
 
 
@@ -44,7 +46,10 @@ def figures(rows):
         result["missed"] = sum(row["trusted"] and row["outside"] for row in timed)
         result["false_alarms"] = sum(not row["trusted"] and not row["outside"] for row in timed)
         result["cost_over_gradient"] = float(np.median(column(timed, "cost")))
-    for part in ("mesh", "modes"):
+    gains = column(pick(rows, part="adapted"), "uniform_over_adapted")
+    if len(gains):
+        result["uniform_over_adapted"] = float(gains[-1])
+    for part in ("mesh", "adapted", "modes"):
         ratios = column(pick(rows, part=part), "ratio")
         if len(ratios):
             result |= {f"{part}_ratio_min": float(np.min(ratios)), f"{part}_ratio_max": float(np.max(ratios))}
@@ -102,6 +107,8 @@ study = Study(
         "h",
         "cells",
         "modes",
+        "refinements",
+        "uniform_over_adapted",
         "seed",
         "exact_error",
         "estimate",
