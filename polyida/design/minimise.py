@@ -78,6 +78,7 @@ OF_DENSITIES = (Stage(20, 5.0), Stage(16, 10.0, 4.0), Stage(16, 20.0, 8.0), Stag
 OF_SIZES = (Stage(30),)
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Design:
     """Result of `minimise`.

@@ -77,6 +77,7 @@ class Case:
         return run
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """Values and slopes of a design.

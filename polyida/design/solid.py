@@ -21,6 +21,7 @@ LEVELS = (0.9, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
 KEPT = 0.03  # relative excess of a limit that a solid design may have
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class SolidDesign:
     """A design on meshes of what is solid, run again.

@@ -21,6 +21,7 @@ from polyida.model.differences import along
 from polyida.validation import floats, is_flag, is_number, named_keywords, settle
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Sharpness:
     """How sharply densities become stiffness.
@@ -75,7 +76,10 @@ class Densities:
         settle(self, start=start, keep=(self.keep,) if isinstance(self.keep, str) else tuple(self.keep))
         ramp(0.5, void=self.void)
 
-    name = property(lambda self: self.plate)
+    @property
+    def name(self) -> str:
+        """The plate's name."""
+        return self.plate
 
     def bound(self, model: Any) -> DensityMap:
         """Return the map from the variables of this plate of a model to its factors."""
