@@ -1,0 +1,193 @@
+"""Meshes of polyhedra: bounded Voronoi cells of a box, and VTU files.
+
+The seeds have mirror images outside the box, so that its faces are faces of cells. Lloyd's iteration moves seeds to the centroids of their
+cells. Short edges, which would mean high frequencies, are collapsed. Source: Talischi et al., Struct. Multidisc. Optim. 45 (2012) 309-328.
+"""
+
+import base64
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from scipy.spatial import Voronoi
+
+import polyida as pi
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """points (nodes, 3), m; cells: for each a list of faces, each an array of node numbers in order, seen from outside anticlockwise."""
+
+    points: np.ndarray
+    cells: list
+
+    @cached_property
+    def outer(self):
+        """The faces that belong to one cell only."""
+        of = {}
+        for face in (face for cell in self.cells for face in cell):
+            of.setdefault(tuple(sorted(face)), []).append(face)
+        return [faces[0] for faces in of.values() if len(faces) == 1]
+
+    def side(self, axis, place):
+        """{node: weight} of the outer faces in the plane x[axis] = place, so that the sum of weight times value is the mean over the area."""
+        weights = {}
+        for face in self.outer:
+            if np.abs(self.points[face, axis] - place).max() < 1e-9:
+                for node, area in zip(face, np.linalg.norm(triangulated(self.points[face])[1], axis=1)):
+                    weights[int(node)] = weights.get(int(node), 0.0) + float(area)
+        if not weights:
+            raise pi.InputError(f"side: no face of the mesh has x[{axis}] = {place}")
+        return {node: weight / sum(weights.values()) for node, weight in weights.items()}
+
+
+def triangulated(x):
+    """(triangles (k, 3, 3), area vectors of the corners (k, 3)) of a face with corners x (k, 3), by its mean point.
+
+    A function that is linear on each triangle and has the mean value there has the integral `sum values * areas` over the face.
+    """
+    corners = np.stack([x, np.roll(x, -1, axis=0), np.broadcast_to(x.mean(axis=0), x.shape)], axis=1)
+    areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return corners, (areas + np.roll(areas, 1, axis=0) + areas.sum(axis=0) / len(x)) / 3.0
+
+
+def box(size, cells, seed=1, lloyd=15, short=0.1):
+    """The Mesh of a box [0, size] with so many Voronoi cells of random seeds after so many iterations of Lloyd; short: of the mean spacing."""
+    size = np.asarray(size, float)
+    if size.shape != (3,) or not (size > 0).all():
+        raise pi.InputError(f"box: size = {size.tolist()} must be three positive lengths")
+    seeds = np.random.default_rng(seed).random((cells, 3)) * size
+    for _ in range(lloyd):
+        seeds = centroids(seeds, *bounded(seeds, size))
+    return collapsed(*bounded(seeds, size), size, short * np.cbrt(size.prod() / cells))
+
+
+def bounded(seeds, size):
+    """The Voronoi cells in the box: (points, corners of all faces, starts of the faces (faces + 1,), pairs).
+
+    pairs (faces, 2): the cells of a face, -1 for none; it is anticlockwise seen from the second.
+    """
+    near, images = 3.0 * np.cbrt(size.prod() / len(seeds)) if len(seeds) > 200 else np.inf, [seeds]
+    for axis in range(3):
+        for wall in (0.0, size[axis]):
+            images.append(seeds[np.abs(seeds[:, axis] - wall) < near])
+            images[-1][:, axis] = 2.0 * wall - images[-1][:, axis]
+    diagram = Voronoi(np.concatenate(images))
+    inside = np.flatnonzero((diagram.ridge_points < len(seeds)).any(axis=1))
+    pairs, rings = diagram.ridge_points[inside], [diagram.ridge_vertices[k] for k in inside]
+    used, corners = np.unique(np.concatenate(rings), return_inverse=True)
+    if used[0] < 0:
+        raise pi.InputError("box: a cell reaches beyond the images of the seeds; take more seeds")
+    points, start = diagram.vertices[used], np.append(0, np.cumsum([len(ring) for ring in rings]))
+    out = np.add.reduceat(np.cross(points[corners], points[corners[following(start)]]), start[:-1])
+    back = np.einsum("ij,ij->i", out, diagram.points[pairs[:, 1]] - diagram.points[pairs[:, 0]]) < 0.0
+    pairs[back] = pairs[back, ::-1]
+    return points, corners, start, np.where(pairs < len(seeds), pairs, -1)
+
+
+def following(start):
+    """The place of the next corner of the same face."""
+    after = np.arange(1, start[-1] + 1)
+    after[start[1:] - 1] = start[:-1]
+    return after
+
+
+def centroids(seeds, points, corners, start, pairs):
+    """Centroids of the cells, (cells, 3), from tetrahedra between the seed and the triangles of the faces."""
+    moments, count = np.zeros((len(seeds), 4)), np.diff(start)
+    face, x, y = np.repeat(np.arange(len(count)), count), points[corners], points[corners[following(start)]]
+    m = (np.add.reduceat(x, start[:-1]) / count[:, None])[face]
+    for cell in pairs[face].T:
+        s = seeds[cell]
+        volume = np.where(cell < 0, 0.0, np.abs(np.einsum("ij,ij->i", np.cross(x - s, y - s), m - s)))
+        for k, values in enumerate((volume, *(0.25 * volume * (x + y + m + s).T))):
+            moments[:, k] += np.bincount(np.maximum(cell, 0), values, len(seeds))
+    return moments[:, 1:] / moments[:, :1]
+
+
+def collapsed(points, corners, start, pairs, size, short):
+    """The Mesh without edges shorter than `short`; corners, edges and faces of the box stay."""
+    points = np.where(np.abs(points) < 1e-9, 0.0, np.where(np.abs(points - size) < 1e-9, size, points))
+    walls = ((points == 0.0) @ [1, 2, 4] + (points == size) @ [8, 16, 32]).astype(np.int64)
+    into, after, merged = np.arange(len(points)), following(start), True
+    while merged:
+        edges = np.unique(np.sort(np.stack([into[corners], into[corners[after]]], axis=1), axis=1), axis=0)
+        edges = edges[edges[:, 0] != edges[:, 1]]
+        length, touched, merged = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), np.zeros(len(points), bool), False
+        for a, b in edges[np.argsort(length)[: np.count_nonzero(length < short)]]:
+            shared = walls[a] & walls[b]
+            if touched[a] or touched[b] or shared not in (walls[a], walls[b]):
+                continue
+            a, b = (a, b) if walls[b] == shared else (b, a)  # a is on all walls of b
+            if walls[a] == shared:
+                points[a] = 0.5 * (points[a] + points[b])
+            touched[[a, b]], into[into == b], merged = True, a, True
+    cells = [[] for _ in range(1 + pairs.max())]
+    for ring, (a, b) in zip(np.split(into[corners], start[1:-1]), pairs):
+        if len(ring := ring[ring != np.roll(ring, 1)]) > 2:
+            for cell, face in ((a, ring), (b, ring[::-1])):
+                if cell >= 0:
+                    cells[cell].append(face)
+    return compact(points, cells)
+
+
+def compact(points, cells):
+    """The Mesh without nodes that no cell has. Raises InputError for a cell that is no solid."""
+    used, number = np.unique(np.concatenate([face for cell in cells for face in cell])), np.full(len(points), -1)
+    number[used] = np.arange(len(used))
+    for k, cell in enumerate(cells):
+        volume = sum(np.linalg.det(triangulated(points[face])[0]).sum() for face in cell) / 6.0
+        edges = {(a, b) for face in cell for a, b in zip(face, np.roll(face, -1))}
+        if not volume > 0.0 or any((b, a) not in edges for a, b in edges):
+            raise pi.InputError(
+                f"mesh: the faces of cell {k} do not bound a solid, volume {volume:.3g} m^3; from outside they are anticlockwise"
+            )
+    return Mesh(points[used], [[number[face] for face in cell] for cell in cells])
+
+
+def write_vtu(path, mesh, points=None, cell_data=None):
+    """Write a mesh, or its moved points, as a VTU file of polyhedra with numbers of its cells {name: (cells,)}."""
+
+    def array(name, values, kind, parts=1):
+        data = np.ascontiguousarray(values, {"Float64": "f8", "Int64": "i8", "UInt8": "u1"}[kind]).tobytes()
+        text = base64.b64encode(np.uint64(len(data)).tobytes() + data).decode()
+        return f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="binary">{text}</DataArray>'
+
+    ids = [np.unique(np.concatenate(cell)) for cell in mesh.cells]
+    stream = [np.concatenate([[len(cell)], *[[len(face), *face] for face in cell]]) for cell in mesh.cells]
+    lists = {"connectivity": np.concatenate(ids), "offsets": np.cumsum([len(part) for part in ids])}
+    lists |= {"faces": np.concatenate(stream), "faceoffsets": np.cumsum([len(part) for part in stream])}
+    cells = "".join(array(name, values, "Int64") for name, values in lists.items()) + array("types", np.full(len(ids), 42), "UInt8")
+    data = "".join(array(name, values, "Float64") for name, values in (cell_data or {}).items())
+    Path(path).write_text(
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64"><UnstructuredGrid>'
+        f'<Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{len(ids)}"><Points>'
+        f"{array('Points', mesh.points if points is None else points, 'Float64', 3)}</Points><Cells>{cells}</Cells>"
+        f"<CellData>{data}</CellData></Piece></UnstructuredGrid></VTKFile>"
+    )
+
+
+def read_vtu(path):
+    """The Mesh of a VTU file of polyhedra, its arrays as text or uncompressed base64; faces of any orientation, of cells that see their mean."""
+    root = ElementTree.parse(path).getroot()
+    arrays, points = {one.get("Name"): one for one in root.iter("DataArray")}, root.find(".//Points/DataArray")
+    if root.get("compressor") or points is None or not {"faces", "faceoffsets"} <= set(arrays):
+        raise pi.InputError(f"read_vtu: {path} must have polyhedra as faces and faceoffsets, in text or uncompressed base64")
+
+    def numbers(array):
+        if array.get("format") == "ascii":
+            return np.array((array.text or "").split(), float)
+        head, kind = 8 if root.get("header_type") == "UInt64" else 4, {"F": "f", "I": "i", "U": "u"}[array.get("type")[0]]
+        return np.frombuffer(base64.b64decode(array.text.strip())[head:], f"<{kind}{int(array.get('type')[-2:].lstrip('t')) // 8}")
+
+    x, stream, cells, at = numbers(points).astype(float).reshape(-1, 3), numbers(arrays["faces"]).astype(int), [], 0
+    while at < len(stream):
+        faces, at, left = [], at + 1, stream[at]
+        for _ in range(left):
+            faces.append(stream[at + 1 : at + 1 + stream[at]])
+            at += 1 + stream[at]
+        middle = x[np.unique(np.concatenate(faces))].mean(axis=0)
+        cells.append([face if np.linalg.det(triangulated(x[face] - middle)[0]).sum() > 0.0 else face[::-1] for face in faces])
+    return compact(x, cells)
