@@ -12,7 +12,7 @@ from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import last, pick, value
 from polyida.study.tasks import Study
 
-STARTS = (("tip load and weight", 0.45), ("tip load", 0.45), ("tip load", 0.6))
+STARTS = (("tip load and weight", 0.5), ("tip load and weight", 0.6), ("tip load", 0.6))
 MEASURES = ("deviation", "torque", "stress")
 RUNS = {"arm": arm.row, "rod": rod.row, "bracket": bracket.row}
 
@@ -21,7 +21,7 @@ def tasks(quick):
     """Designs in motion from three starts, static designs of several volumes, and the rod."""
     if quick:
         task = {"part": "arm", "cells": 200, "way": "in motion", "effort": "short"}
-        still = {"part": "arm", "cells": 200, "way": "static", "effort": "short", "load": "tip load", "volume": 0.45}
+        still = {"part": "arm", "cells": 200, "way": "static", "effort": "short", "load": "tip load and weight", "volume": 0.5}
         return [task, still, {"part": "rod", "cells": 30, "effort": "short"}, {"part": "bracket", "cells": 300, "effort": "short"}]
     result = []
     for cells in (400, 1600):
@@ -77,7 +77,7 @@ def notes(rows):
             f"{name} {row[f'{name}_optimiser']:.3g} / {row[f'{name}_solid']:.3g} <= {row[f'{name}_upper']:.3g}" for name in MEASURES
         )
         lines.append(
-            f"arm, {row['cells']} polygons, {row['way']} from {row.get('load', 'tip load and weight')} at {row.get('volume', 0.45):g}: mass "
+            f"arm, {row['cells']} polygons, {row['way']} from {row.get('load', 'tip load and weight')} at {row.get('volume', 0.5):g}: mass "
             f"{row['mass_optimiser']:.4g} / {row['mass_solid']:.4g} kg (densities / solid from {row['at']:g}); {kept}; {row['message']}"
         )
         again = {
@@ -139,7 +139,7 @@ def history_figure(rows):
     arms, rods = pick(rows, part="arm", way="in motion"), pick(rows, part="rod")
     fig, axes = panels(2 if arms or rods else 0, width=8.0, height=2.8)
     for i, row in enumerate(arms):
-        label = f"{row['cells']} polygons, {row.get('load', 'tip load and weight')} at {row.get('volume', 0.45):g}"
+        label = f"{row['cells']} polygons, {row.get('load', 'tip load and weight')} at {row.get('volume', 0.5):g}"
         axes[0].plot(row["history"], label=label, **marker_style(i) | {"marker": ""})
     for row in rods:
         for i, way in enumerate(("thickness", "heights")):

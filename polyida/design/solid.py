@@ -17,7 +17,7 @@ from polyida.errors import InputError
 from polyida.mesh import MeshWarning, PolygonMesh
 from polyida.validation import named_keywords
 
-LEVELS = (0.9, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
+LEVELS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1)
 KEPT = 0.03  # relative excess of a limit that a solid design may have
 
 
