@@ -10,11 +10,12 @@ roots of no full set of shapes.
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh, null_space
+from scipy.sparse import csc_array
 
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.start import require_near, require_state
@@ -39,7 +40,6 @@ STILL = 1e-12  # of |C| |x|: round-off of C x
 LEAST = 1e-14  # of the largest of C and x: a smaller C x is round-off too, if a rigid motion has few coordinates
 RESTARTS = 100  # of Arnoldi's method
 GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
-REFINEMENTS = 3  # solves by a model's own step matrix for one of full precision, if each leaves less than 1e-5
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
 
 
@@ -154,8 +154,10 @@ def linear_system(part, model, state=None):
     M = model.mass(q)
     K = model.tangent(t, q, rest, zero, state.lam, 0.0, 0.0, 1.0)
     matrices = [matrix for matrix in (M, C, K, B) if matrix is not None]
-    sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in matrices)
-    return LinearSystem(model, state, *[None if matrix is None else matrix.tocsc() if sparse else dense(matrix) for matrix in (M, C, K, B)])
+    sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in matrices if matrix.shape[0])  # without rows B may be dense
+    return LinearSystem(
+        model, state, *[None if matrix is None else csc_array(matrix) if sparse else dense(matrix) for matrix in (M, C, K, B)]
+    )
 
 
 def undamped(system, count):
@@ -268,20 +270,11 @@ def _below_all(system):
     for shift in -size * SHIFTS:
         own = own_system(system.model, at.t, at.q, at.lam, -shift)
         if own and own.step.positive_definite():
-            return shift, partial(_refined, own, system.K - shift * system.M, system.B)
+            return shift, lambda b: own.solve(-b, none)[0]  # noqa: B023
         if not _falls(system, shift):
             factor = system.factor(-shift, 0.0)
             return shift, lambda b: factor.solve(-b, none)[0]  # noqa: B023
     raise InputError(NO_MASS)
-
-
-def _refined(own, S, B, b):
-    """x of `S x + B^T mu = b`, `B x = 0` by a model's own step matrix, which may be of single precision."""
-    x, mu = np.zeros(len(b)), np.zeros(B.shape[0])
-    for _ in range(REFINEMENTS):
-        dx, dmu = own.solve(S @ x + B.T @ mu - b, B @ x)
-        x, mu = x + dx, mu + dmu
-    return x
 
 
 def _falls(system, shift):
