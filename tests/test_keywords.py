@@ -19,6 +19,8 @@ NOT_CALLED = {
     "Events",
     "InputError",
     "StepFailure",
+    "SingularSystem",
+    "StepMatrix",
     "LockingWarning",
     "ReductionWarning",
     "ground",

@@ -167,7 +167,7 @@ def with_field(part, path, value):
 
 def with_part(model, name, new):
     """A copy of the model with one part replaced; attachments to a replaced body move to the new one."""
-    return with_parts(model, parts_with(model.parts, name, new, Attachment.on))
+    return with_parts(model, parts_with(model.parts, name, new, lambda attachment, body: attachment.on(body)))
 
 
 def parts_with(parts, name, new, move):

@@ -10,9 +10,10 @@ and those of `-B (K + g B^T B)^-1 B^T` (Haynsworth 1968); those of a symmetric f
 """
 
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.linear.lu import LU, SYMMETRIC_MODE, SingularSystem, block_matrix, dense
@@ -245,11 +246,14 @@ class StepMatrix:
     near_any_state = False
     caution = 0.5
 
-    def __init__(self, model):
+    def __init__(self, model: Any) -> None:
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
-        self.S = self.lu = self.border = self.whole = None
+        self.S: Any = None
+        self.lu: Any = None
+        self.border: Any = None
+        self.whole: Any = None
 
-    def factor(self, t, q, v, a, lam, c_m, c_v):
+    def factor(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, c_m: complex, c_v: complex) -> None:
         """Factor S at a state, now or at the first solve. Raises SingularSystem, here or there."""
         self.made_at = np.concatenate([[t], q, v, a, lam])
         self._set_matrix(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
@@ -259,28 +263,29 @@ class StepMatrix:
         with suppress(SingularSystem):
             self.lu = LU(S)
 
-    def again(self, made_at, c_m, c_v):
+    def again(self, made_at: NDArray, c_m: complex, c_v: complex) -> None:
         """Repeat a factorization of S."""
-        self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
+        q, v, a, lam = np.split(made_at[1:], np.cumsum([self.model.n] * 3))
+        self.factor(float(made_at[0]), q, v, a, lam, c_m, c_v)
 
-    def beside(self, c_m, c_v, change):
+    def beside(self, c_m: complex, c_v: complex, change: Any) -> "StepMatrix":
         """The step matrix with other c_m and c_v, S + change, from M and C of the same state: nothing is evaluated again."""
         other = type(self)(self.model)
         other.made_at = self.made_at
         other._set_matrix(self.S + change, c_m)
         return other
 
-    def solve(self, q, b, transposed=False):
+    def solve(self, q: NDArray, b: NDArray, transposed: bool = False) -> NDArray:
         """S^-1 b, or S^-T b, b (n,) or (n, k), at q near to where S was factored. Raises SingularSystem where S has no inverse."""
         if self.lu is None:
             raise SingularSystem("the step matrix is singular")
         return self.lu.solve(b, transposed)
 
-    def columns(self, q, B):
+    def columns(self, q: NDArray, B: Any) -> NDArray:
         """S^-1 B^T, (n, m), at q near to where S was factored; B (m, n), dense or sparse. Raises SingularSystem."""
         return self.solve(q, dense(B).T)
 
-    def saddle(self, t, q, lam, r, phi):
+    def saddle(self, t: float, q: NDArray, lam: NDArray, r: NDArray, phi: NDArray) -> tuple[NDArray, NDArray]:
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
             at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
@@ -293,11 +298,11 @@ class StepMatrix:
             self.border = Border(self.columns(q, B if columns is None else columns))
         return self.border.solve(self.solve(q, -r), B, -phi)
 
-    def positive_definite(self):
+    def positive_definite(self) -> bool:
         """True if S is known to be positive definite: of K, an equilibrium is then stable without another factor."""
         return False
 
-    def stands_alone(self):
+    def stands_alone(self) -> bool:
         """True if S certainly has an inverse; with constraints, some coordinates may be held by these alone."""
         return self.lu is not None and not (self.model.m > 0 and self.lu.doubtful())
 

@@ -43,12 +43,15 @@ class PeakReaction(TimeMean):
     joint: Any
     p: float = 8.0
     unit: str | None = None
-    _of_material, _along_v = True, False
+    _of_material = True
 
     def __post_init__(self):
         settle(self, p=power(type(self).__name__, self.p))
         if not (self.unit is None or is_one_of(self.unit, UNITS)):
             raise InputError(f'{type(self).__name__}: unit = {self.unit!r:.100} must be "N" or "N m", or None')
+
+    def _along_v(self, run):
+        return False  # forces depend on lam
 
     def largest(self, run: Any) -> float:
         """Return the largest value of a frame."""

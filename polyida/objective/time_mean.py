@@ -34,6 +34,7 @@ from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, n
 
 NOTHING = 1e-30  # of the largest slope of J in a value: less is set to zero, it is too small for single precision
 MOVED = np.array([0.0, 1e-3, 2e-3, -1e-3, -2e-3])  # of the interval behind or before a frame: moves of q and t for f'
+ZOOMS, BEND = 4, 1e-2  # looks at a function of time, each 32 times as close; jump of its rate, relative to its largest rate
 INWARD = np.array([-3.0, 4.0, -1.0]) / (
     12.0 * 2.0 * MOVED[1]
 )  # h INWARD . f of a frame and of two moved ones: h^2/12 times the derivative inward
@@ -94,12 +95,14 @@ class Frames:
 
 
 class TimeMean(Objective):
-    """A mean of order p over time. _of_material: True if it depends on the model beyond the parameters that `Slopes.direct` names. _along_v: True
-    if its values depend on t and q alone and do not jump.
-    """
+    """A mean of order p over time. _of_material: True if it depends on the model beyond the parameters that `Slopes.direct` names."""
 
     p: float = 1.0
-    _of_material, _along_v = False, True
+    _of_material = False
+
+    def _along_v(self, run: Any) -> bool:
+        """True if the values depend on t and q alone, and neither they nor their rates in t jump."""
+        return True
 
     def _evaluator(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
         """Return a function evaluate(Frames) -> (values, to_slopes).
@@ -146,7 +149,7 @@ class TimeMean(Objective):
     def _mean(self, run, evaluate):
         """The _Mean of a run: by the trapezoidal rule, or of Radau IIA by cubics, unless their sum is not positive."""
         t, s, moves = np.asarray(run.t, float), self._sizes(run, evaluate), None
-        if self._along_v and len(t) > 1 and isinstance(getattr(run, "integrator", None), RadauIIA):
+        if len(t) > 1 and isinstance(getattr(run, "integrator", None), RadauIIA) and self._along_v(run):
             h = np.diff(t)
             moves = MOVED[1:, None] * np.where(MOVED[1:, None] > 0.0, np.append(h, 0.0), np.append(0.0, h))
             s = np.stack([s, *(self._sizes(run, evaluate, each) for each in moves)])
@@ -213,6 +216,18 @@ def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: fl
     return np.array([rate(at) for at in t.tolist()])
 
 
+def bends(function: Callable[[float], NDArray], begin: float, end: float) -> bool:
+    """True if the rate of a function of time jumps: it then still changes between neighbours where it changes most, seen more and more closely."""
+    size = 0.0
+    for _ in range(ZOOMS):
+        t = np.linspace(begin, end, 65)
+        rates_here = np.diff([function(at) for at in t.tolist()], axis=0) / (t[1] - t[0])
+        jumps = np.abs(np.diff(rates_here, axis=0)).max(axis=1)
+        size, k = size or np.abs(rates_here).max(), int(jumps.argmax())
+        begin, end = float(t[k]), float(t[k + 2])
+    return bool(jumps.max() > BEND * size)
+
+
 class _Mean:
     """The mean of order p of sizes s (1, frames) over times t, its slopes in s, `shares`, and in t at fixed s, `by_times`.
 
@@ -275,7 +290,8 @@ class Compliance(TimeMean):
     taken.
     """
 
-    _along_v = False
+    def _along_v(self, run):
+        return False  # loads may jump
 
     def _evaluator(self, model, span):
         still = np.zeros(model.n)
@@ -336,6 +352,9 @@ class Deviation(TimeMean):
         """Return the objective with the name of its part, or of the body of its attachment."""
         body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
         return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
+
+    def _along_v(self, run):
+        return not callable(self.path) or not bends(self._at, float(run.t[0]), float(run.t[-1]))
 
     def _evaluator(self, model, span):
         point = self.point.on(model) if isinstance(self.point, OnBody) else self.point

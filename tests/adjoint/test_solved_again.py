@@ -7,7 +7,7 @@ import polyida as pi
 
 ALPHA = pi.GeneralizedAlpha(h=5e-3, tolerance=1e-12)
 RADAU = pi.RadauIIA(h=1e-2, tolerance=1e-15)
-FAR = 1e-4  # of a number, between the scenes
+FAR = 3e-4  # of a number, between the scenes: round-off of runs is small beside their change
 
 
 def error(build, numbers, name, t_end, integrator, objective):
