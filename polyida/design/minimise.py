@@ -11,10 +11,9 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from polyida.design.problem import Case, Evaluation, Problem
@@ -23,6 +22,9 @@ from polyida.errors import InputError
 from polyida.objective.objective import Limit, Objective
 from polyida.progress import teller
 from polyida.validation import is_number, is_whole, named_keywords
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FLOOR = 1e-6  # of the first value: below it the logarithm of the objective goes on as a line
 MET = 5e-3  # relative excess of a limit that still counts as kept
@@ -326,6 +328,8 @@ class _Search:
 
     def _best(self, trials, stage):
         """The Design of the best trial of a stage."""
+        from pandas import DataFrame
+
         whole = [(x, found) for x, found, _ in trials if not found.error]
         kept = [(x, found) for x, found in whole if self._excess(found) <= MET]
         x, found = min(kept, key=lambda one: one[1].values[0]) if kept else min(whole, key=lambda one: self._excess(one[1]))
@@ -333,8 +337,7 @@ class _Search:
         failed = sum(bool(row["error"]) for row in self.rows)
         message = "limits kept" if kept else f"limits exceeded by {100 * self._excess(found):.2g} %"
         message += f"; {failed} of {len(self.rows)} runs failed, and the search stepped back" if failed else ""
-        history = pd.DataFrame(self.rows)
-        return Design(self.problem, x, stage.sharp, float(found.values[0]), limits, bool(kept), message, history)
+        return Design(self.problem, x, stage.sharp, float(found.values[0]), limits, bool(kept), message, DataFrame(self.rows))
 
 
 class _Store:

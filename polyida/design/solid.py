@@ -5,10 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from polyida.design.problem import FailedRun
@@ -16,6 +15,9 @@ from polyida.design.variables import BuiltSizeMap, DensityMap, cells_along
 from polyida.errors import InputError
 from polyida.mesh import MeshWarning, PolygonMesh, topology
 from polyida.validation import floats, is_number, is_one_of, named_keywords
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVELS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1)
 KEPT = 0.03  # relative excess of a limit that a solid design may have
@@ -83,6 +85,8 @@ def solid(
     InputError
         If no level gives plates in one piece with the sections that the densities keep, and a run that succeeds.
     """
+    from pandas import DataFrame
+
     problem, values = design.problem, design.values
     maps = [one for one in problem.maps if isinstance(one, DensityMap)]
     sizes = {one.name: values[one.name] for one in problem.maps if isinstance(one, BuiltSizeMap)}
@@ -116,7 +120,7 @@ def solid(
     columns = {"upper": uppers, "optimiser": optimiser, "solid": found}
     for name, run in (others or {}).items():
         columns[name] = _judged(problem, {case.name: run(models[case.name]) for case in problem.cases})
-    table = pd.DataFrame(columns, index=["objective", *problem.labels])
+    table = DataFrame(columns, index=["objective", *problem.labels])
     return SolidDesign(at, meshes, models, runs, table, excess)
 
 

@@ -8,6 +8,7 @@ import atexit
 import gc
 from contextlib import contextmanager
 from functools import cache, partial
+from hashlib import sha256
 from importlib import import_module
 from typing import NamedTuple
 
@@ -199,6 +200,11 @@ class Options(Flags):
 
     def __eq__(self, other):
         return self._values == other._values if isinstance(other, Flags) else NotImplemented
+
+    def get_mangle_string(self):
+        """The part of a function's name that stands for its options. In numba's, each process prints sets in another order."""
+        text = " ".join(f"{name}={sorted(str(value))}" for name, value in self._summary_args())
+        return sha256(text.encode()).hexdigest()[:16]
 
 
 @contextmanager
