@@ -93,7 +93,7 @@ def polyhedra_figure(rows):
         axes[2].loglog(row["h"], row["errors"], label=f"{row['method']}, E = {row['E']:.0e} Pa", **marker_style(i))
     labels = ("CPU time, s", "error of the tip, m"), ("h, s", "condition number"), ("h, s", "largest error of q, m")
     for axis, (x, y) in zip(axes, labels):
-        axis.set(xlabel=x, ylabel=y)
+        axis.set(xlabel=x, ylabel=y, visible=bool(axis.lines))
         if axis.lines:
             axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return line_picture(fig, "polyhedra")
