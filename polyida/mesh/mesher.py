@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
 from polyida.mesh.domains import Domain, Moved, Rectangle, meet, nearest, project
-from polyida.mesh.outline import Outline
+from polyida.mesh.outline import Outline, outline_of
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.sections import ON_CIRCLE, automatic, edges_within, rings
+from polyida.mesh.sections import ON_CIRCLE, automatic, edges_within
 from polyida.validation import is_whole, named_keywords, positive, vector2
 
 ATTEMPTS = 8  # with different seeds, if a part of the boundary gets no cells
@@ -127,7 +127,7 @@ def remeshed(mesh, parts):
     """A mesh of the same outline and sections: cells of a mesh with `parts` (n_cells,) int new ones each; or about `parts`, a number, of equal size."""
     from scipy.spatial import cKDTree
 
-    outer, *holes = sorted((mesh.points[ring] for ring in rings(mesh)), key=lambda ring: -np.prod(np.ptp(ring, axis=0)))
+    outer, *holes = outline_of(mesh)
     domain = Outline(outer, holes)
     if np.ndim(parts):
         centres, areas, tree = mesh.cell_centroids, mesh.cell_areas / parts, cKDTree(mesh.cell_centroids)

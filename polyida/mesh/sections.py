@@ -93,11 +93,6 @@ def edges_within(mesh, nodes):
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
 
 
-def rings(mesh):
-    """Nodes of the closed curves of the boundary, one array each."""
-    return [np.array(chain) for chain, _ in _chains(mesh.boundary_nodes, mesh.boundary_edges)]
-
-
 def _chains(nodes, edges):
     """[(nodes connected by the directed edges, True if closed)] of open and closed chains and single nodes."""
     ahead = {}
