@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
-from polyida.jit import pack, part
+from polyida.jit import pack, part, shared
 from polyida.linear.dense import magnitude, put, solve_small
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
 from polyida.validation import on_pairs
@@ -210,7 +210,7 @@ def measure(b, w, first, second):
                     w.right[b.rows[r]] += w.slots[b.row_slot[e]] * second[b.points[b.point_start[n] + at // 2], at % 2]
 
 
-@part
+@shared
 def solve_border(b, w):
     """Solve for w.x, with w.right, w.slots and w.blocks. Returns False if the system is singular."""
     return solve_in_order(b, w) or solve_pivoted(b, w)
@@ -303,7 +303,7 @@ def is_accurate(e, w):
     return good
 
 
-@part
+@shared
 def solve_pivoted(b, w):
     """Solve for w.x by a dense elimination with pivoting. Returns False if the system is singular."""
     count = w.x.shape[0]

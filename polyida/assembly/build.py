@@ -6,7 +6,7 @@ from traceback import extract_tb
 import numpy as np
 
 from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
-from polyida.assembly.compact import Compact
+from polyida.assembly.compact import BLOCKS, FORCE, Compact, provide
 from polyida.assembly.own_laws import laws_of
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.body.body import Body, points_of
@@ -423,7 +423,7 @@ def compact_of(few, first, block):
     masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in few]
     forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in few)) if few else ((), ())
     damping = np.array([placed.damping() for placed in few], float).reshape(-1, 2)
-    return Compact(
+    result = Compact(
         pair=first + starts([range(count) for count in pairs]),
         block=block + starts([range(count**2) for count in pairs]),
         rest=pairs_of(concatenated([placed.rest for placed in few], complex)),
@@ -436,7 +436,10 @@ def compact_of(few, first, block):
         shift=concatenated(shifts, float),
         drag=damping[:, 0].copy(),
         viscosity=damping[:, 1].copy(),
+        calls=np.zeros(3, np.int64),
     )
+    provide(result, FORCE, BLOCKS)
+    return result
 
 
 def operator_arrays(bodies):

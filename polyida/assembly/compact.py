@@ -11,8 +11,14 @@ y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j), so that `W = d^T form d
 from typing import NamedTuple
 
 import numpy as np
+from numba import carray, typeof
 
+from polyida.errors import DONE
 from polyida.jit import entry, fast, leaf, pack, part
+from polyida.jit.intrinsics import address, call, float_of, integer_of, pointer
+from polyida.jit.user_functions import table_address
+
+FORCE, BLOCKS, MIDDLE = range(3)  # of Compact.calls
 
 
 @pack
@@ -31,6 +37,7 @@ class Compact(NamedTuple):
     shift: np.ndarray
     drag: np.ndarray  # mass-proportional damping, 1/s
     viscosity: np.ndarray  # s
+    calls: np.ndarray  # (3,) addresses of the kernels of elastic bodies, see `provide`
 
 
 @leaf
@@ -142,15 +149,8 @@ def forces(c, u, a, r, rotation):
     for b in range(c.drag.shape[0]):
         add_mass(c, b, 1.0, a, r)
         least = lesser(least, turn(c, b, u, rotation))
-        first, count, size = vectors(c, b)
-        if size:
-            d, s, z = np.empty(size), np.empty(size), np.empty((count, 2))
-            strained(c, b, u, d)
-            for e in range(size):
-                s[e] = c.shift[c.shift_start[b] + e]
-            stresses(c, b, d, s)
-            place(c, first, count, u, z)
-            push(count, first, s, z, r)
+        if vectors(c, b)[2]:
+            call(c.calls[FORCE], address(c), b, address(u), address(r), 0, 0, 0, 0)
     return least
 
 
@@ -163,18 +163,45 @@ def forces_middle(c, h, u0, u1, um, vm, a, r, rotation):
         if c.drag[b] != 0.0:
             add_mass(c, b, c.drag[b], vm, r)
         least = lesser(least, lesser(turn(c, b, u1, rotation), turn(c, b, um, rotation)))
-        first, count, size = vectors(c, b)
-        if size:
-            before, d, s, z = np.empty(size), np.empty(size), np.empty(size), np.empty((count, 2))
-            strained(c, b, u0, before)
-            strained(c, b, u1, d)
-            for e in range(size):
-                s[e] = c.shift[c.shift_start[b] + e]
-                d[e] = 0.5 * (before[e] + d[e]) + c.viscosity[b] / h * (d[e] - before[e])
-            stresses(c, b, d, s)
-            place(c, first, count, um, z)
-            push(count, first, s, z, r)
+        if vectors(c, b)[2]:
+            call(c.calls[MIDDLE], address(c), b, integer_of(h), address(u0), address(u1), address(um), address(r), 0)
     return least
+
+
+@part
+def pairs_at(c, number):
+    """The array (pairs, 2) at an address."""
+    return carray(pointer(number), (c.pair[-1], 2))
+
+
+@entry
+def elastic_force(c, b, displacements, forces, d, e, f, g):
+    """r += dW/dz of elastic body b."""
+    u, (first, count, size) = pairs_at(c, displacements), vectors(c, b)
+    change, s, z = np.empty(size), np.empty(size), np.empty((count, 2))
+    strained(c, b, u, change)
+    for k in range(size):
+        s[k] = c.shift[c.shift_start[b] + k]
+    stresses(c, b, change, s)
+    place(c, first, count, u, z)
+    push(count, first, s, z, pairs_at(c, forces))
+    return DONE
+
+
+@entry
+def elastic_force_middle(c, b, step, start, end, middle, forces, g):
+    """The same in the middle of a step, with viscosity."""
+    u0, u1, um, (first, count, size) = pairs_at(c, start), pairs_at(c, end), pairs_at(c, middle), vectors(c, b)
+    before, change, s, z, lag = np.empty(size), np.empty(size), np.empty(size), np.empty((count, 2)), c.viscosity[b] / float_of(step)
+    strained(c, b, u0, before)
+    strained(c, b, u1, change)
+    for k in range(size):
+        s[k] = c.shift[c.shift_start[b] + k]
+        change[k] = 0.5 * (before[k] + change[k]) + lag * (change[k] - before[k])
+    stresses(c, b, change, s)
+    place(c, first, count, um, z)
+    push(count, first, s, z, pairs_at(c, forces))
+    return DONE
 
 
 @part
@@ -246,13 +273,14 @@ def blocks(c, u, v, c_m, c_v, c_q, out):
                 out[at, 0, 1] -= y
                 out[at, 1, 0] += y
         if vectors(c, b)[2] and (c_q != 0.0 or c_v * c.viscosity[b] != 0.0):
-            elastic_blocks(c, b, u, v, c_v, c_q, out)
+            call(c.calls[BLOCKS], address(c), b, address(u), address(v), integer_of(c_v), integer_of(c_q), address(out), 0)
 
 
-@part
-def elastic_blocks(c, b, u, v, c_v, c_q, out):
+@entry
+def elastic_blocks(c, b, displacements, velocities, factor_v, factor_q, blocks, g):
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
-    first, count, size = vectors(c, b)
+    u, v, c_v, c_q = pairs_at(c, displacements), pairs_at(c, velocities), float_of(factor_v), float_of(factor_q)
+    out, (first, count, size) = carray(pointer(blocks), (c.block[-1], 2, 2)), vectors(c, b)
     s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)
@@ -271,6 +299,16 @@ def elastic_blocks(c, b, u, v, c_v, c_q, out):
             s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
         curve(count, s, c.block[b], out)
     stiffen(c, b, slopes, factored, out)
+    return DONE
+
+
+KERNELS = {FORCE: elastic_force, BLOCKS: elastic_blocks, MIDDLE: elastic_force_middle}
+
+
+def provide(c, *wanted):
+    """Compile kernels of elastic bodies, if there are any: scenes without such bodies do without them."""
+    for number in wanted if len(c.shift) else ():
+        c.calls[number] = table_address(KERNELS[number], typeof(c))
 
 
 @part

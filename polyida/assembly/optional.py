@@ -1,4 +1,4 @@
-"""Kernels that only some scenes need, called by address: those of force elements and of viscoelastic plates.
+"""Kernels that only some scenes need, called by address: those of force elements, of damped bodies and of viscoelastic plates.
 
 They are compiled for the scenes that have such parts, once for all integrators; scenes without them compile nothing of them.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.assembly.arrays import SceneArrays
+from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces, take_damping_forces, take_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation, add_relaxation_middle
 from polyida.errors import DONE
@@ -17,7 +18,7 @@ from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 
 # constants of compiled code
-PARTS, LAW_FORCES, LAW_SLOPES, LAW_DAMPING, LAW_MIDDLE, RELAXING, RELAXING_MIDDLE = range(7)  # of the addresses of a scene
+PARTS, LAW_FORCES, LAW_SLOPES, LAW_DAMPING, LAW_MIDDLE, RELAXING, RELAXING_MIDDLE, DAMPING, RENEW = range(9)  # of the addresses of a scene
 
 
 @pack
@@ -92,14 +93,24 @@ def relaxing_middle(w, u0, u1, um, vm, r, e, f):
     return DONE
 
 
+@entry
+def damping(w, u, v, elastic, r, d, e, f):
+    """Add the damping forces of bodies to r."""
+    add_damping(w.scene, nodal(w, u), nodal(w, v), nodal(w, elastic), nodal(w, r))
+    return DONE
+
+
 OF_LAWS = {LAW_FORCES: law_forces, LAW_SLOPES: law_slopes, LAW_DAMPING: law_damping, LAW_MIDDLE: law_middle}
 OF_RELAXATION = {RELAXING: relaxing, RELAXING_MIDDLE: relaxing_middle}
+OF_DAMPING = {DAMPING: damping}
 
 
 def optional_kernels(model, *wanted):
-    """The addresses of those kernels of a scene that are wanted, (7,); 0 where the scene does not need one."""
-    addresses, parts = np.zeros(7, np.int64), model.once(_parts)
-    kernels = (OF_LAWS if len(model.laws.energies) else {}) | (OF_RELAXATION if model.strains else {})
+    """The addresses of those kernels of a scene that are wanted, (9,); 0 where the scene does not need one."""
+    addresses, parts = np.zeros(9, np.int64), model.once(_parts)
+    kernels = (
+        (OF_LAWS if len(model.laws.energies) else {}) | (OF_RELAXATION if model.strains else {}) | (OF_DAMPING if model.damped else {})
+    )
     addresses[PARTS] = parts.address
     for number in kernels.keys() & set(wanted):
         addresses[number] = table_address(kernels[number], typeof(parts))
@@ -122,3 +133,10 @@ def add_relaxing(optional, still, u, v, r):
     """Add the forces of relaxation to r (nodes, 2), if there are any; still, 0 or 1: as of `add_relaxation`."""
     if optional[RELAXING] != 0:
         call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
+
+
+@part
+def add_damping_forces(optional, u, v, elastic, r):
+    """Add the damping forces of bodies to r (nodes, 2), if there are any; elastic: workspace (nodes, 2), (0, 2) without them."""
+    if optional[DAMPING] != 0:
+        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(elastic), address(r), 0, 0, 0)

@@ -278,11 +278,26 @@ def call(typing_context, function, model, instant, a, b, c, d, e, f):
 
 
 @intrinsic
-def address(typing_context, array):
-    """Address of the first entry of an array."""
-    return types.int64(array), lambda context, builder, sig, args: builder.ptrtoint(
-        context.make_array(sig.args[0])(context, builder, args[0]).data, INT64
-    )
+def address(typing_context, value):
+    """Address of the first entry of an array, or of the block of a pack."""
+
+    def generate(context, builder, sig, args):
+        block = context.make_array(value)(context, builder, args[0]).data if isinstance(value, types.Array) else args[0]
+        return builder.ptrtoint(block, INT64)
+
+    return types.int64(value), generate
+
+
+@intrinsic
+def integer_of(typing_context, number):
+    """The int64 with the bits of a float64: an argument of `call`."""
+    return types.int64(types.float64), lambda context, builder, sig, args: builder.bitcast(args[0], INT64)
+
+
+@intrinsic
+def float_of(typing_context, bits):
+    """The float64 behind `integer_of`."""
+    return types.float64(types.int64), lambda context, builder, sig, args: builder.bitcast(args[0], ir.DoubleType())
 
 
 @intrinsic

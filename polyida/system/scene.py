@@ -5,14 +5,24 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, typeof
+from numba import carray, int64, typeof
 
 from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
-from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.increments import drive_table, gain_table
-from polyida.assembly.optional import LAW_FORCES, LAW_SLOPES, PARTS, RELAXING, add_law_forces, add_relaxing, optional_kernels
+from polyida.assembly.optional import (
+    DAMPING,
+    LAW_FORCES,
+    LAW_SLOPES,
+    PARTS,
+    RELAXING,
+    RENEW,
+    add_damping_forces,
+    add_law_forces,
+    add_relaxing,
+    optional_kernels,
+)  # fmt: skip
 from polyida.assembly.projection import ConstraintProjection, constraint_projection, velocity_rate
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
@@ -30,7 +40,7 @@ SHARED = 20_000  # coordinates above which several threads share the solves
 DZ, FORCES, START, VX, DX, DV = range(
     6
 )  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
-H, TO_A, COSINE, INCREMENTAL, TO_V, TIED = range(6)  # of SceneWork.numbers
+H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
 
 
 @pack
@@ -57,7 +67,7 @@ class SceneWork(NamedTuple):
     gains: np.ndarray  # (instants, profiles, 3)
     rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
     points: np.ndarray  # (6, points, 2)
-    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v, 1 if states are projected
+    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
     level: np.ndarray  # (m,)
     solid: Solid  # with empty arrays if no function reads it
 
@@ -77,8 +87,7 @@ def rows(w, at):
 @part
 def add_slowing(w, u, v, still, r):
     """Add damping and relaxation to r; still: as of add_relaxing."""
-    if w.damp.shape[0] > 0:
-        add_damping(w.scene, u, v, w.damp, r)
+    add_damping_forces(w.optional, u, v, w.damp, r)
     add_relaxing(w.optional, still, u, v, r)
 
 
@@ -114,13 +123,19 @@ def begin(w, instant, q, v, c, d, e, f):
 
 @part
 def renew_slopes(w, drives, dz, vz):
-    """The same for points at dz with velocities vz; nothing without plates, whose solves cost more than the slopes."""
+    """The same for points at dz with velocities vz."""
+    if w.optional[RENEW] != 0:
+        call(w.optional[RENEW], address(w), address(drives), address(dz), address(vz), 0, 0, 0, 0)
+
+
+@entry
+def new_slopes(w, drives, dz, vz, d, e, f, g):
+    """`renew_slopes` of scenes with force elements and plates; without plates, a solve costs less than the slopes."""
     own, optional = w.workspace.own, w.optional
-    if optional[LAW_SLOPES] != 0 and w.scene.plates.body_operator.shape[0] > 0:
-        own[:] = 0.0
-        c_v = address(w.numbers[TO_V:])
-        call(optional[LAW_SLOPES], optional[PARTS], address(drives), address(dz), address(vz), c_v, address(own), 0, 0)
-        corotated.condense_states(w.scene.links.coupling, w.factored, own)
+    own[:] = 0.0
+    call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(w.numbers[TO_V:]), address(own), 0, 0)
+    corotated.condense_states(w.scene.links.coupling, w.factored, own)
+    return DONE
 
 
 @entry
@@ -154,20 +169,17 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
 @entry
 def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
-    if w.numbers[TIED] != 0.0:
-        joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
-        velocity_rate(w.scene.links, w.drives[instant + 1], w.points[DX], pairs(w, v), w.projection)
-        rates = rows(w, out)
-        for k in range(rates.shape[0]):
-            rates[k] = w.projection.rate[k]
+    joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
+    velocity_rate(w.scene.links, w.drives[instant + 1], w.points[DX], pairs(w, v), w.projection)
+    rates = rows(w, out)
+    for k in range(rates.shape[0]):
+        rates[k] = w.projection.rate[k]
     return DONE
 
 
 @entry
 def project(w, instant, right, x, from_zero, d, e, f):
     """Change x by the least M-norm, so that B x falls by right; from_zero: x becomes the least x with B x = B x_before - right."""
-    if w.numbers[TIED] == 0.0:
-        return DONE
     s, p, changes, vector = w.scene.links, w.projection, rows(w, right), pairs(w, x)
     for k in range(changes.shape[0]):
         p.bias[k] = changes[k]
@@ -177,6 +189,12 @@ def project(w, instant, right, x, from_zero, d, e, f):
             p.bias[k] -= joints.along(s, p.slopes, k, p.vz)
         clear(vector)
     return DONE if project_rows(s, p, p.bias, vector) else SINGULAR
+
+
+@entry
+def idle(w, instant, b, c, d, e, f, g):
+    """Do nothing: takes the place of a function that a scene does not need."""
+    return DONE
 
 
 @entry
@@ -193,7 +211,7 @@ def addresses(kind, entries):
     """The table of functions (number, function) for a type of workspaces."""
     table = np.zeros(ENTRIES, np.int64)
     for number, function in entries:
-        table[number] = table_address(function, kind)
+        table[number] = table_address(function, int64 if function is idle else kind)
     return table
 
 
@@ -205,7 +223,7 @@ class SceneTable:
 
     longest = INSTANTS
     entries = FUNCTIONS
-    optional: tuple[int, ...] = LAW_FORCES, LAW_SLOPES, RELAXING
+    optional: tuple[int, ...] = LAW_FORCES, LAW_SLOPES, RELAXING, DAMPING
 
     def __init__(self, model, tied, incremental):
         self.model, links = model, model.arrays.links
@@ -220,11 +238,13 @@ class SceneTable:
             "gains": np.zeros((INSTANTS, profiles, 3)),
             "rotation": np.zeros(nodes),
             "points": np.zeros((6, model.n_points, 2)),
-            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0, float(tied)]),
+            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
             "level": np.zeros(len(links.row_constant)),
             "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
         }
         self.functions = self.work = None
+        if not tied:
+            self.entries = self.entries | {RATE: idle, PROJECT: idle}
 
     def system(self, settings):
         return settings.step_matrix(self.model)
@@ -247,7 +267,10 @@ class SceneTable:
             if self.work is None or self.work.workspace is not workspace:
                 before, self.work = self.work, SceneWork(factored=system.corotated, workspace=workspace, **self.w)
                 if before is None or typeof(self.work) != typeof(before):
-                    self.functions = addresses(typeof(self.work), tuple(self.entries.items()))
+                    kind = typeof(self.work)
+                    self.functions = addresses(kind, tuple(self.entries.items()))
+                    if self.w["optional"][LAW_SLOPES] and self.model.bodies:
+                        self.w["optional"][RENEW] = table_address(new_slopes, kind)
             yield self.functions, self.work.address
 
     def raise_error(self):

@@ -17,7 +17,7 @@ from numba import carray, typeof
 from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
-from polyida.assembly.optional import LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
+from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
 from polyida.assembly.own_laws import NO_ENERGY, NOISE
 from polyida.assembly.projection import constrain
 from polyida.assembly.relaxation import add_relaxing_middle
@@ -327,9 +327,10 @@ class EnergyTable(SceneTable):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     entries = {number: of_scene.FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
-    optional = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE
+    optional = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE, DAMPING
 
     def __init__(self, model):
+        compact.provide(model.arrays.compact, compact.MIDDLE)
         super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0), False)
         self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not (model.bodies or model.strains)
         if self.complete:
@@ -363,6 +364,7 @@ class PythonScene(MiddleTable, PythonTable):
 
     def __init__(self, model):
         super().__init__(model, False)
+        compact.provide(model.arrays.compact, compact.MIDDLE)
         self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
 
     def _middle(self, instant, states, lam, r, phi, *_):

@@ -342,8 +342,8 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
                 o.made[made, 2 + i] = slots.states[slot, i]
             made += 1
             ended, counts[FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[FACTORS] + 1
-            fresh = True
-            if ended == DONE:
+            fresh = ended == DONE  # a constant True would be another type, and `attempt` be compiled again
+            if fresh:
                 ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
             else:
                 slots.table[H, slot] = slots.table[USED, slot] = 0.0

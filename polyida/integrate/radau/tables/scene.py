@@ -16,7 +16,7 @@ from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.increments import Moves, moves, stage_tables, take_step
-from polyida.assembly.optional import LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, optional_kernels
+from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
@@ -381,7 +381,7 @@ class SceneStages:
             "scene": model.arrays,
             "tie": constraint_projection(model),
             "damp": np.zeros(nodes if model.damped else (0, 2)),
-            "optional": optional_kernels(model, LAW_FORCES, LAW_DAMPING, RELAXING),
+            "optional": optional_kernels(model, LAW_FORCES, LAW_DAMPING, RELAXING, DAMPING),
             "moves": numbers,
             "drives": np.zeros(instants),
             "gains": np.zeros(instants),
