@@ -9,6 +9,7 @@ None takes a word, like a pack: code that does not read a field may be compiled 
 
 import hashlib
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 from numba import types
@@ -53,6 +54,7 @@ class PackType(types.BaseNamedTuple):
         self.fields, self.types = tuple(name for name, _ in fields), tuple(kind for _, kind in fields)
         positions = np.cumsum([0, *map(_size, self.types)])
         self.positions = dict(zip(self.fields, zip(self.types, map(int, positions))))  # {name: (type, first word in the block)}
+        self.number = next(_numbers)  # of this object, for `_form`
         super().__init__(name=f"{label}_{hashlib.sha256(repr(fields).encode()).hexdigest()[:16]}")
 
     def __getitem__(self, number):
@@ -81,13 +83,14 @@ def _type_of(value, context):
 
 
 _kinds: dict[tuple, PackType] = {}  # by forms: numba itself takes many times as long to find the types of arrays
+_numbers = count()
 
 
 def _form(field, context):
-    """All that determines the type of a field."""
+    """All that determines the type of a field. Numbers: hashes of numba's types and of dtypes take longer than the rest."""
     if isinstance(field, np.ndarray):
-        return field.dtype, field.ndim, field.flags.num
-    return _type_of(field, context) if isinstance(field, _Packed) else type(field)
+        return field.dtype.num, field.ndim, field.flags.num
+    return _type_of(field, context).number if isinstance(field, _Packed) else type(field)
 
 
 register_model(PackType)(models.OpaqueModel)  # the address of the block

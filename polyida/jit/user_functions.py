@@ -50,6 +50,7 @@ def fill_matrix(out, found, factor):
 FILL = "", "fill_vector", "fill_matrix"  # by the dimensions of the result
 
 
+@cache
 def table_address(function, kind):
     """The address of an entry `f(workspace, 7 numbers or addresses)` as a C function, for a type of workspaces."""
     return c_address(function, types.int64(kind, *[types.int64] * (ARGUMENTS - 1)))

@@ -473,9 +473,11 @@ class SceneStages:
         self.workspace, kind = self.work.address, typeof(self.work)
         if kind != self.kind:
             self.kind = kind
+            of_reads = {("real", "pair"): kind} | {
+                read: typeof(self.work._replace(**dict.fromkeys({"real", "pair"}.difference(read)))) for read in ((), ("real",), ("pair",))
+            }
             for number, function in self.entries.items():
-                unread = {"real", "pair"}.difference(READS.get(number, ()))
-                self.functions[number] = table_address(function, typeof(self.work._replace(**dict.fromkeys(unread))))
+                self.functions[number] = table_address(function, of_reads[READS.get(number, ())])
             self._compile_prepare()
 
     def end_reason(self, ended, engine, control):
