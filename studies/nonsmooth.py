@@ -1,8 +1,8 @@
-"""Contact and friction: work against precision of events and of time stepping, energy, random scenes, a chain, a bouncing bar."""
+"""Contact and friction: work against precision of events and of time stepping, energy, random scenes, a chain, a bouncing bar, a thrown plate."""
 
 import numpy as np
 
-from nonsmooth import bar, cases, chain, energy, random_scenes
+from nonsmooth import bar, cases, chain, energy, plate, random_scenes
 from polyida.cli.study import main
 from polyida.show.style import legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
@@ -20,12 +20,13 @@ def tasks(quick):
     random = [{"part": "random", "first": first, "count": count, "bounces": e} for first, e, count in seeds]
     names = ("cells", "courant", "rho_inf", "across", "contact_mass")
     bars = [{"part": "bar"} | dict(zip(names, one)) for one in (BARS[:2] if quick else BARS)]
-    return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars
+    plates = [{"part": "plate", "cells": 40 if quick else 365}]
+    return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars + plates
 
 
 def run(part, **task):
-    parts = {"precision": cases.measure, "energy": energy.measure, "random": random_row, "chain": chain.measure, "bar": bar.measure}
-    return parts[part](**task)
+    parts = {"precision": cases.measure, "energy": energy.measure, "random": random_row, "chain": chain.measure}
+    return (parts | {"bar": bar.measure, "plate": plate.measure})[part](**task)
 
 
 def random_row(first, count, bounces):
@@ -95,6 +96,13 @@ def chain_notes(rows):
     return lines
 
 
+def plate_notes(rows):
+    """What a step in contact costs."""
+    text = "a step in contact takes {cost_of_contact:.2f} of the CPU time of one without, {iterations_in_contact:.2f} Newton iterations against "
+    text += "{iterations_without:.2f}, {solves_in_contact:.2f} solves; {factors} factor in {steps} steps"
+    return [f"thrown plate, {row['n']} coordinates: {text.format(**row)}" for row in pick(rows, part="plate", outcome="done")]
+
+
 @study_figure
 def precision_figure(rows):
     """CPU time against the error, case by case; a run without error is not drawn."""
@@ -158,6 +166,7 @@ COLUMNS = (
     "energy_gain",
     "stiffness",
     "penetration",
+    "cost_of_contact",
     "first",
     "bounces",
     "lowest_gap",
@@ -184,7 +193,7 @@ STUDY = Study(
     (orders, kept, energies),
     (precision_figure, energy_figure, bar_figure),
     COLUMNS,
-    notes=(stop_notes, at_home, chain_notes),
+    notes=(stop_notes, at_home, chain_notes, plate_notes),
     headline=("random_bouncing_energy_growth", "random_plastic_energy_growth"),
 )
 

@@ -453,26 +453,30 @@ class SceneStepMatrix(StepMatrix):
         if transposed and len(own):
             own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
         workspace = self.workspace._replace(own=own, border=border_workspace(self.model, free.border, self.workspace.point_forces.dtype))
-        columns = [self._solved(free, workspace, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
-        return np.stack(columns, axis=1).reshape(np.shape(b))
+        return self._solved(free, workspace, *self.at, q, -b, np.zeros((0, *b.shape[1:])))[0]
 
     def saddle(self, t, q, lam, r, phi):
-        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, S in the frame of q and B that of (t, q). Raises SingularSystem."""
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, S in the frame of q and B that of (t, q). Raises SingularSystem.
+
+        r (n,) and phi (m,), or (n, k) and (m, k).
+        """
         return self._solved(self.corotated, self.workspace, t, lam, q, r, phi)
 
     def _solved(self, factored, workspace, t, lam, q, r, phi):
         model, dtype = self.model, workspace.point_forces.dtype
-        dq, dlam = np.empty((model.n_nodes, 2), dtype), np.empty(len(phi), dtype)
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
-        r, phi = np.array(r, dtype).reshape(dq.shape), np.array(phi, dtype)
-        if model.strains:
-            strains = workspace.elimination, np.array(q, float).reshape(-1, 2)
-            r = eliminate(*strains, r)
-        if not solve(model.arrays.links, factored, workspace, *at, r, phi, self.c_m, dq, dlam):
-            raise SingularSystem("the constraints' system is singular")
-        if model.strains:
-            recover(*strains, dq)
-        return dq.ravel(), dlam
+        strains = workspace.elimination, np.array(q, float).reshape(-1, 2)
+        dq, dlam = np.empty(r.shape, dtype), np.empty(phi.shape, dtype)
+        for k in np.ndindex(r.shape[1:]):
+            right, below = np.array(r[:, *k], dtype).reshape(-1, 2), np.array(phi[:, *k], dtype)
+            one, forces = np.empty(right.shape, dtype), np.empty(len(phi), dtype)
+            right = eliminate(*strains, right) if model.strains else right
+            if not solve(model.arrays.links, factored, workspace, *at, right, below, self.c_m, one, forces):
+                raise SingularSystem("the constraints' system is singular")
+            if model.strains:
+                recover(*strains, one)
+            dq[:, *k], dlam[:, *k] = one.ravel(), forces
+        return dq, dlam
 
 
 def border_without_rows(model):

@@ -61,7 +61,7 @@ class SceneModel(SceneBodies):
 
     def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
         self.parts, self.treats_redundant, self.without_strains = dict(parts), redundant, without_strains
-        self.late, self._modes = late, {}
+        self.late, self._modes, self._rotated = late, {}, [(None, None)]  # q and its rotations, also of models with other rows
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
         self.bodies, self.few = place_bodies(parts)
         self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
@@ -191,7 +191,7 @@ class SceneModel(SceneBodies):
         self._assembled = held, list(left_out)
         of_bodies = self.bodies, self.few, self.states, self.strains, self.places
         assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
-        self._driven, self._rotated = (None, None), (None, None)
+        self._driven = None, None
         self.arrays, points, table, drives, self.laws = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
@@ -279,7 +279,8 @@ class SceneModel(SceneBodies):
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
-        r = self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
+        r, _, rotation, *_ = self.evaluate(t, q, a, lam, np.empty((self.n_nodes, 2)))
+        r, self._rotated[0] = self._with_forces(t, q, v, r), (np.array(q), rotation)
         return r if self.uneven_mass is None else r + self.uneven_mass @ a
 
     def _with_forces(self, t, q, v, r):
@@ -414,11 +415,11 @@ class SceneModel(SceneBodies):
 
     def rotation(self, q):
         """Raw nodal rotations at q, (nodes, 2): area-weighted sums of (F11 + F22, F21 - F12)."""
-        at, rotation = self._rotated
+        at, rotation = self._rotated[0]
         if not np.array_equal(at, q):  # several solves at one q, as at a sample, need it
             rotation = np.empty((self.n_nodes, 2))
             self.evaluate(0.0, q, np.zeros(self.n), np.zeros(self.m), rotation)
-            self._rotated = np.array(q), rotation
+            self._rotated[0] = np.array(q), rotation
         return rotation.copy()
 
     def rejection_reason(self, t, q):

@@ -199,12 +199,12 @@ class Border:
         self.X, self.rows, self.lu = X, None, None
 
     def solve(self, y, rows, below, corner=0.0):
-        """(x, w) from `y = S^-1 b`, rows R (k, n), below (k,) and corner D, (k, k) or 0. Raises SingularSystem.
+        """(x, w) from `y = S^-1 b`, rows R (k, n), below (k,) and corner D, (k, k) or 0; y and below may have columns. Raises SingularSystem.
 
         The factor for the same rows and their corner is made once.
         """
         if not self.X.shape[1]:
-            return y, np.zeros(0)
+            return y, np.zeros(below.shape)
         if rows is not self.rows:
             self.rows = None
             try:
@@ -286,7 +286,10 @@ class StepMatrix:
         return self.solve(q, dense(B).T)
 
     def saddle(self, t: float, q: NDArray, lam: NDArray, r: NDArray, phi: NDArray) -> tuple[NDArray, NDArray]:
-        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself, for r (n,) and phi (m,), or (n, k) and (m, k).
+
+        Raises SingularSystem.
+        """
         if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
             at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
             self.whole = KKT(self.S, self.model.phi_q(*at), columns=self.model.columns_of_forces(*at, self.made_at[1 + 3 * self.model.n :]))

@@ -106,7 +106,7 @@ class Modes(Happenings):
         if side > 0.0:
             return super()._crossing(event, side, values, offset, before, after)
         is_gap = self.contacts.contact[event.law]
-        round_off = TOUCH * (self.whole.extent or 1.0) if is_gap else self.contacts.still(after.q, after.v)
+        round_off = TOUCH * (self.whole.extent or 1.0) if is_gap else self.contacts.still(after.v)
         t, side = super()._crossing(event, 0.0, values, max(offset, round_off), before, after)
         if t is None and side < 0.0:
             return (after.t, side) if self._change_of(event, after) < 0.0 else (None, 0.0)  # else it is an error of the integrator
@@ -138,7 +138,7 @@ class Modes(Happenings):
     def _set_mode(self, t, q, v):
         """Set the model of the statuses, the rows that share forces, and those that the equations hold."""
         contacts, laws, status = self.contacts, self.whole.row_laws, self.status
-        rates, gaps, still = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q), contacts.still(q, v)
+        rates, gaps, still = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q), contacts.still(v)
         equal = np.where(contacts.contact, status == CLOSED, status == STICKS)
         slips = [(law, SIGNS[s]) for law, s in zip(laws, status) if s in SIGNS and (law.mu or law.constant)]
         resting = np.flatnonzero(
@@ -165,7 +165,7 @@ class Modes(Happenings):
         a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins)
         rates = self.whole.phi_rate(t, q, v)[contacts.rows]
         bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
-        slips = ~contacts.contact & (np.abs(rates) > contacts.still(q, v))
+        slips = ~contacts.contact & (np.abs(rates) > contacts.still(v))
         status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
         self.status = np.where(bounded & contacts.active(closed), status, 0)
         self._set_mode(t, q, v)
@@ -174,7 +174,7 @@ class Modes(Happenings):
     def _change(self, state, fired):
         contacts, t, q = self.contacts, state.t, state.q
         gaps, rates = contacts.gaps(t, q), self.whole.phi_rate(t, q, state.v)[contacts.rows]
-        old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(q, state.v)
+        old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
         hit = contacts.contact & (old != CLOSED) & ((gaps <= size) & (rates < -still))
         closed = contacts.contact & ((old == CLOSED) | ((gaps <= size) & (rates <= still)))
         v, happened = state.v, []

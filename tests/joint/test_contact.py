@@ -225,7 +225,7 @@ def test_a_bar_keeps_its_energy_where_the_nodes_in_contact_have_little_mass():
 
 
 def test_a_plate_thrown_on_its_corner():
-    """All nodes of its rim may touch; the step matrix is factored no more than a few times, and no impact adds energy."""
+    """All nodes of its rim may touch; the step matrix is factored once, steps in contact take few solves, and no impact adds energy."""
     scene = pi.Scene(gravity=(0.0, -G))
     rubber = pi.Material(E=50e6, nu=0.3, rho=1100.0)
     velocity, mesh = (1.0, -1.0), pi.mesh.rectangle(1.0, 0.5, cells=40, seed=1)
@@ -238,7 +238,9 @@ def test_a_plate_thrown_on_its_corner():
     gaps, forces = np.array([model.phi(t, q)[::2] for t, q in zip(run.t, run.q)]), -np.asarray(run.lam)[:, ::2]
     assert gaps.min() > -1e-12 and forces.min() >= 0.0 and (gaps[forces > 0.0] < 1e-9).all()
     assert (np.abs(np.asarray(run.lam)[:, 1::2]) <= 0.3 * forces + 1e-9).all()
-    assert np.diff(run.energy.total).max() < 2e-3 * run.energy.kinetic[0] and run.counts.factorizations < 10
+    assert np.diff(run.energy.total).max() < 2e-3 * run.energy.kinetic[0]
+    assert run.counts.factorizations == 1 and run.counts.newton_iterations < 2.7 * run.counts.steps
+    assert run.counts.solves < 3 * run.counts.steps
 
 
 @pytest.mark.parametrize("integrator", [pi.NonsmoothAlpha(h=1e-3), pi.MoreauJean(h=1e-3), pi.RadauIIA(h=2e-3), pi.GeneralizedAlpha(h=1e-3)])

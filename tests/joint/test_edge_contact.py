@@ -67,7 +67,7 @@ def test_plates_collide_and_slide(mass):
     high = scene.add(plate(0.5, 3, 0.41, "high", 0.1, velocity=(1.0, -0.5)))
     scene.add(pi.Contact(high.section("bottom"), low.section("top"), friction=0.3, contact_mass=mass, name="hit"))
     model = scene.build()
-    for integrator, depth in ((pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5), 1e-11), (pi.MoreauJean(h=1e-3), 2e-3)):
+    for integrator, depth in ((pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5, tolerance=1e-8), 1e-11), (pi.MoreauJean(h=1e-3), 2e-3)):
         run = pi.solve(model, 0.06, integrator)
         assert run.success and [one.name for one in run.events][0] == "hit", run.message
         assert np.abs(run.momentum - run.momentum[0]).max() < 1e-7 * run.momentum[0].max()
@@ -89,7 +89,7 @@ def test_points_face_edges():
     for name, body in (("hit", ball), ("none", away)):
         scene.add(pi.Contact(body.at("c"), beam.section("top"), name=name))
     model = scene.build()
-    run = pi.solve(model, 0.2, pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5))
+    run = pi.solve(model, 0.2, pi.NonsmoothAlpha(h=1e-3, rho_inf=0.5, tolerance=1e-8))
     assert run.success and {one.name for one in run.events} == {"hit"}, run.message
     assert np.abs(run.momentum - run.momentum[0]).max() < 1e-8
     edge = model.position(beam.section("top").each()[3], run.q)

@@ -116,7 +116,8 @@ def made_up(name, task):
         off = dict.fromkeys(("touches_off", "leaves_off", "force_rms", "bottom_off", "place", "height", "penetration"), 1e-3)
         random = ("beyond_cone", "energy_growth", "energy_growth_in_all", "momentum_in_a_step", "momentum_in_all", "lowest_gap")
         curves = {"t": T, "energy": [0.0, 1e-9, 1e-9, 1e-9], "force": [0.0, 1.0, 0.0, 0.0], "bottom": [1.0, 0.0, 0.0, 1.0]}
-        return work | off | dict.fromkeys(random, 1e-9) | curves | {"error_q": size, "events": 2, "energy_change": 1e-9}
+        plate = dict.fromkeys(("cost_of_contact", "iterations_in_contact", "iterations_without", "solves_in_contact", "factors", "n"), 2)
+        return work | off | plate | dict.fromkeys(random, 1e-9) | curves | {"error_q": size, "events": 2, "energy_change": 1e-9}
     if name == "mesh_convergence":
         moved = {"moved": [-7e-3, -66e-3], "bending_errors": [1e-3] * 3, "axial_errors": [1e-3] * 2, "compliance": 1.0 + size}
         return work | moved | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}

@@ -21,6 +21,7 @@ OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rat
 NEWTON, SWEEPS, ROUNDS = 30, 400, 3
 EXACT = 1e-13  # of the largest pressure: error of p
 GOOD = 1e-8  # the same that is accepted if no iteration is better
+LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
 REGULAR = 1e-9  # of G_ii, added to the matrix of Newton's method, not to the equations
 
 
@@ -132,9 +133,14 @@ def sweep(G, b, x, p, slope):
 
 @entry
 def solve_cone(G, b, x, p, status):
-    """Change p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution."""
+    """Change p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
+
+    G_ii become positive.
+    """
     k = p.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
+    for i in range(k):
+        G[i, i] = max(abs(G[i, i]), LEAST)
     error, count = newton(G, b, x, p, status, matrix, right, slope)
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):

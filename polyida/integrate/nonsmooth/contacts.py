@@ -4,6 +4,8 @@ Rows without a law are equations of `base`, a model of its own; its bordered sys
 the change Y of the equations' multipliers. Rates are u = G p + b with `G = B X`, p = -lam.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
@@ -15,13 +17,24 @@ TOUCH = 1e-9  # of the model's extent: a smaller gap is closed
 OPENED = 1e-6  # of the model's extent: deeper penetration at the start is a mistake
 ROUND_OFF = 1e-12  # of the model's extent: penetration that is left
 ROUNDS = 20
-KEPT = 8  # sets of rows whose columns by the masses are kept
+KEPT = 8  # sets of rows whose slopes, columns by the masses and cone problems are kept
 FIXED = 1e-13  # of the mobility: a row that the equations hold
 DEPENDENT = 1e-10  # of G_ii: a row that others determine
 MOVES = 1e-9  # of the accelerations: round-off of that of a row
 GAINED = 1e-9  # of the work of an impact: round-off of the energy it adds
 HALVINGS = 40  # of the share of restitution that keeps the energy
-LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
+
+
+class Group(NamedTuple):
+    """Rows with laws that take part in a cone problem: their numbers, and its arrays, which each problem fills.
+
+    entries, equations: of the entries of `cone.l` and `cone.L` that are multipliers of equations, and the numbers of these.
+    """
+
+    rows: np.ndarray
+    cone: Cone
+    entries: np.ndarray
+    equations: np.ndarray
 
 
 class Contacts:
@@ -36,7 +49,10 @@ class Contacts:
         self.contact = np.array([law.is_contact for law in laws], bool)
         self.restitution = np.array([law.restitution or 0.0 for law in laws])
         self.mu, self.constant = (np.array([getattr(law, key) for law in laws], float) for key in ("mu", "constant"))
-        self._kept = {}
+        self._slopes, self._columns, self._groups = {}, {}, {}
+        self._rates, self._active, self._mobility = (None, None, None, None), (None, None), (None, None)
+        self.turning = model.needs.phi_q_varies or model.needs.driven
+        self.speed = max(float(np.sqrt(model.free_fall * (model.extent or 1.0))), 1e-6)
         masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
         self.inertia = float(masses.max()) or 1.0
         place = {int(row): k for k, row in enumerate(self.rows)}
@@ -51,14 +67,32 @@ class Contacts:
 
     def active(self, closed):
         """True for the rows that can carry a force: closed contacts, and friction whose pressing contacts are closed."""
-        pressed = self.constant > 0.0
-        pressed[self.on_equations[:, 0]] = True
-        pressed[self.on_laws[closed[self.on_laws[:, 1]], 0]] = True
-        return np.where(self.contact, closed, pressed)
+        key, active = self._active
+        if key != closed.tobytes():
+            pressed = self.constant > 0.0
+            pressed[self.on_equations[:, 0]] = True
+            pressed[self.on_laws[closed[self.on_laws[:, 1]], 0]] = True
+            active = np.where(self.contact, closed, pressed)
+            self._active = closed.tobytes(), active
+        return active
 
     def slopes(self, t, q, which, model=None):
-        """phi_q of the rows with laws that `which` selects, a mask or their numbers, (k, n), dense; of the model `facing` a position if given."""
-        model = model or self.model
+        """phi_q of the rows with laws that `which` selects, a mask or their numbers, (k, n), dense; of the model `facing` a position if given.
+
+        Those of the last sets are kept while phi_q is the same.
+        """
+        which, model = np.asarray(which), model or self.model
+        key = which.dtype.char, which.tobytes()
+        known_q, known_t, known_model, B = self._slopes.get(key, (None, t, model, None))
+        if B is None or (self.turning and not (known_q is q and known_t == t and known_model is model)):
+            if len(self._slopes) >= KEPT:
+                self._slopes.clear()
+            B = self._slopes_at(t, q, which, model)
+            self._slopes[key] = q, t, model, B
+        return B
+
+    def _slopes_at(self, t, q, which, model):
+        """The same, computed."""
         if model.is_scene and model.small:
             return model.small_phi_q(t, q)[self.rows[which]]
         rows = self.rows[which]
@@ -71,8 +105,10 @@ class Contacts:
         return result
 
     def mobility(self, B):
-        """Squares of the rows B over the largest mass, (k,)."""
-        return np.sum(B * B, axis=1) / self.inertia
+        """Squares of the rows B over the largest mass, (k,); those of the last B are kept."""
+        if self._mobility[0] is not B:
+            self._mobility = B, np.einsum("ij,ij->i", B, B) / self.inertia
+        return self._mobility[1]
 
     def gaps(self, t, q):
         """phi of the rows with laws, (k,), 0 for friction."""
@@ -83,19 +119,28 @@ class Contacts:
         return solve(-B.T, np.zeros((len(self.equations), len(B)))) if len(B) else (B.T, np.zeros((len(self.equations), 0)))
 
     def mass_columns(self, t, q, B):
-        """`columns` by the masses. Where masses and equations do not change, those of the last rows are kept, as on a line of the ground."""
-        needs, key = self.base.needs, B.tobytes()
-        if needs.mass_varies or needs.phi_q_varies or needs.driven or key not in self._kept:
-            if len(self._kept) >= KEPT:
-                self._kept.clear()
-            self._kept[key] = self.columns(self.base.mass_system(t, q).solve, B)
-        return self._kept[key]
+        """`columns` by the masses, and G = B X. Those of the last rows B of `slopes` are kept, as on a line of the ground."""
+        of_rows, *found = self._columns.get(id(B), (None,))
+        if of_rows is not B or self.base.needs.mass_varies:
+            if len(self._columns) >= KEPT:
+                self._columns.clear()
+            found = *(columns := self.columns(self.base.mass_system(t, q).solve, B)), B @ columns[0]
+            self._columns[id(B)] = B, *found
+        return found
+
+    def rates(self, t, q, v):
+        """phi_rate of all rows of the model; that of the last state is kept."""
+        known_q, known_v, known_t, rates = self._rates
+        if not (known_q is q and known_v is v and known_t == t):
+            rates = self.model.phi_rate(t, q, v)
+            self._rates = q, v, t, rates
+        return rates
 
     def mobilities(self, t, q, numbers):
         """(G (k, k), a typical G_ii without equations (k,), Y) of the rows with laws of these numbers, by the masses."""
         B = self.slopes(t, q, numbers)
-        X, Y = self.mass_columns(t, q, B)
-        return B @ X, self.mobility(B), Y
+        _, Y, G = self.mass_columns(t, q, B)
+        return G, self.mobility(B), Y
 
     def solve(self, t, active, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
         """(p, status) of the active rows, each (k,) of all rows with laws.
@@ -105,27 +150,39 @@ class Contacts:
         StepFailure.
         """
         fixed = G.diagonal() <= FIXED * mobility  # the equations hold these: they carry no force, but friction if they slip
-        free = ~fixed | (slip[active] != 0.0)
-        G, b, p, Y = G[np.ix_(free, free)], b[free], p[free], Y[:, free]
-        rows, number = np.flatnonzero(active)[free], np.full(len(self.rows), -1)
-        number[rows] = np.arange(len(rows))
-        on, held = number[self.on_laws], self.on_equations[number[self.on_equations[:, 0]] >= 0]
-        on, by = on[(on >= 0).all(axis=1)], np.eye(len(rows))
-        pressed = np.concatenate([on[:, 0], number[held[:, 0]]])
-        order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
-        l, L = np.append(np.zeros(len(on)), lam[held[:, 1]])[order], np.concatenate([by[on[:, 1]], Y[held[:, 1]]])[order]  # noqa: E741
-        kind = np.where(self.contact[rows], CONTACT, FRICTION)
-        signs = np.where(fixed[free] | slips, slip[rows], 0.0)
-        cone = Cone(kind, scale * self.constant[rows], self.mu[rows], signs, start, l, L)
+        if some := fixed.any():
+            free = ~fixed | (slip[active] != 0.0)
+            G, b, p, Y, fixed, active = G[np.ix_(free, free)], b[free], p[free], Y[:, free], fixed[free], active.copy()
+            active[active] = free
+        rows, cone, entries, equations = self._group(active)
+        cone.c[:], cone.sign[:] = scale * self.constant[rows], slip[rows] if slips else np.where(fixed, slip[rows], 0.0) if some else 0.0
+        if len(entries):
+            cone.l[entries], cone.L[entries] = lam[equations], Y[equations]
         result, status = np.array(p, float), np.zeros(len(rows), np.int64)
-        G = np.array(G)
-        np.fill_diagonal(G, np.maximum(np.abs(np.diag(G)), LEAST))
-        if len(rows) and solve_cone(G, np.ascontiguousarray(b), cone, result, status) < 0:
+        if len(rows) and solve_cone(np.array(G), np.ascontiguousarray(b), cone, result, status) < 0:
             names = ", ".join(dict.fromkeys(self.names[i] for i in rows))
             raise StepFailure("contact", f"no forces satisfy the laws of contact and friction of {names}", t)
         pressures, statuses = np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
         pressures[rows], statuses[rows] = result, status
         return pressures, statuses
+
+    def _group(self, chosen):
+        """The Group of a mask of rows with laws; the last ones are kept."""
+        key = chosen.tobytes()
+        if key not in self._groups:
+            if len(self._groups) >= KEPT:
+                self._groups.clear()
+            rows, number = np.flatnonzero(chosen), np.full(len(self.rows), -1)
+            number[rows] = np.arange(len(rows))
+            on, held = number[self.on_laws], self.on_equations[number[self.on_equations[:, 0]] >= 0]
+            on = on[(on >= 0).all(axis=1)]
+            pressed = np.concatenate([on[:, 0], number[held[:, 0]]])
+            order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
+            L = np.concatenate([np.eye(len(rows))[on[:, 1]], np.zeros((len(held), len(rows)))])[order]
+            kind, entries = np.where(self.contact[rows], CONTACT, FRICTION), np.flatnonzero(order >= len(on))
+            cone = Cone(kind, np.zeros(len(rows)), self.mu[rows], np.zeros(len(rows)), start, np.zeros(len(order)), L)
+            self._groups[key] = Group(rows, cone, entries, held[order[entries] - len(on), 1])
+        return self._groups[key]
 
     def all(self, lam, p):
         """lam of all rows of the model."""
@@ -136,7 +193,7 @@ class Contacts:
     def at_rest(self, t, q, v):
         """True for the contacts that are closed and do not open."""
         size = self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
-        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (self.model.phi_rate(t, q, v)[self.rows] <= self.still(q, v))
+        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (self.rates(t, q, v)[self.rows] <= self.still(v))
 
     def begin(self, state):
         """The start of a run from a consistent State of the equations: forces of the contacts that are closed and at rest, memory of `closed`.
@@ -165,14 +222,14 @@ class Contacts:
         active = self.active(closed)
         if not active.any():
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
-        rate = model.phi_rate(t, q, v)[self.rows]
-        slip = self.slip(rate, q, v) if status is None else np.where(status == STICKS, 0.0, self.slip(rate, q, v))
+        rate = self.rates(t, q, v)[self.rows]
+        slip = self.slip(rate, self.still(v)) if status is None else np.where(status == STICKS, 0.0, self.slip(rate, self.still(v)))
         slip = np.where(slip == 0.0, begins, slip)
         B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
-        (X, Y), now = self.mass_columns(t, q, B), B @ a + bias[self.rows][active]
+        (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[self.rows][active]
         passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
-        p, status = self.solve(t, active, B @ X, now, start, lam, Y, mobility, slip, slips=True)
+        p, status = self.solve(t, active, G, now, start, lam, Y, mobility, slip, slips=True)
         return a + X @ p[active], lam + Y @ p[active], p, status
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
@@ -185,18 +242,18 @@ class Contacts:
         With friction, Newton's law of restitution may add energy where slip reverses (Kane, Levinson, Dynamics, 1985). All coefficients are
         then multiplied by the number below 1 that keeps the energy.
         """
-        model, rate, active = self.model, self.model.phi_rate(t, q, v), self.active(closed)
+        model, rate, active = self.model, self.rates(t, q, v), self.active(closed)
         if rate[self.equations].any():
             v = v + self.base.mass_system(t, q).solve(np.zeros(model.n), rate[self.equations])[0]
         if not active.any():
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
         B = self.slopes(t, q, active)
-        X, Y = self.mass_columns(t, q, B)
-        G, rate = B @ X, model.phi_rate(t, q, v)[self.rows]
-        free, slip = rate[active] - h * (G @ p[active]), self.slip(rate, q, v)
-        back = np.where(self.contact[active], self.restitution[active] * np.minimum(before[active], 0.0), 0.0)
-        back = back if plastic is None else np.where(plastic[active], 0.0, back)
-        back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
+        (X, Y, G), rate = self.mass_columns(t, q, B), self.rates(t, q, v)[self.rows]
+        free, slip = rate[active] - h * (G @ p[active]), self.slip(rate, self.still(v))
+        back = self.restitution[active] * np.minimum(before[active], 0.0)
+        if back.any():
+            back = back if plastic is None else np.where(plastic[active], 0.0, back)
+            back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
         shift = 0.0 if wanted is None else -wanted[active]
         start, size = h * p[active], self.mobility(B)
 
@@ -214,13 +271,13 @@ class Contacts:
                 bounds = (middle, bounds[1]) if rebound(middle)[3] <= 0.0 else (bounds[0], middle)
             back = bounds[0] * back
             P, status, change, _ = rebound(bounds[0])
-        status[np.flatnonzero(active)[self.contact[active] & (back != 0.0)]] = OPEN
+        status[np.flatnonzero(active)[back != 0.0]] = OPEN
         return v + X @ change, P, Y @ change, status
 
     def remaining(self, t, q, v, touching, status):
         """(rates of the rows with laws, contacts that stay closed) behind an impact; the rate of those that carry a force is round-off."""
-        rate = self.model.phi_rate(t, q, v)[self.rows]
-        return rate, touching & ((rate <= self.still(q, v)) | (status == CLOSED))
+        rate = self.rates(t, q, v)[self.rows]
+        return rate, touching & ((rate <= self.still(v)) | (status == CLOSED))
 
     def reversals(self, state, t, q, v, before, closed, p):
         """Rates at t of rows of friction whose slip came to an end in the step from a state to t, if it goes on in reverse; 0 elsewhere.
@@ -228,9 +285,8 @@ class Contacts:
         The force jumps within the step: a rate that begins at `before` is zero where it meets zero, and grows with its new acceleration. The
         impulse of friction that leads to it is between those of both forces. None if there are none.
         """
-        model = self.model
-        rate = model.phi_rate(t, q, v)[self.rows]
-        slipped = ~self.contact & self.active(closed) & (np.abs(before) > self.still(q, v)) & (rate * before <= 0.0)
+        model, rate = self.model, self.rates(t, q, v)[self.rows]
+        slipped = ~self.contact & self.active(closed) & (np.abs(before) > self.still(v)) & (rate * before <= 0.0)
         if not slipped.any():
             return None
         change = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
@@ -243,13 +299,13 @@ class Contacts:
         wanted[slipped] = np.where(goes_on, behind * left, 0.0)
         return wanted if goes_on.any() else None
 
-    def slip(self, rate, q, v):
-        """Signs of the rates of friction, 0 for rows that stick and for contacts."""
-        return np.where(self.contact | (np.abs(rate) <= self.still(q, v)), 0.0, np.sign(rate))
+    def slip(self, rate, still):
+        """Signs of the rates of friction, 0 for rows that stick, up to `still`, and for contacts."""
+        return np.where(self.contact | (np.abs(rate) <= still), 0.0, np.sign(rate))
 
-    def still(self, q, v):
+    def still(self, v):
         """Rate below which a row of friction sticks."""
-        return 1e-10 * max(float(np.abs(v).max(initial=0.0)), np.sqrt(self.model.free_fall * (self.model.extent or 1.0)), 1e-6)
+        return 1e-10 * max(float(np.abs(v).max(initial=0.0)), self.speed)
 
     def _pushes(self, t, rows, G, b, pressed):
         """p of contacts with `G p + b = 0` if pressed, of least norm, else `0 <= p`, `G p + b >= 0`, their product 0."""
@@ -272,16 +328,16 @@ class Contacts:
         model, pushed = self.model, self.contact & pressed
         for _ in range(ROUNDS):
             phi = model.phi(t, q)
-            gaps = np.where(self.contact, phi[self.rows], 1.0)
+            gaps = np.where(self.contact, phi[self.rows], np.inf)
             touching = self.contact & (pressed | (gaps < ROUND_OFF * size))
             wrong = np.abs(phi[self.equations]).max(initial=0.0), np.abs(gaps[pressed]).max(initial=0.0), -gaps.min(initial=0.0)
             if max(wrong) <= ROUND_OFF * size:
-                break
+                return q, pushed | (gaps <= TOUCH * size)
             mass, B = self.base.mass_system(t, q), self.slopes(t, q, touching)
             shift = mass.solve(np.zeros(model.n), phi[self.equations])[0] if len(self.equations) else np.zeros(model.n)
             if touching.any():
-                X, _ = self.mass_columns(t, q, B)
-                push = self._pushes(t, touching, B @ X, gaps[touching] + B @ shift, pressed[touching])
+                X, _, G = self.mass_columns(t, q, B)
+                push = self._pushes(t, touching, G, gaps[touching] + B @ shift, pressed[touching])
                 shift, pushed[touching] = shift + X @ push, pushed[touching] | (push > 0.0)
             q = q + shift
         return q, pushed | (self.contact & (self.gaps(t, q) <= TOUCH * size))

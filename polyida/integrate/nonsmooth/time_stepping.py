@@ -15,11 +15,12 @@ closed at a predicted position. It is of first order, and positions drift.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.alpha.generalized_alpha import Coefficients
+from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
 from polyida.integrate.discontinuities import Grid, at_kink, number_of_steps, pieces
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
 from polyida.integrate.sizes import extent, weights
@@ -29,6 +30,7 @@ from polyida.model import Model
 from polyida.validation import is_number, is_whole, named_keywords
 
 SLOW, MANY = 0.3, 6  # contraction of Newton's method beyond which columns are made again, iterations beyond which S is factored again
+PRICE = 5  # solves that an iteration costs
 TURNED = 0.05  # change of the rows with laws beyond which their columns are made again
 EXACT = 1e-13  # of |q| and the model's extent: change of q that is round-off
 
@@ -37,7 +39,7 @@ class TimeStepping(Integrator):
     """What both methods share: the walk over pieces and steps, and Newton's method with a factor that is kept."""
 
     h: float
-    tolerance: float
+    tolerance: Any
     max_iterations: int
     trusted = velocity_rows = takes_laws = True
 
@@ -61,9 +63,10 @@ class TimeStepping(Integrator):
 
     def _require(self, own, good, limits):
         """Raise InputError unless the settings are good; own: the name of the method's own one, limits: of it in words."""
+        tolerance, default = self.tolerance, type(self).tolerance
         for name, right, expected in (
             ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
-            ("tolerance", is_number(self.tolerance) and 1e-14 <= self.tolerance < 1.0, "in [1e-14, 1)"),
+            ("tolerance", tolerance is default or (is_number(tolerance) and 1e-14 <= tolerance < 1.0), "in [1e-14, 1)"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             (own, good, limits),
         ):
@@ -84,8 +87,8 @@ class NonsmoothAlpha(TimeStepping):
         Step.
     rho_inf : float
         Spectral radius at infinite frequency, in [0, 1). 0.3 to 0.5 while elastic waves of impacts matter.
-    tolerance : float
-        Newton's tolerance, of beta h^2 times the size of q''.
+    tolerance : float, optional
+        Newton's tolerance, of beta h^2 times the size of q''. By default 1e-3 of the local error, but at least 1e-7 and at most 1e-4.
     max_iterations : int
         Largest number of iterations of a step.
 
@@ -104,7 +107,7 @@ class NonsmoothAlpha(TimeStepping):
 
     h: float
     rho_inf: float = 0.8
-    tolerance: float = 1e-8
+    tolerance: float | None = None
     max_iterations: int = 40
 
     def __post_init__(self):
@@ -114,6 +117,10 @@ class NonsmoothAlpha(TimeStepping):
     def coefficients(self) -> Coefficients:
         """alpha_m, alpha_f, beta, gamma."""
         return Coefficients.chung_hulbert(self.rho_inf)
+
+    def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
+        """As of GeneralizedAlpha."""
+        return GeneralizedAlpha(h=self.h, rho_inf=self.rho_inf, tolerance=self.tolerance).newton_tolerance(scale)
 
 
 @named_keywords
@@ -152,13 +159,57 @@ class MoreauJean(TimeStepping):
     def __post_init__(self):
         self._require("theta", is_number(self.theta) and 0.5 <= self.theta <= 1.0, "in [0.5, 1]")
 
+    def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
+        """As of GeneralizedAlpha."""
+        return float(self.tolerance), float(self.tolerance), 0.0
+
+
+class Columns:
+    """Columns (X, Y) of the rows with laws by the factor of S, as Newton's method only needs them nearly: kept from one step to the next.
+
+    They are made again where rows turn, where the method is slow, and where its iterations beyond the least cost more than new ones.
+    """
+
+    def __init__(self, contacts):
+        self.contacts = contacts
+        self.forget()
+
+    def forget(self):
+        """Make all columns again."""
+        self.known, self.together, self.least, self.wasted = {}, (b"",), np.inf, 0
+
+    def of(self, active, B, system, *at):
+        """(X (n, k), Y (equations, k)) of the active rows with the slopes B, and the number of new ones. at: t, q, lam of the equations."""
+        key, count, solve = active.tobytes(), 0, lambda r, phi: system.saddle(*at, r, phi)
+        if not len(B):
+            return *self.contacts.columns(solve, B), 0
+        if self.together[0] != key:
+            rows = np.flatnonzero(active).tolist()
+            new = [k for k, row in enumerate(rows) if row not in self.known]
+            if count := len(new):
+                made = self.contacts.columns(solve, B[new])
+                self.known |= {rows[k]: (B[k], x, y) for k, x, y in zip(new, *map(np.transpose, made))}
+            self.together = key, *map(np.array, zip(*(self.known[row] for row in rows)))
+        _, before, X, Y = self.together
+        if self.contacts.turning and np.abs(B - before).max() > TURNED * np.abs(B).max():
+            self.forget()
+            return self.of(active, B, system, *at)
+        return X.T, Y.T, count
+
+    def served(self, iterations, k):
+        """Count the iterations of a step with k columns."""
+        self.least, self.wasted = min(self.least, iterations), self.wasted + max(iterations - self.least, 0)
+        if k and self.wasted * PRICE > k:
+            self.forget()
+
 
 class _Steps:
-    """Steps of one method on one model. S is factored again if h changes or Newton's method is slow; columns are those of its factor."""
+    """Steps of one method on one model. S is factored again if h changes or Newton's method is slow."""
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.contacts = settings, model, counts, Contacts(model)
         self.base, self.system, self.factored_for, self.shares = self.contacts.base, None, None, None
+        self.columns = Columns(self.contacts)
         self.impulsive = isinstance(settings, MoreauJean)
 
     def restarted(self, state, v):
@@ -175,52 +226,53 @@ class _Steps:
         self.system = self.system or self.base.step_matrix()
         self.system.factor(*at, *c)
         self.counts.add(factors=1, system=self.system)
-        self.factored_for, self.columns = (h, c), None
-
-    def _columns(self, t, q, lam, active, B, fresh):
-        """Columns of the active rows by the factor. Newton's method only needs them nearly: they are kept until the rows turn, or it is slow."""
-        same = not fresh and self.columns is not None and np.array_equal(self.columns[0], active)
-        if not (same and np.abs(B - self.columns[1]).max(initial=0.0) <= TURNED * np.abs(B).max(initial=0.0)):
-            solve = lambda r, phi: map(np.transpose, zip(*(self.system.saddle(t, q, lam, *one) for one in zip(r.T, phi.T))))  # noqa: E731
-            self.counts.solves += len(B)
-            self.columns = active, B, *self.contacts.columns(solve, B)
-        return self.columns[2:]
+        self.factored_for = h, c
+        self.columns.forget()
 
     def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
         """(q, v, a, lam, p) with r = 0 and the laws at the rates of the end.
 
-        start: the first guess. rates: (c_m, dv/dq, da/dq). residual: of (model, q, v, a, lam of all rows). back: rates after impacts are at
-        least -back. scale: of the friction's constant.
+        start: the first guess, with a of the step's start. rates: (c_m, dv/dq, da/dq). residual: of (model, q, v, a, lam of all rows). back:
+        rates after impacts are at least -back. scale: of the friction's constant.
         """
         (q, v, a, lam, p), (c_m, to_v, to_a) = start, rates
-        contacts, model, tolerance = self.contacts, self.model.facing(q), self.settings.tolerance
+        contacts, model, before = self.contacts, self.model.facing(q), a
         if self.shares is None or model.needs.mass_varies:
             self.shares = weights(model, q)
         fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, self.shares, 0, 1.0
+        still = contacts.still(v)
+        norm = lambda x: float(np.sqrt(shares @ (x * x)))  # noqa: E731
         for _ in range(self.settings.max_iterations):
             if fresh:
                 self._factor(h, (c_m, to_v), t, q, v, a, lam)
+                self.tolerances = self.settings.newton_tolerance(to_a * h * h)
                 fresh, last, count = False, 0.0, 0
             r, rate = residual(model, q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v
             B = contacts.slopes(t, q, active, model)
             try:
                 dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
-                X, Y = self._columns(t, q, lam, active, B, count > 2 and fall > SLOW)
+                if count > 2 and fall > SLOW:
+                    self.columns.forget()
+                X, Y, new = self.columns.of(active, B, self.system, t, q, lam)
+                self.counts.solves += new
             except SingularSystem as error:
                 raise StepFailure("singular", str(error), t) from None
             self.counts.add(residuals=1, iterations=1)
             old = p[active]
             if len(B):
                 now = (rate[contacts.rows] + back / to_v)[active] + B @ dq
-                free, slip = contacts.mobility(B) / c_m, contacts.slip(to_v * rate[contacts.rows], q, v)
+                free, slip = contacts.mobility(B) / c_m, contacts.slip(to_v * rate[contacts.rows], still)
                 p, _ = contacts.solve(t, active, B @ X, now - B @ (X @ old), old, lam + dlam - Y @ old, Y, free, slip, scale)
                 dq, dlam = dq + X @ (p[active] - old), dlam + Y @ (p[active] - old)
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
-            moved, count = float(np.sqrt(shares @ dq**2)), count + 1
+            moved, count = norm(dq), count + 1
             if not np.isfinite(moved):
                 raise StepFailure("not finite", self.model.not_finite or "the residual is not finite", t)
             fall = moved / last if last else 1.0
-            if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= tolerance * h * h * np.sqrt(shares @ a**2)):
+            (least, most, share), accel = self.tolerances, max(norm(before), norm(a))
+            allowed = min(max(least * accel, share * norm(a - before)), most * accel) / to_a
+            if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= allowed):
+                self.columns.served(count, len(B))
                 return q, v, a, lam, p
             fresh = count >= MANY
             last = moved
@@ -246,7 +298,7 @@ class _Steps:
             q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, none), free, (to_a, to_v, to_a), residual, size)
         a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)
         q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
-        before, free = model.phi_rate(state.t, q0, v0)[contacts.rows], model.phi_rate(t, q, v)[contacts.rows]
+        before, free = contacts.rates(state.t, q0, v0)[contacts.rows], contacts.rates(t, q, v)[contacts.rows]
         v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
         rate, still = contacts.remaining(t, q, v, touching, status)
         wanted = contacts.reversals(state, t, q, v, before, still, p)
@@ -272,7 +324,7 @@ class _Steps:
         residual = lambda model, q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
         start = q0 + h * v0, v0, np.zeros(model.n), lam, p
         q, v, a, lam, p = self._newton(t, h, start, active, (to_v * to_v, to_v, to_v / h), residual, size, back, 1.0 / theta)
-        p, approaching = theta * p, closed & (before < -contacts.still(q0, v0))
+        p, approaching = theta * p, closed & (before < -contacts.still(v0))
         impacts = _impacts(contacts, approaching, h * p, before, model.phi_rate(t, q, v)[contacts.rows])
         return self._accepted(t, q, v, a, contacts.all(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
 
