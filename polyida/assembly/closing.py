@@ -9,6 +9,8 @@ from polyida.assembly.build import given_rows, of_kind
 from polyida.body.body import Body, BodyPoint, points_of
 from polyida.body.plate import Plate
 from polyida.errors import InputError
+from polyida.joint.contact import Contact
+from polyida.joint.edges import directions
 from polyida.joint.joint import Joint
 from polyida.validation import complex_of_pairs, pairs_of, settle
 
@@ -105,16 +107,20 @@ class Loops:
 
     Rows are read once, as drawn, with what they take from the drawing: the place of the ground, the angle between two directions. Each is
     divided by its slope along a shift of a body, or, if that is zero, along a turn: the value is then the distance of its sides. Gaps count
-    only where they are penetrated, and friction never.
+    only where they are penetrated, and friction never. edges: (rows, FacingEdges) of contacts of edges, which find what faces what at each x.
     """
 
     def __init__(self, parts, bodies, size):
         self.bodies, self.size = bodies, size
         self.index = {id(body.body): k for k, body in enumerate(bodies)}
-        rows = [(name, row) for name, joint in of_kind(parts, Joint).items() for row in given_rows(name, joint.facing()) if not row.rate]
-        self.names, self.rows = [name for name, _ in rows], [row for _, row in rows]
-        self.scale, self.gaps = np.ones(len(rows)), np.zeros(len(rows), bool)
-        slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(rows), -1, 3))
+        self.names, self.rows, self.edges = [], [], []
+        for name, joint in of_kind(parts, Joint).items():
+            rows = [row for row in given_rows(name, joint.facing()) if not row.rate]
+            if isinstance(joint, Contact) and joint.edges:
+                self.edges.append((slice(len(self.rows), len(self.rows) + len(rows)), joint.edges))
+            self.names, self.rows = self.names + [name] * len(rows), self.rows + rows
+        self.scale, self.gaps = np.ones(len(self.rows)), np.zeros(len(self.rows), bool)
+        slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(self.rows), -1, 3))
         along = np.hypot(slope[..., 0], slope[..., 1]).max(axis=1, initial=0.0), slope[..., 2].max(axis=1, initial=0.0)
         self.scale = 1.0 / np.select([slopes > DEPENDENT for slopes in along], along, 1.0)
         self.gaps[:] = [row.gap for row in self.rows]
@@ -123,6 +129,8 @@ class Loops:
         """(phi (rows,), its slope (rows, 3 bodies)), over the scene's size."""
         rows = [self._row(row, x.reshape(-1, 3)) for row in self.rows]
         phi, slope = np.array([value for value, _ in rows]), np.array([slope for _, slope in rows]).reshape(len(rows), x.size)
+        for at, sides in self.edges:
+            phi[at], slope[at] = self._gaps(sides, x.reshape(-1, 3))
         held = np.where(self.gaps & (phi > 0.0), 0.0, self.scale)
         return held * phi / self.size, held[:, None] * slope
 
@@ -134,6 +142,21 @@ class Loops:
             value += (e.conjugate() * f).real
             slope += (e_x.conjugate() * f + e.conjugate() * f_x).real
         return value, slope
+
+    def _gaps(self, sides, x):
+        """Gaps of edges and their slopes (rows, 3 bodies), those at zero gaps."""
+        moved = [[self._piece(node.x.summands[0], x) for node in side] for side in (sides.first, sides.second)]
+        places, slopes = ([np.array([one[k] for one in side]) for side in moved] for k in range(2))
+        pairs = [pairs_of(z) for z in places]
+        pieces = sides.pieces(*pairs)
+        phi, slope = np.full(sides.count, self.size), np.zeros((sides.count, x.size))
+        phi[pieces.row] = 0.0
+        d = complex_of_pairs(directions(sides, pairs[1], pieces)).conj()
+        corners, others = pieces.points, sides.others[pieces.edge]
+        for weights, z, z_x, numbers in zip(np.split(pieces.weights, 2, axis=1), places, slopes, (corners, others)):
+            np.add.at(phi, pieces.row, (d * (weights * z[numbers]).sum(axis=1)).imag)
+            np.add.at(slope, pieces.row, (d[:, None] * np.einsum("kj,kjx->kx", weights, z_x[numbers])).imag)
+        return phi, slope
 
     def _piece(self, piece, x):
         """Value of a piece of a formula and its slope, (3 bodies,), complex."""

@@ -207,6 +207,31 @@ class Body(OwnPart):
             raise InputError(f"{self.label}: the direction of attachment {name!r} has no length at rest")
         return BodyPoint(self, np.arange(pairs, dtype=np.int32), point, along * turn / size, 0.0, name)
 
+    def edges(self, *names: str) -> "BodyEdges":
+        """Return the straight edges through named points in their order, with the body on their left, for `pi.Contact`.
+
+        The first name again at the end closes them. Raises InputError for fewer than two points, points on each other, and edges that have
+        named points of the body only on their right.
+        """
+        corners = [self.at(name) for name in names]
+        closed, label = len(names) > 2 and names[0] == names[-1], f"{self.label}: edges({', '.join(map(repr, names))})"
+        corners = corners[: len(corners) - closed]
+        if len(names) < 2 or len({corner.name for corner in corners}) < len(corners):
+            raise InputError(f"{label} needs two points or more, each once; the first one again at the end closes the edges")
+        ends = [(k, (k + 1) % len(corners)) for k in range(len(names) - 1)]
+        z, every = (np.array([complex(*point.point) for point in points]) for points in (corners, points_of(self)))
+        depth = 0.0
+        for i, j in ends:
+            length = abs(z[j] - z[i])
+            if not length > 0:
+                raise InputError(f"{label}: {names[i]!r} and {names[j]!r} are at one place")
+            left = ((every - z[i]) * (z[j] - z[i]).conjugate()).imag / length
+            if left.max() <= SAME * length and left.min() < -SAME * length:
+                raise InputError(f"{label}: the body lies on the right of {names[i]!r} to {names[j]!r}; give the points in reverse order")
+            depth = min(depth or np.inf, left.max()) if left.max() > SAME * length else depth
+        mean = self.point_of(", ".join(names), np.mean([corner.weights for corner in corners], axis=0))
+        return BodyEdges(**{field.name: getattr(mean, field.name) for field in fields(mean)}, corners=tuple(names), depth=float(depth))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyPoint(Attachment):
@@ -238,6 +263,36 @@ class BodyPoint(Attachment):
     def share(self, force: "ArrayLike") -> np.ndarray:
         """Return the forces on the pairs, (pairs, 2), that a force (2,) at the point is equivalent to."""
         return pairs_of(self.weights.conj() * (np.asarray(force, float) @ [1.0, 1j]))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyEdges(BodyPoint):
+    """Straight edges through named points of a Body; its own point is their mean.
+
+    Attributes
+    ----------
+    corners : tuple of str
+        Names of the points, the first one again at the end if they are closed.
+    depth : float, m
+        Of the named points behind the edges; 0 if there are none.
+    """
+
+    corners: tuple = ()
+    depth: float = 0.0
+    has_edges = True
+
+    def on(self, body: Any) -> "Attachment":
+        """Return the edges through the points of the same names of a similar body."""
+        return body.edges(*self.corners)
+
+    def each(self) -> list[Attachment]:
+        """Return its points."""
+        return [self.body.at(name) for name in dict.fromkeys(self.corners)]
+
+    def edge_ends(self) -> np.ndarray:
+        """Return the numbers (k, 2) within `each()` of the ends of its edges."""
+        number = {name: k for k, name in enumerate(dict.fromkeys(self.corners))}
+        return np.array([[number[one], number[other]] for one, other in zip(self.corners, self.corners[1:])], np.int64)
 
 
 def points_of(body):

@@ -13,7 +13,7 @@ import numpy as np
 
 from polyida import profile, registry
 from polyida.assembly.factors import WHAT, given_factors
-from polyida.body.body import BodyPoint, coordinates_of
+from polyida.body.body import BodyEdges, BodyPoint, coordinates_of
 from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground
@@ -92,7 +92,8 @@ class _Encoder:
         self.arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": _real(side.weights)}
         if side.turn_weights is not None:
             self.arrays[f"{key}/turn_weights"] = _real(side.turn_weights)
-        return {"body": body, "name": side.name, "length": float(side.length), "key": key}
+        corners = {"corners": list(side.corners)} if isinstance(side, BodyEdges) else {}
+        return {"body": body, "name": side.name, "length": float(side.length), "key": key} | corners
 
     def _drive(self, name, value):
         key = f"drive {len(self.drives)}"
@@ -198,6 +199,8 @@ class _Decoder:
     def _side(self, side):
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
+        if "corners" in side:
+            return body.edges(*map(str, side["corners"]))
         real = arrays[f"{key}/weights"].ndim == 1
         kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(coordinates_of(body)))
         weights, turn = (

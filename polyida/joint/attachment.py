@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.joint.formula import Summand, Vector
+from polyida.mesh.sections import edges_within
 from polyida.validation import vector2
 
 ROUND = 1e-6  # second moments count as equal if their relative difference is less: otherwise round-off would choose the larger one
@@ -26,7 +27,7 @@ class Ground:
     point: Any = None
     direction: Any = None
     has_direction = True
-    turns_only = False
+    has_edges = turns_only = False
     body = None
 
     def at(self, point: "ArrayLike", direction: "ArrayLike" = (1.0, 0.0)) -> "Ground":
@@ -104,6 +105,16 @@ class Attachment:
     def has_direction(self) -> bool:
         """True if there is a direction."""
         return self.turn_weights is not None
+
+    @property
+    def has_edges(self) -> bool:
+        """True if it is a section of a full plate or the edges of another body, not a point: contact then takes it as edges."""
+        return not self.body.few and len(self.nodes) > 1
+
+    def edge_ends(self) -> np.ndarray:
+        """Return the numbers (k, 2) within `each()` of the ends of its edges, with the body on their left."""
+        order = np.argsort(self.nodes)
+        return order[np.searchsorted(self.nodes, edges_within(self.body.mesh, self.nodes), sorter=order)]
 
     @property
     def x(self) -> Vector:

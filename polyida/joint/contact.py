@@ -21,26 +21,27 @@ def require_contact(label, joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Contact(Joint):
-    """Unilateral contact without stiffness, of a point or the nodes of a section, with a line, a circle from outside, or edges of a plate.
+    """Unilateral contact without stiffness, of a point or the nodes of a section, with a line, a circle from outside, or edges of a body.
 
     A gap for each point, `phi = d_B x (x_A - x_B) >= 0`, m, on the left of the line through b along its direction; about b with a radius R
     `phi = (w . w - R^2) / (2 R) >= 0`, w = x_A - x_B. With `0 <= -lam`, `lam phi = 0`, and impacts with `phi' = -e phi'` of before. With
     friction also the slip `psi` of each point, m/s, with `|nu| <= mu |lam|` (Coulomb): `psi = (d_B . (x_A - x_B))'` on the line, on the
     circle `psi = w x w' / R - R w_B`, w_B the angular velocity of b. The line or circle moves with its body.
 
-    If b is a section of a full plate, a point has its distance from each edge that it faces, and a node of a section of a full plate the mean
-    `phi = int N gap ds / int N ds` over what faces b, N its hat function (mortar); slips likewise. Mean gaps are for sides that lie along each
-    other: a corner that may touch a side is a point of its own, `plate.node(...)`. Such models need `NonsmoothAlpha` or `MoreauJean`.
+    If b has edges, a section of a full plate or `body.edges(...)`, a point has its distance from each edge that it faces, and a node of such a
+    side a the mean `phi = int N gap ds / int N ds` over what faces b, N its hat function (mortar); slips likewise. Mean gaps are for sides that
+    lie along each other: a corner that may touch a side is a point of its own, `plate.node(...)` or `body.at(...)`. Such models need
+    `NonsmoothAlpha` or `MoreauJean`.
 
     Reaction on b, (2,): the sum of the forces, N.
 
     Parameters
     ----------
     a : Attachment or Ground
-        The point; of a section of a full plate, every node.
+        The point; of a section of a full plate and of `body.edges(...)`, every node.
     b : Attachment or Ground
         Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
-        centre of the circle. A section of a full plate: its edges.
+        centre of the circle. A section of a full plate, or `body.edges(...)`: its edges.
     restitution : float
         e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
     friction : float
@@ -90,17 +91,14 @@ class Contact(Joint):
 
     @cached_property
     def edges(self) -> FacingEdges | None:
-        """What faces what if b is a section of a full plate, else None."""
-        a, b = self.a, self.b
-        if self.radius is not None or isinstance(b, Ground) or b.body.few or len(b.nodes) == 1:
-            return None
-        return FacingEdges(labelled("Contact", self.name), a, b)
+        """What faces what if b has edges, else None."""
+        return FacingEdges(labelled("Contact", self.name), self.a, self.b) if self.radius is None and self.b.has_edges else None
 
     def rows(self) -> list[Row | Vector]:
         """The gap of each point of a, and with friction its slip. With edges, gaps are those at rest; the model finds them at each position."""
         a, b, R, edges = self.a, self.b, self.radius, self.edges
         rows: list[Row | Vector] = []
-        points = edges.count * [a] if edges else [a] if isinstance(a, Ground) or a.body.few else a.each()
+        points = edges.count * [a] if edges else a.each() if a.has_edges else [a]
         at_rest = edges.gaps(1.0) if edges else ()
         for k, point in enumerate(points):
             w, which = point.x - b.x, f" {k}" if len(points) > 1 else ""

@@ -1,4 +1,4 @@
-"""Edges of a plate, or a point, that face the edges of another plate: pieces of both sides and mortar weights of gaps.
+"""Edges of a body, or a point, that face the edges of another body: pieces of both sides and mortar weights of gaps.
 
 A point has a gap for each edge on which its projection lies, its distance. A node i of a side has the gap `g_i = int N_i gap ds / int N_i ds`,
 m, over what faces the second side; N_i is its hat function, gap the distance from the line of the facing edge. Each edge of the first side is cut where nodes of the second side project onto it, along its
@@ -17,7 +17,6 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.jit import entry, part
 from polyida.joint.attachment import Ground
-from polyida.mesh.sections import edges_within
 from polyida.validation import complex_of_pairs, pairs_of
 
 OPPOSED = 0.3  # least cosine of the angle between an edge and the reverse of one that it faces
@@ -46,16 +45,21 @@ class FacingEdges:
     """
 
     def __init__(self, label, a, b):
-        alone = a.body is None or a.body.few or len(a.nodes) == 1
+        alone = not a.has_edges
         self.first, self.second = [a] if alone else a.each(), b.each()
         self.edges = np.zeros((1, 2), np.int64) if alone else _edges(label, a)
         if not alone:
-            _require_smooth(label, a, self.edges)
+            _require_smooth(label, a, self)
         self.others = _edges(label, b)
         self.count = len(self.others) if alone else len(self.first)
-        self.rest = tuple(np.array([node.point for node in side]) for side in (self.first, self.second))
-        sides = zip(self.rest, (self.edges, self.others))
-        self.reach = 0.5 * max(float(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1).max()) for x, edges in sides)
+        lengths = (np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) for x, edges in zip(self.rest, (self.edges, self.others)))
+        depths = (getattr(side, "depth", 0.0) or np.inf for side in (a, b))
+        self.reach = 0.5 * min(max(float(length.max()) for length in lengths), *depths)
+
+    @property
+    def rest(self):
+        """Places of the nodes of both sides at rest, (k, 2) each, m."""
+        return tuple(np.array([node.point for node in side]) for side in (self.first, self.second))
 
     def pieces(self, x, y):
         """The Pieces of points x (k, 2) of the first side and y of the second side."""
@@ -86,24 +90,23 @@ def directions(sides, y, pieces):
 
 
 def _edges(label, side):
-    """(k, 2) numbers among the nodes of a section of the edges in it, with the plate on their left. Raises InputError if there are none."""
-    number = {int(node): k for k, node in enumerate(side.nodes)}
-    edges = [[number[a], number[b]] for a, b in edges_within(side.body.mesh, side.nodes).tolist()]
-    if missing := set(range(len(number))) - {k for edge in edges for k in edge}:
-        raise InputError(f"{label}: node {side.nodes[min(missing)]} of {side!r} has no edge of the plate's rim within the section")
-    return np.array(edges, np.int64)
+    """The `edge_ends` of a side. Raises InputError if a node of it has none."""
+    edges, nodes = side.edge_ends(), side.each()
+    if missing := set(range(len(nodes))) - set(edges.ravel().tolist()):
+        raise InputError(f"{label}: {nodes[min(missing)].name} of {side!r} has no edge of the plate's rim within the section")
+    return edges
 
 
-def _require_smooth(label, side, edges):
-    """Raise InputError for a corner within a section, where mean gaps let it penetrate."""
-    x = side.body.placed.points[side.nodes]
+def _require_smooth(label, side, sides):
+    """Raise InputError for a corner within the first side, where mean gaps let it penetrate."""
+    x, edges = sides.rest[0], sides.edges
     for i, j in edges:
         for k in edges[edges[:, 0] == j, 1]:
             (ax, ay), (bx, by) = x[j] - x[i], x[k] - x[j]
             angle = abs(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
             if angle > CORNER:
-                advice = "give each side a contact of its own, and corners that may touch one as points, plate.node(...)"
-                raise InputError(f"{label}: {side!r} turns by {np.degrees(angle):.0f} degrees at node {side.nodes[j]}; {advice}")
+                advice = "give each side a contact of its own, and corners that may touch one as points, plate.node(...) or body.at(...)"
+                raise InputError(f"{label}: {side!r} turns by {np.degrees(angle):.0f} degrees at {sides.first[j].name}; {advice}")
 
 
 @part
@@ -120,6 +123,22 @@ def place_on(px, py, y, others, f):
     bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
     dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
     return ((px - bx) * dx + (py - by) * dy) / (dx * dx + dy * dy)
+
+
+@part
+def nearer_beside(px, py, y, others, f, gap):
+    """True if a point behind edge f, near a corner that sticks out, is less deep behind the edge on the other side of the corner."""
+    if gap >= 0.0:
+        return False
+    for g in range(others.shape[0]):
+        one, other = (f, g) if others[f, 1] == others[g, 0] else (g, f)
+        if g == f or others[one, 1] != others[other, 0]:
+            continue
+        ax, ay = y[others[one, 1], 0] - y[others[one, 0], 0], y[others[one, 1], 1] - y[others[one, 0], 1]
+        bx, by = y[others[other, 1], 0] - y[others[other, 0], 0], y[others[other, 1], 1] - y[others[other, 0], 1]
+        if ax * by - ay * bx > 0.0 and gap < gap_at(px, py, y, others, g) and abs(place_on(px, py, y, others, g) - 0.5) <= 0.5 + BESIDE:
+            return True
+    return False
 
 
 @part
@@ -150,7 +169,7 @@ def find_pieces(x, edges, y, others, reach, row, edge, points, weights):
                             inside = place_on(px, py, y, others, g) < 0.0
                         elif others[g, 1] == others[f, 0] and eta < 0.0:
                             inside = place_on(px, py, y, others, g) > 1.0
-                if gap >= -reach and (abs(eta - at) <= BESIDE or inside):
+                if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, y, others, f, gap))):
                     row[count], edge[count], points[count, :], weights[count, :] = f, f, i, 0.0
                     add(weights, count, 1.0, 0.0, at)
                     total[f], count = 1.0, count + 1

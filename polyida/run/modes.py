@@ -50,7 +50,7 @@ class Modes(Happenings):
         if self.whole.is_scene and self.whole.edge_rows:
             names = ", ".join(law.name for law in self.whole.row_laws if law.row in [rows.first for rows in self.whole.edge_rows])
             why = "their rows are not smooth, which takes polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
-            raise InputError(f"{method.class_name()}: the contacts of {names} are with edges of plates; {why}")
+            raise InputError(f"{method.class_name()}: the contacts of {names} are with edges; {why}")
         self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))

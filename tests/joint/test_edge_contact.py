@@ -110,7 +110,7 @@ def test_a_plate_on_a_peg(x):
 def test_wrong_input_and_files():
     scene, low, high = stack(5, 7)
     model = scene.build()
-    with pytest.raises(pi.InputError, match="the contacts of between are with edges of plates"):
+    with pytest.raises(pi.InputError, match="the contacts of between are with edges"):
         pi.solve(model, 0.1, pi.RadauIIA())
     parts, _ = from_data(*to_data(model)[:2])
     assert parts["between"].edges.others.shape == (5, 2)
@@ -121,3 +121,102 @@ def test_wrong_input_and_files():
         pi.Contact(high.section([*high.section("bottom").nodes, inner]), low.section("top"))
     with pytest.raises(pi.InputError, match="turns by 90 degrees at node"):
         pi.Contact(high.section(np.union1d(high.section("left").nodes, high.section("bottom").nodes)), low.section("top"))
+
+
+BOX = {"a": (-0.3, -0.1), "b": (0.3, -0.1), "c": (0.3, 0.1), "d": (-0.3, 0.1)}
+
+
+def box(name, origin, mass=1.0, **motion):
+    """A rigid box of 0.6 m x 0.2 m about its origin, with corners a to d."""
+    return pi.RigidBody(mass=mass, inertia=mass * 0.4 / 12, points=BOX, origin=origin, name=name, **motion)
+
+
+def test_a_box_slides_on_a_box():
+    """Edge on edge of rigid bodies: two rows carry the weight, friction slows it down by mu g until it rests."""
+    mu, speed, g = 0.3, 0.4, 10.0
+    scene = pi.Scene(gravity=(0.0, -g))
+    low, high = scene.add(box("low", (0.0, 0.0))), scene.add(box("high", (-0.1, 0.2), mass=2.0, velocity=(speed, 0.0)))
+    scene.add(pi.Clamp(low.at("a"), name="held"))
+    scene.add(pi.Contact(high.edges("a", "b"), low.edges("c", "d"), friction=mu, name="between"))
+    run = pi.solve(scene.build(), 0.3, pi.NonsmoothAlpha(h=1e-3))
+    assert run.success, run.message
+    slides = np.minimum(run.t, speed / (mu * g))
+    away = (run.t > 2e-3) & (np.abs(run.t - speed / (mu * g)) > 2e-3)
+    assert run.position(high.at("a"))[:, 0] == pytest.approx(-0.4 + speed * slides - 0.5 * mu * g * slides**2, abs=1e-5)
+    assert run.position(high.at("a"))[:, 1] == pytest.approx(0.1, abs=1e-9)
+    force = np.where(run.t < speed / (mu * g), 2.0 * mu * g, 0.0)
+    assert run.reaction("between")[away, 1] == pytest.approx(-2.0 * g, rel=1e-6)
+    assert run.reaction("between")[away, 0] == pytest.approx(force[away], abs=2e-4)
+
+
+def test_a_point_slides_off_a_tilted_box():
+    """A point on edges moves as on a line through them up to their end, and falls beyond it."""
+    angle, ways = -0.5, []
+    for edges in (True, False):
+        scene = pi.Scene(gravity=(0.0, -10.0))
+        ramp = scene.add(box("ramp", (0.0, 0.0), angle=angle))
+        place = np.array(ramp.at("d").point) + 0.3 * np.array([np.cos(angle), np.sin(angle)])
+        ball = scene.add(pi.RigidBody(mass=1.0, inertia=0.01, points={"c": (0.0, 0.0)}, origin=tuple(place), name="ball"))
+        scene.add(pi.Clamp(ramp.at("a"), name="held"))
+        scene.add(pi.Contact(ball.at("c"), ramp.edges("a", "b", "c", "d", "a") if edges else ramp.at("c"), friction=0.1, name="hit"))
+        model = scene.build()
+        run = pi.solve(model, 0.6, pi.NonsmoothAlpha(h=1e-3))
+        assert run.success, run.message
+        ways.append(run.position(ball.at("c")))
+    leaves = np.sqrt(2 * 0.3 / (10.0 * (np.sin(0.5) - 0.1 * np.cos(0.5))))
+    on = run.t < leaves - 2e-3
+    assert np.abs(ways[0] - ways[1])[on].max() < 1e-9 and ways[0][-1, 1] < ways[1][-1, 1] - 0.1
+
+
+@pytest.mark.parametrize("rigid_first", [True, False])
+def test_a_plate_hits_a_rigid_box(rigid_first):
+    """Either may be the first side: momentum stays, no gap is negative at its nodes, and energy does not grow."""
+    scene = pi.Scene()
+    low, high = scene.add(plate(1.0, 5, 0.0, "low", velocity=(0.0, 0.5))), scene.add(box("high", (0.5, 0.51), velocity=(0.2, -0.5)))
+    sides = high.edges("a", "b"), low.section("top")
+    scene.add(pi.Contact(*sides[:: 1 if rigid_first else -1], friction=0.3, name="hit"))
+    model = scene.build()
+    run = pi.solve(model, 0.06, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5, tolerance=1e-8))
+    assert run.success and run.events, run.message
+    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-6 * np.abs(run.momentum[0]).max()
+    assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
+    rows = model.rows["hit"]
+    assert min(model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-11
+
+
+def test_edges_of_bodies_in_files_and_wrong_ones():
+    """A file keeps their points; each wrong input is named."""
+    scene = pi.Scene()
+    low, high = scene.add(box("low", (0.0, 0.0))), scene.add(box("high", (0.0, 0.3)))
+    scene.add(pi.Contact(high.edges("a", "b"), low.edges("c", "d"), name="between"))
+    parts, _ = from_data(*to_data(scene.build())[:2])
+    assert parts["between"].b.corners == ("c", "d") and parts["between"].edges.others.shape == (1, 2)
+    for names, message in (
+        (("a",), "two points or more"),
+        (("a", "b", "a", "b"), "each once"),
+        (("a", "e"), "no attachment is called 'e'"),
+        (("b", "a"), "lies on the right of 'b' to 'a'; give the points in reverse order"),
+    ):
+        with pytest.raises(pi.InputError, match=message):
+            low.edges(*names)
+    with pytest.raises(pi.InputError, match="turns by 90 degrees at b.*body.at"):
+        pi.Contact(high.edges("a", "b", "c"), low.edges("c", "d"))
+
+
+def test_assemble_opens_penetrated_edges():
+    """Bodies that are drawn within each other are moved apart, by as little as possible, and touch."""
+    scene = pi.Scene(gravity=(0.0, -10.0))
+    low, high = scene.add(box("low", (0.0, 0.0))), scene.add(box("high", (0.1, 0.17), angle=0.05))
+    soft = scene.add(plate(0.4, 2, 0.245, "soft"))
+    scene.add(pi.Clamp(low.at("a"), name="held"))
+    for name, side in (("left", "a"), ("right", "b")):
+        scene.add(pi.Contact(high.at(side), low.edges("a", "b", "c", "d", "a"), friction=0.3, name=name))
+    scene.add(pi.Contact(soft.section("bottom"), high.edges("c", "d"), friction=0.3, name="top"))
+    with pytest.raises(pi.InputError, match="left.*within each other at rest"):
+        scene.build()
+    found = scene.assemble()
+    assert found.open and found.gap > 0.01
+    model = scene.build()
+    gaps = model.phi(0.0, np.zeros(model.n))[[law.row for law in model.row_laws if law.is_contact]]
+    assert gaps.min() > -1e-9 and np.sort(gaps)[1] < 1e-6
+    assert pi.solve(model, 0.01, pi.NonsmoothAlpha(h=1e-3)).success
