@@ -29,11 +29,12 @@ INTEGRATORS = {
 }
 
 
-def bars(cells, E=RUBBER.E, seed=1):
-    """(two bars end to end with spherical joints and 0.5 kg at the tip, their velocities at the start, the tip)."""
+def bars(cells, E=RUBBER.E, seed=1, hinge=False):
+    """(two bars end to end with spherical joints and 0.5 kg at the tip, their velocities at the start, the tip). hinge: between them, along y."""
     mesh = box(BAR, cells, seed)
     left, right = mesh.side(0, 0.0), mesh.side(0, 1.0)
-    pins, tip = (Pin(Point(0, left), MIDDLE), Pin(Point(0, right), Point(1, left))), Point(1, right)
+    joint = [[mesh.side(0, x, (x, y, 0.05)) for x in BAR[:1] + (0.0,)] for y in (0.025, 0.075)] if hinge else [(right, left)]
+    pins, tip = (Pin(Point(0, left), MIDDLE), *[Pin(Point(0, one), Point(1, two)) for one, two in joint]), Point(1, right)
     model = Polyhedra([mesh, Mesh(mesh.points + (1.0, 0.0, 0.0), mesh.cells)], replace(RUBBER, E=E), (0.0, 0.0, -9.81), pins, [(tip, 0.5)])
     return model, np.cross((0.0, 0.0, SPIN), model.places - MIDDLE).ravel(), tip
 
@@ -98,20 +99,32 @@ def run_row(cells, integrator, setting, t_end):
     return {"n": model.n, "tip": model.place(tip, run.q[-1]).tolist(), "outcome": run.status} | work | kept
 
 
-def order_row(cells, method, counts, E, t_end=0.05):
-    """Errors of q at t_end against steps, and the orders between them; the reference is Radau IIA in 400 steps."""
+def hinge_row(cells, t_end, seed=1):
+    """A bar turns about a vertical hinge of two pins: change of the angular momentum about it, drift of the pins, fall of the end."""
+    mesh = box(BAR, cells, seed)
+    ends = [np.array([0.0, 0.05, z]) for z in (0.025, 0.075)]
+    model = Polyhedra([mesh], RUBBER, (0.0, 0.0, -9.81), [Pin(Point(0, mesh.side(0, 0.0, end)), end) for end in ends])
+    run = pi.solve(model, t_end, pi.RadauIIA(rtol=1e-8), v0=np.cross((0.0, 0.0, SPIN), model.places - MIDDLE).ravel())
+    x, p = (values.reshape(-1, model.count, 3) for values in (run.q + (model.places - MIDDLE).ravel(), run.v @ model.M))
+    L, end = np.cross(x, p).sum(axis=1)[:, 2], model.place(Point(0, mesh.side(0, 1.0)), run.q[-1]) - MIDDLE
+    kept = {"momentum": float(np.ptp(L) / L[0]), "drift": float(np.abs(run.drift).max()), "outcome": run.status}
+    return {"n": model.n, "angle": float(np.arctan2(end[1], end[0])), "fall": float(-end[2])} | kept
+
+
+def order_row(cells, integrator, counts, E, t_end=0.05):
+    """Errors of q at t_end against steps, and the order between the last two; the reference is Radau IIA in 400 steps."""
     model, v0, _ = bars(cells, E)
     exact = pi.solve(model, t_end, pi.RadauIIA(h=t_end / 400, tolerance=1e-13), v0=v0).q[-1]
-    make = {"alpha": lambda h: pi.GeneralizedAlpha(h=h, tolerance=1e-9), "radau": lambda h: pi.RadauIIA(h=h, tolerance=1e-13)}[method]
+    make = {"alpha": lambda h: pi.GeneralizedAlpha(h=h, tolerance=1e-9), "radau": lambda h: pi.RadauIIA(h=h, tolerance=1e-13)}[integrator]
     errors = np.array([np.abs(pi.solve(model, t_end, make(t_end / count), v0=v0).q[-1] - exact).max() for count in counts])
-    orders = np.log2(errors[:-1] / errors[1:])
-    return {"n": model.n, "h": [t_end / count for count in counts], "errors": errors.tolist(), "orders": orders.tolist()}
+    order = float(np.log2(errors[-2] / errors[-1]))
+    return {"n": model.n, "sizes": [t_end / count for count in counts], "errors": errors.tolist(), "order": order}
 
 
-def step_row(cells, steps):
+def step_row(cells, h, steps):
     """CPU time of a step of generalized-alpha over its iterations' residuals and solves, and over one of each."""
     model, v0, _ = bars(cells)
-    method = pi.GeneralizedAlpha(h=1e-3)
+    method = pi.GeneralizedAlpha(h=h)
     state, zero = pi.solve(model, 5e-3, method, v0=v0).state, np.zeros(model.m)
     system, (to_a, to_v) = model.step_matrix(), method.coefficients.rates(method.h)
     factor, times, q = timed(lambda: system.factor(0.0, state.q, state.v, state.a, zero, to_a, to_v))[0], [], state.q
@@ -120,7 +133,7 @@ def step_row(cells, steps):
         evaluate, r = timed(lambda: model.residual(0.0, q, state.v, state.a, state.lam))  # noqa: B023
         times.append((evaluate, timed(lambda: system.saddle(0.0, q, state.lam, r, zero))[0]))  # noqa: B023
     residual, solve = np.median(times, axis=0).tolist()
-    ends = 0.02, 0.02 + steps * method.h
+    ends = 0.02, 0.02 + steps * h
     (short, before), (long, after) = (timed(lambda: pi.solve(model, end, method, v0=v0, every=10**9).counts) for end in ends)  # noqa: B023
     step, each = (long - short) / steps, (after.newton_iterations - before.newton_iterations) / steps
     return {
@@ -132,11 +145,9 @@ def step_row(cells, steps):
 def gradient_row(cells, t_end):
     """Slopes of the tip's height in E and rho by the adjoint, and their distance from differences of runs."""
     model, v0, tip = bars(cells)
-    rows = np.zeros((1, model.n))
-    nodes, weights = model.nodes_of(tip)
-    rows[0, 3 * nodes + 2] = weights
-    last = lambda run: (run.t == run.t[-1]).astype(float)[:, None]  # noqa: E731
-    height = pi.objective.UserObjective(lambda run: float(run.q[-1] @ rows[0]), lambda run: {"q": last(run) * rows})
+    row, (nodes, weights) = np.zeros(model.n), model.nodes_of(tip)
+    row[3 * nodes + 2] = weights
+    height = pi.objective.UserObjective(lambda run: float(run.q[-1] @ row), lambda run: {"q": np.outer(run.t == run.t[-1], row)})
     run = pi.solve(model, t_end, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-12), v0=v0)
     slopes, errors = pi.gradient(run, height), pi.check_gradient(run, height, ["E", "rho"])
     return {"n": model.n, "slope_E": float(slopes["E"]), "slope_rho": float(slopes["rho"]), "deviation": float(max(errors.values()))}

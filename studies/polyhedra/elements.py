@@ -67,44 +67,39 @@ def cells_of(mesh):
 
 @njit(cache=True)
 def strained(c, cells, u, E, nu):
-    """(nodes of cell c, their b, their s, F, second Piola-Kirchhoff stress S, energy per volume); u (nodes, 3)."""
+    """(nodes of cell c, their b, their d, their s, F, second Piola-Kirchhoff stress S, energy per volume, k); u (nodes, 3)."""
     of = slice(cells.first[c], cells.first[c + 1])
-    nodes, b, one = cells.nodes[of], cells.b[of], np.eye(3)
+    nodes, b, d, one = cells.nodes[of], cells.b[of], cells.d[of], np.eye(3)
     U = u[nodes]
     G, mean = np.dot(U.T, b), np.sum(U, axis=0) / len(nodes)
     strain, lame, shear = 0.5 * (G + G.T + np.dot(G.T, G)), E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), E / (2.0 + 2.0 * nu)
     trace = np.trace(strain)
     energy = 0.5 * lame * trace * trace + shear * np.sum(strain * strain)
-    return nodes, b, U - mean - np.dot(cells.d[of], G.T), G + one, lame * trace * one + 2.0 * shear * strain, energy
+    s, S = U - mean - np.dot(d, G.T), lame * trace * one + 2.0 * shear * strain
+    return nodes, b, d, s, G + one, S, energy, (E + shear) * cells.bending[c]
 
 
 @njit(cache=True)
-def add_forces(cells, E, nu, u, f):
-    """f (nodes, 3) += elastic forces. Returns the elastic energy."""
-    total = 0.0
+def forces(cells, E, nu, u):
+    """(elastic forces (nodes, 3), elastic energy)."""
+    f, total = np.zeros_like(u), 0.0
     for c in range(cells.volume.shape[0]):
-        nodes, b, s, F, S, energy = strained(c, cells, u, E, nu)
-        V, k, d = cells.volume[c], (E + E / (2.0 + 2.0 * nu)) * cells.bending[c], cells.d[cells.first[c] : cells.first[c + 1]]
+        nodes, b, d, s, F, S, energy, k = strained(c, cells, u, E, nu)
+        V = cells.volume[c]
         total += V * energy + 0.5 * k * np.sum(s * s)
-        forces = np.dot(b, (V * np.dot(F, S) - k * np.dot(s.T, d)).T) + k * s
+        of_cell = np.dot(b, (V * np.dot(F, S) - k * np.dot(s.T, d)).T) + k * s
         for i in range(len(nodes)):
-            for x in range(3):
-                f[nodes[i], x] += forces[i, x]
-    return total
+            f[nodes[i]] += of_cell[i]
+    return f, total
 
 
 @njit(cache=True)
-def add_tangent(cells, pairs, E, nu, u, blocks):
-    """blocks (nnz, 3, 3) += derivatives of the elastic forces. pairs: the block of each two corners of a cell, -1 without."""
-    lame, shear, at = E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), E / (2.0 + 2.0 * nu), 0
+def tangent(cells, pairs, count, E, nu, u):
+    """Derivatives of the elastic forces, blocks (count, 3, 3). pairs: the block of each two corners of a cell, -1 without."""
+    blocks, at, lame, shear = np.zeros((count, 3, 3)), 0, E * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), E / (2.0 + 2.0 * nu)
     for c in range(cells.volume.shape[0]):
-        nodes, b, _, F, S, _ = strained(c, cells, u, E, nu)
-        V, k, d, n = (
-            cells.volume[c],
-            (E + E / (2.0 + 2.0 * nu)) * cells.bending[c],
-            cells.d[cells.first[c] : cells.first[c + 1]],
-            len(nodes),
-        )
+        nodes, b, d, _, F, S, _, k = strained(c, cells, u, E, nu)
+        V, n = cells.volume[c], len(nodes)
         Fb, bb, left, rest = np.dot(b, F.T), np.dot(b, b.T), np.dot(F, F.T), np.eye(n) - 1.0 / n - np.dot(d, b.T)
         same = V * np.dot(np.dot(b, S), b.T) + k * np.dot(rest.T, rest)
         for i in range(n):
@@ -116,16 +111,17 @@ def add_tangent(cells, pairs, E, nu, u, blocks):
                         for y in range(3):
                             blocks[p, x, y] += V * (lame * Fb[i, x] * Fb[j, y] + shear * (left[x, y] * bb[i, j] + Fb[j, x] * Fb[i, y]))
         at += n * n
+    return blocks
 
 
 @njit(cache=True)
-def rotations(cells, u, R):
-    """Fill R (free nodes, 3, 3): the rotations in the mean F of the cells around each node, by Newton's method for the polar factor."""
-    R[:], C = 0.0, np.empty((3, 3))
+def rotations(cells, u, count):
+    """(count, 3, 3): the rotations in the mean F of the cells around each of the first nodes, by Newton's method for the polar factor."""
+    R, C = np.zeros((count, 3, 3)), np.empty((3, 3))
     for c in range(cells.volume.shape[0]):
-        nodes, _, _, F, _, _ = strained(c, cells, u, 1.0, 0.0)
+        nodes, _, _, _, F, _, _, _ = strained(c, cells, u, 1.0, 0.0)
         for node in nodes:
-            if node < R.shape[0]:
+            if node < count:
                 R[node] += F
     for A in R:
         for step in range(4):
@@ -138,3 +134,4 @@ def rotations(cells, u, R):
             for i in range(3):
                 for j in range(3):
                     A[i, j] = 0.5 * (A[i, j] / scale + C[i, j] / det * scale)
+    return R

@@ -31,8 +31,11 @@ class Mesh:
             of.setdefault(tuple(sorted(face)), []).append(face)
         return [faces[0] for faces in of.values() if len(faces) == 1]
 
-    def side(self, axis, place):
-        """{node: weight} of the outer faces in the plane x[axis] = place, so that the sum of weight times value is the mean over the area."""
+    def side(self, axis, place, about=None):
+        """{node: weight} of the outer faces in the plane x[axis] = place: sums of weight times value are means over the area.
+
+        about: a point of the plane, (3,), at which the mean of x is to be; the mean is then weighted by a function that is linear in x.
+        """
         weights = {}
         for face in self.outer:
             if np.abs(self.points[face, axis] - place).max() < 1e-9:
@@ -40,7 +43,11 @@ class Mesh:
                     weights[int(node)] = weights.get(int(node), 0.0) + float(area)
         if not weights:
             raise pi.InputError(f"side: no face of the mesh has x[{axis}] = {place}")
-        return {node: weight / sum(weights.values()) for node, weight in weights.items()}
+        areas, x = np.array(list(weights.values())) / sum(weights.values()), self.points[list(weights)]
+        if about is not None:
+            away = x - areas @ x
+            areas = areas * (1.0 + away @ (np.linalg.pinv(areas * away.T @ away) @ (np.asarray(about, float) - areas @ x)))
+        return dict(zip(weights, areas))
 
 
 def triangulated(x):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array, eye_array, kron
 
 import polyida as pi
-from polyhedra.elements import Cells, add_forces, add_tangent, cells_of, rotations
+from polyhedra.elements import Cells, cells_of, forces, rotations, tangent
 from polyhedra.factor import Turned, fronts_of
 
 
@@ -131,21 +131,16 @@ class Polyhedra(pi.Model):
 
     def elastic(self, q):
         """(elastic forces (n,), elastic energy)."""
-        f = np.zeros((len(self.number), 3))
-        energy = add_forces(self.cells, self.E, self.nu, self.displacements(q), f)
+        f, energy = forces(self.cells, self.E, self.nu, self.displacements(q))
         return f[: self.count].ravel(), energy
 
     def stiffness_blocks(self, q):
         """Blocks of the tangent on the pattern, (nnz, 3, 3)."""
-        blocks = np.zeros((len(self.indices), 3, 3))
-        add_tangent(self.cells, self.pairs, self.E, self.nu, self.displacements(q), blocks)
-        return blocks
+        return tangent(self.cells, self.pairs, len(self.indices), self.E, self.nu, self.displacements(q))
 
     def rotations(self, q):
         """Rotations of the free nodes, (nodes, 3, 3)."""
-        R = np.empty((self.count, 3, 3))
-        rotations(self.cells, self.displacements(q), R)
-        return R
+        return rotations(self.cells, self.displacements(q), self.count)
 
     @cached_property
     def M(self):
@@ -179,6 +174,3 @@ class Polyhedra(pi.Model):
         if name == "E":
             return self.elastic(q)[0] / self.E
         return self._matrix(self.of_density) @ a - (self.nodal[:, None] * self.gravity).ravel()
-
-    def phi_p(self, name, t, q):
-        return np.zeros(self.m)

@@ -1,4 +1,4 @@
-"""The two bars in space: frames for ParaView, an animation and a picture: `python studies/polyhedra/pictures.py FOLDER`."""
+"""The two bars in space, also with a hinge between them: `python studies/polyhedra/pictures.py FOLDER` writes frames, animations, pictures."""
 
 import sys
 from pathlib import Path
@@ -15,34 +15,35 @@ from polyhedra.cases import bars
 from polyhedra.mesh import write_vtu
 
 
-def draw(axes, model, shapes, path):
-    """Draw the outer faces at each (q, colour), and the path of the tip, on axes of equal scale."""
-    for q, colour in shapes:
-        x = model.points + model.displacements(q)[model.number]
+def draw(axes, model, run, path, shapes):
+    """Draw the outer faces in each (frame, colour), the time at the tip, and its path up to the last one, on axes of equal scale."""
+    for k, colour in shapes:
+        x = model.points + model.displacements(run.q[k])[model.number]
         faces = [x[start + face] for mesh, start in zip(model.meshes, model.starts) for face in mesh.outer]
         axes.add_collection3d(Poly3DCollection(faces, facecolors=colour, edgecolors="#222222", linewidths=0.2, shade=True))
-    axes.plot(*path.T, color="#c44e52", linewidth=1.0)
-    axes.set(xlim=(-1.8, 2.2), ylim=(-0.8, 1.2), zlim=(-1.9, 0.3), xlabel="x, m", ylabel="y, m", zlabel="z, m", aspect="equal")
+        axes.text(*path[k] + (0.0, 0.0, -0.3 if k else 0.15), f"{run.t[k]:.2f} s", horizontalalignment="center")
+    axes.plot(*path[: k + 1].T, color="#c44e52", linewidth=1.0)
+    axes.set(xlim=(-1.8, 2.2), ylim=(-0.8, 1.2), zlim=(-1.9, 0.3), xlabel="x, m", ylabel="y, m", zlabel="z, m")
+    axes.set_box_aspect((4.0, 2.0, 2.2), zoom=1.2)
     axes.locator_params(nbins=5)
     axes.view_init(18, -62)
 
 
-def main(folder, cells=60, t_end=1.0):
-    """Write bars.png, bars.gif, and run.pvd with the frames of both bars."""
+def main(folder, hinge=False, cells=60, t_end=1.0):
+    """Write bars.png, bars.gif, and run.pvd with the frames of both bars. hinge: between the bars."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    model, v0, tip = bars(cells)
+    model, v0, tip = bars(cells, hinge=hinge)
     run = pi.solve(model, t_end, pi.EnergyMomentum(h=1e-3), v0=v0, every=20)
     path, blue = np.array([model.place(tip, q) for q in run.q]), np.array([0.55, 0.7, 1.0])
-    axes = (fig := plt.figure(figsize=(8.0, 6.0))).add_subplot(projection="3d")
-    shares = np.linspace(0.0, 1.0, 5)
-    draw(axes, model, [(run.q[int(share * (len(run.t) - 1))], blue * (1.0 - 0.5 * share)) for share in shares], path)
-    fig.savefig(folder / "bars.png", dpi=150, bbox_inches="tight")
+    axes = (fig := plt.figure(figsize=(8.0, 5.0))).add_axes((0.0, 0.0, 0.95, 1.0), projection="3d")
+    moments = np.linspace(0, len(run.t) - 1, 5).astype(int)
+    draw(axes, model, run, path, [(k, blue * (1.0 - 0.5 * run.t[k] / t_end)) for k in moments])
+    fig.savefig(folder / "bars.png", dpi=150)
 
     def frame(k):
         axes.clear()
-        draw(axes, model, [(run.q[k], blue)], path[: k + 1])
-        axes.set_title(f"t = {run.t[k]:.2f} s")
+        draw(axes, model, run, path, [(k, blue)])
 
     FuncAnimation(fig, frame, len(run.t)).save(folder / "bars.gif", PillowWriter(fps=20), dpi=80)
     entries = []
@@ -56,3 +57,4 @@ def main(folder, cells=60, t_end=1.0):
 
 if __name__ == "__main__":
     main(sys.argv[1])
+    main(Path(sys.argv[1]) / "hinge", hinge=True)

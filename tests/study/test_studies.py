@@ -55,7 +55,7 @@ REQUIRED = {
     "gradient_over_run": {"gradient_over_run_1e3", "gradient_over_run_1e4", "several_over_one_1e3", "several_over_one_1e4"},
     "least_weight": {"arm_over_static", "rod_over_thickness"},
     "error_bars": {"missed", "false_alarms"},
-    "polyhedra": {"patch", "energy", "gradient"},
+    "polyhedra": {"patch", "energy", "gradient", "hinge_momentum"},
     "gradient_errors": {"gradient_error_default", "gradient_error_1e-10"},
     "designed_in_motion": {"design_gain_over_static", "design_wall_s"},
     "mbb_beam": {"mbb_compliance", "mbb_difference"},
@@ -122,19 +122,11 @@ def made_up(name, task):
         moved = {"moved": [-7e-3, -66e-3], "bending_errors": [1e-3] * 3, "axial_errors": [1e-3] * 2, "compliance": 1.0 + size}
         return work | moved | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}
     if name == "polyhedra":
-        errors = dict.fromkeys(
-            ("deviation", "energy", "drift", "bending_error", "torsion_error", "step_over_iterations", "step_over_one"), 1e-9
-        )
+        names = "deviation energy drift bending_error torsion_error momentum order step_over_iterations step_over_one iterations"
         conditions = {f"{method}_{scaling}": 1e5 for method in ("alpha", "radau", "ida") for scaling in ("scaled", "none")}
-        times = dict.fromkeys(("iterations", "residual_ms", "solve_ms", "factor_ms"), 1.0)
-        return (
-            work
-            | errors
-            | conditions
-            | times
-            | {"errors": [1e-3, 1e-4], "h": [1e-2, 1e-3], "orders": [2.0], "tip": [0.0, size, 0.0]}
-            | task
-        )
+        times = dict.fromkeys(("residual_ms", "solve_ms", "factor_ms"), 1.0)
+        curves = {"errors": [1e-3, 1e-4], "sizes": [1e-2, 1e-3], "tip": [0.0, size, 0.0], "n": 3 * task["cells"]}
+        return work | dict.fromkeys(names.split(), 1e-9) | conditions | times | curves | task
     return performance(name, task)
 
 
