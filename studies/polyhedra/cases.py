@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 import polyida as pi
 from polyhedra.mesh import Mesh, box
 from polyhedra.model import Pin, Point, Polyhedra
+from polyida.integrate.state import Counts
 
 REFERENCE = {"end": (-0.15369, 0.0, -0.48415), "bending": 21.180, "torsion": 60.52}
 BAR, RUBBER, END = (1.0, 0.1, 0.1), pi.Material(E=50e6, nu=0.3, rho=1100.0), "end"
@@ -124,18 +125,16 @@ def order_row(cells, integrator, counts, E, t_end=0.05):
 def step_row(cells, h, steps):
     """CPU time of a step of generalized-alpha over its iterations' residuals and solves, and over one of each."""
     model, v0, _ = bars(cells)
-    method = pi.GeneralizedAlpha(h=h)
-    state, zero = pi.solve(model, 5e-3, method, v0=v0).state, np.zeros(model.m)
-    system, (to_a, to_v) = model.step_matrix(), method.coefficients.rates(method.h)
-    factor, times, q = timed(lambda: system.factor(0.0, state.q, state.v, state.a, zero, to_a, to_v))[0], [], state.q
-    for _ in range(20):
-        q = q + 1e-9  # another state
+    method, counts, marks, times = pi.GeneralizedAlpha(h=h), Counts(), [], []
+    for state in method.steps(model, pi.consistent_state(model, v0=v0), 0.02 + steps * h, counts):  # noqa: B007
+        marks.append((time.process_time(), counts.newton_iterations))
+    step, each = (np.subtract(marks[-1], marks[-1 - steps]) / steps).tolist()
+    system, zero = model.step_matrix(), np.zeros(model.m)
+    factor = timed(lambda: system.factor(0.0, state.q, state.v, state.a, zero, *method.coefficients.rates(h)))[0]
+    for q in state.q + 1e-9 * np.arange(20)[:, None]:  # other states
         evaluate, r = timed(lambda: model.residual(0.0, q, state.v, state.a, state.lam))  # noqa: B023
         times.append((evaluate, timed(lambda: system.saddle(0.0, q, state.lam, r, zero))[0]))  # noqa: B023
     residual, solve = np.median(times, axis=0).tolist()
-    ends = 0.02, 0.02 + steps * h
-    (short, before), (long, after) = (timed(lambda: pi.solve(model, end, method, v0=v0, every=10**9).counts) for end in ends)  # noqa: B023
-    step, each = (long - short) / steps, (after.newton_iterations - before.newton_iterations) / steps
     return {
         "n": model.n, "factor_ms": 1e3 * factor, "residual_ms": 1e3 * residual, "solve_ms": 1e3 * solve, "step_ms": 1e3 * step,
         "iterations": each, "step_over_iterations": step / (each * (residual + solve)), "step_over_one": step / (residual + solve),

@@ -7,6 +7,7 @@ cells. Short edges, which would mean high frequencies, are collapsed. Source: Ta
 import base64
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -148,9 +149,7 @@ def compact(points, cells):
         volume = sum(np.linalg.det(triangulated(points[face])[0]).sum() for face in cell) / 6.0
         edges = {(a, b) for face in cell for a, b in zip(face, np.roll(face, -1))}
         if not volume > 0.0 or any((b, a) not in edges for a, b in edges):
-            raise pi.InputError(
-                f"mesh: the faces of cell {k} do not bound a solid, volume {volume:.3g} m^3; from outside they are anticlockwise"
-            )
+            raise pi.InputError(f"mesh: cell {k}, volume {volume:.3g} m^3, must be a solid, its faces anticlockwise seen from outside")
     return Mesh(points[used], [[number[face] for face in cell] for cell in cells])
 
 
@@ -158,7 +157,7 @@ def write_vtu(path, mesh, points=None, cell_data=None):
     """Write a mesh, or its moved points, as a VTU file of polyhedra with numbers of its cells {name: (cells,)}."""
 
     def array(name, values, kind, parts=1):
-        data = np.ascontiguousarray(values, {"Float64": "f8", "Int64": "i8", "UInt8": "u1"}[kind]).tobytes()
+        data = np.ascontiguousarray(values, kind.lower()).tobytes()
         text = base64.b64encode(np.uint64(len(data)).tobytes() + data).decode()
         return f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="binary">{text}</DataArray>'
 
@@ -180,21 +179,26 @@ def read_vtu(path):
     """The Mesh of a VTU file of polyhedra, its arrays as text or uncompressed base64; faces of any orientation, of cells that see their mean."""
     root = ElementTree.parse(path).getroot()
     arrays, points = {one.get("Name"): one for one in root.iter("DataArray")}, root.find(".//Points/DataArray")
-    if root.get("compressor") or points is None or not {"faces", "faceoffsets"} <= set(arrays):
-        raise pi.InputError(f"read_vtu: {path} must have polyhedra as faces and faceoffsets, in text or uncompressed base64")
+    appended = any(one.get("format") == "appended" for one in root.iter("DataArray"))
+    if root.get("compressor") or appended or points is None or not {"faces", "face_connectivity"} & set(arrays):
+        raise pi.InputError(f"read_vtu: {path} must have polyhedra with faces, in text or base64, neither compressed nor appended")
 
     def numbers(array):
         if array.get("format") == "ascii":
             return np.array((array.text or "").split(), float)
-        head, kind = 8 if root.get("header_type") == "UInt64" else 4, {"F": "f", "I": "i", "U": "u"}[array.get("type")[0]]
-        return np.frombuffer(base64.b64decode(array.text.strip())[head:], f"<{kind}{int(array.get('type')[-2:].lstrip('t')) // 8}")
+        head = 8 if root.get("header_type") == "UInt64" else 4
+        return np.frombuffer(base64.b64decode(array.text.strip())[head:], array.get("type").lower())
 
-    x, stream, cells, at = numbers(points).astype(float).reshape(-1, 3), numbers(arrays["faces"]).astype(int), [], 0
-    while at < len(stream):
-        faces, at, left = [], at + 1, stream[at]
-        for _ in range(left):
-            faces.append(stream[at + 1 : at + 1 + stream[at]])
-            at += 1 + stream[at]
+    def outward(faces):
         middle = x[np.unique(np.concatenate(faces))].mean(axis=0)
-        cells.append([face if np.linalg.det(triangulated(x[face] - middle)[0]).sum() > 0.0 else face[::-1] for face in faces])
-    return compact(x, cells)
+        return [face if np.linalg.det(triangulated(x[face] - middle)[0]).sum() > 0.0 else face[::-1] for face in faces]
+
+    x = numbers(points).astype(float).reshape(-1, 3)
+    if "faces" in arrays:
+        stream = iter(numbers(arrays["faces"]).astype(int))
+        cells = [[np.array(list(islice(stream, next(stream)))) for _ in range(count)] for count in stream]
+    else:  # since VTK 9.4
+        names = ("face_connectivity", "face_offsets"), ("polyhedron_to_faces", "polyhedron_offsets")
+        faces, numbered = (np.split(*(numbers(arrays[name]).astype(int) for name in pair)) for pair in names)
+        cells = [[faces[k] for k in some] for some in numbered[:-1]]
+    return compact(x, [outward(cell) for cell in cells])

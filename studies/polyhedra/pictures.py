@@ -31,14 +31,12 @@ def draw(axes, model, run, path, shapes):
 
 def main(folder, hinge=False, cells=60, t_end=1.0):
     """Write bars.png, bars.gif, and run.pvd with the frames of both bars. hinge: between the bars."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    (folder := Path(folder)).mkdir(parents=True, exist_ok=True)
     model, v0, tip = bars(cells, hinge=hinge)
     run = pi.solve(model, t_end, pi.EnergyMomentum(h=1e-3), v0=v0, every=20)
     path, blue = np.array([model.place(tip, q) for q in run.q]), np.array([0.55, 0.7, 1.0])
     axes = (fig := plt.figure(figsize=(8.0, 5.0))).add_axes((0.0, 0.0, 0.95, 1.0), projection="3d")
-    moments = np.linspace(0, len(run.t) - 1, 5).astype(int)
-    draw(axes, model, run, path, [(k, blue * (1.0 - 0.5 * run.t[k] / t_end)) for k in moments])
+    draw(axes, model, run, path, [(k, blue * (1.0 - 0.5 * run.t[k] / t_end)) for k in np.linspace(0, len(run.t) - 1, 5).astype(int)])
     fig.savefig(folder / "bars.png", dpi=150)
 
     def frame(k):

@@ -41,9 +41,27 @@ def test_a_mesh_goes_through_a_vtu_file_whatever_the_orientation_of_its_faces(tm
     again = read_vtu(tmp_path / "mesh.vtu")
     assert np.array_equal(again.points, mesh.points)
     assert all(np.array_equal(a, b) for one, two in zip(again.cells, mesh.cells) for a, b in zip(one, two))
-    (tmp_path / "other.vtu").write_text("<VTKFile><UnstructuredGrid/></VTKFile>")
-    with pytest.raises(pi.InputError, match="polyhedra as faces and faceoffsets"):
-        read_vtu(tmp_path / "other.vtu")
+
+
+def test_a_vtu_file_of_new_versions_of_vtk_is_read(tmp_path):
+    mesh = box((1.0, 1.0, 1.0), 12, seed=2)
+    faces = [face for cell in mesh.cells for face in cell]
+    lists = {"face_connectivity": np.concatenate(faces), "face_offsets": np.cumsum([len(face) for face in faces])}
+    lists |= {"polyhedron_to_faces": np.arange(len(faces)), "polyhedron_offsets": np.cumsum([len(cell) for cell in mesh.cells])}
+    arrays = {"Points": mesh.points.ravel()} | lists
+    text = {k: f'<DataArray Name="{k}" format="ascii">{" ".join(map(repr, x.tolist()))}</DataArray>' for k, x in arrays.items()}
+    (tmp_path / "new.vtu").write_text(f"<VTKFile><Points>{text.pop('Points')}</Points><Cells>{''.join(text.values())}</Cells></VTKFile>")
+    again = read_vtu(tmp_path / "new.vtu")
+    assert np.array_equal(again.points, mesh.points)
+    assert all(np.array_equal(a, b) for one, two in zip(again.cells, mesh.cells, strict=True) for a, b in zip(one, two, strict=True))
+
+
+def test_a_vtu_file_that_cannot_be_read_is_refused(tmp_path):
+    appended = '<VTKFile><Points><DataArray format="appended"/></Points><DataArray Name="faces"/></VTKFile>'
+    for text in ("<VTKFile><UnstructuredGrid/></VTKFile>", appended):
+        (tmp_path / "other.vtu").write_text(text)
+        with pytest.raises(pi.InputError, match="polyhedra with faces, in text or base64, neither compressed nor appended"):
+            read_vtu(tmp_path / "other.vtu")
 
 
 def test_the_patch_test_with_a_finite_rotation():
