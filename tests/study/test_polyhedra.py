@@ -1,4 +1,7 @@
-"""The model of polyhedra in space (studies/polyhedra): identities of the mesh, the elements, the step matrix and the runs, with few cells."""
+"""The model of polyhedra in space (studies/polyhedra): identities of the mesh, the elements, the step matrix and the runs, with few cells.
+
+The rows of the study itself, with the patch test, orders and gradients, are in test_studies.py.
+"""
 
 import numpy as np
 import pytest
@@ -62,10 +65,6 @@ def test_a_vtu_file_that_cannot_be_read_is_refused(tmp_path):
         (tmp_path / "other.vtu").write_text(text)
         with pytest.raises(pi.InputError, match="polyhedra with faces, in text or base64, neither compressed nor appended"):
             read_vtu(tmp_path / "other.vtu")
-
-
-def test_the_patch_test_with_a_finite_rotation():
-    assert cases.patch_row(20, 1)["deviation"] < 1e-12
 
 
 def test_rigid_motions_have_no_force_and_masses_are_those_of_the_body(bars):
@@ -156,13 +155,3 @@ def test_modes_take_the_step_matrix(monkeypatch):
         monkeypatch.setattr(f"polyida.modal.eigen.{other}", None)
     found = pi.modes(model, pi.State(0.0, *np.zeros((3, model.n)), np.zeros(0)), count=12).frequencies
     assert np.abs(found[:6]).max() < 1e-2 and np.abs(found[6:] / exact - 1.0).max() < 1e-9
-
-
-def test_orders_of_soft_bars():
-    alpha = cases.order_row(CELLS, "alpha", (100, 200), 0.5e6, 0.02)
-    radau = cases.order_row(CELLS, "radau", (10, 20), 0.5e6, 0.02)
-    assert abs(alpha["order"] - 2.0) < 0.2 and radau["order"] > 3.5
-
-
-def test_gradients_in_modulus_and_density():
-    assert cases.gradient_row(CELLS, 0.01)["deviation"] < 1e-6

@@ -274,6 +274,20 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
     assert "it broke" in printed and "figures.json" in printed and "where it broke" not in printed
 
 
+def test_each_part_of_polyhedra_runs_and_meets_its_aim():
+    study, first = STUDIES["polyhedra"], {}
+    for task in study.tasks(True):
+        first.setdefault((task["part"], task.get("integrator")), task | ({"cells": 8} if task["part"] in ("free", "step") else {}))
+    found = StudyResult(study, [task | {"error": ""} | study.run(**task) for task in first.values()])
+    figures, missing = found.figures, "integrators_apart_m"  # of the full selection
+    assert [name for name, value in figures.items() if not np.isfinite(value)] == [missing]
+    assert figures["patch"] < 1e-12 and figures["energy"] < 1e-9 and figures["drift"] < 1e-14
+    assert figures["gradient"] < 1e-6 and figures["hinge_momentum"] < 1e-9
+    assert abs(figures["order_alpha_soft"] - 2.0) < 0.2 and abs(figures["order_radau_soft"] - 5.0) < 0.2
+    assert 1.0 <= figures["iterations_1e-03"] <= 2.0 and figures["cantilever_60"] < 0.03
+    assert [picture.name for picture in found.report_pictures()] == ["polyhedra"]
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_single_row_failed(name, monkeypatch):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
