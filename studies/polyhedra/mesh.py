@@ -42,8 +42,8 @@ class Mesh:
             if np.abs(self.points[face, axis] - place).max() < 1e-9:
                 for node, area in zip(face, np.linalg.norm(triangulated(self.points[face])[1], axis=1)):
                     weights[int(node)] = weights.get(int(node), 0.0) + float(area)
-        if not weights:
-            raise pi.InputError(f"side: no face of the mesh has x[{axis}] = {place}")
+        if not weights or (about is not None and abs(about[axis] - place) > 1e-9):
+            raise pi.InputError(f"side: x[{axis}] = {place} must be a plane with faces of the mesh, and about = {about} a point of it")
         areas, x = np.array(list(weights.values())) / sum(weights.values()), self.points[list(weights)]
         if about is not None:
             away = x - areas @ x

@@ -95,6 +95,9 @@ def test_a_mean_over_a_side_lies_where_it_is_wanted():
         x, w = mesh.points[list(weights)], np.array(list(weights.values()))
         assert abs(w.sum() - 1.0) < 1e-14 and np.abs(w @ x - about).max() < 1e-14
         assert weights.keys() == mesh.side(0, 1.0).keys()
+    for wrong in ((0, 0.5), (0, 1.0, (0.9, 0.05, 0.05))):
+        with pytest.raises(pi.InputError, match="must be a plane with faces of the mesh"):
+            mesh.side(*wrong)
 
 
 def test_a_hinge_holds_its_axis_and_leaves_the_rotation_about_it_free():
