@@ -105,7 +105,7 @@ def hinge_row(cells, t_end, seed=1):
     mesh = box(BAR, cells, seed)
     ends = [np.array([0.0, 0.05, z]) for z in (0.025, 0.075)]
     model = Polyhedra([mesh], RUBBER, (0.0, 0.0, -9.81), [Pin(Point(0, mesh.side(0, 0.0, end)), end) for end in ends])
-    run = pi.solve(model, t_end, pi.RadauIIA(rtol=1e-8), v0=np.cross((0.0, 0.0, SPIN), model.places - MIDDLE).ravel())
+    run = pi.solve(model, t_end, pi.RadauIIA(rtol=1e-9), v0=np.cross((0.0, 0.0, SPIN), model.places - MIDDLE).ravel())
     x, p = (values.reshape(-1, model.count, 3) for values in (run.q + (model.places - MIDDLE).ravel(), run.v @ model.M))
     L, end = np.cross(x, p).sum(axis=1)[:, 2], model.place(Point(0, mesh.side(0, 1.0)), run.q[-1]) - MIDDLE
     kept = {"momentum": float(np.ptp(L) / L[0]), "drift": float(np.abs(run.drift).max()), "outcome": run.status}
