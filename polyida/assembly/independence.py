@@ -5,7 +5,7 @@
 that keep a body rigid do not enter the norm.
 
 **Proof.** B are the rows of phi_q with unit length, columns in units of the coordinates' sizes, G = B B^T, s the least singular value of B:
-`s >= tr(G^-1)^(-1/2)`. If B changes by D, no singular value changes by more than D's Frobenius norm. With the bound s_0 at a reference state,
+`s >= tr(G^-1)^(-1/2)`. If B changes by D, no singular value changes by more than the spectral norm |D|. With the bound s_0 at a reference state,
 rows are independent while `|B - B_0| < s_0 / 2`. Beyond this the state becomes the reference, if s_0 + s_1 exceeds the distance, or if
 `det(B_0 B_1^T)` shows that the row space has not returned reversed. With rows in an order of small bandwidth k (Cuthill, McKee 1969) factors
 cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (Takahashi 1973).
@@ -281,6 +281,25 @@ def same_side(u, w, volume):
 
 
 @part
+def distance(u, w):
+    """Bound of the spectral norm of the change D of the rows: the smaller of `|D|_F` and `(|D|_1 |D|_inf)^(1/2)`; nan if D is."""
+    square = largest_row = largest_column = 0.0
+    for i in range(u.start.shape[0] - 1):
+        total = 0.0
+        for e in range(u.start[i], u.start[i + 1]):
+            change = abs(w.rows[1, e] - w.rows[0, e])
+            square += change * change
+            total += change
+            w.row[u.columns[e]] += change
+        largest_row = max(largest_row, total)
+    for e in range(w.rows.shape[1]):
+        largest_column = max(largest_column, w.row[u.columns[e]])
+        w.row[u.columns[e]] = 0.0
+    frobenius, product = np.sqrt(square), np.sqrt(largest_row * largest_column)
+    return product if product < frobenius else frobenius
+
+
+@part
 def refer(t, q, size, volume, w):
     """Make the state examined the reference."""
     w.least[0], w.volume[0] = size, volume
@@ -304,10 +323,7 @@ def unproven(u, links, drives, times, qs, first, w):
     """The first of the states (count,), from number `first` on, without proof; their number if there is none."""
     for k in range(first, qs.shape[0]):
         fill_rows(u, links, drives, times, k, qs[k], w)
-        square = 0.0
-        for i in range(w.rows.shape[1]):
-            square += (w.rows[1, i] - w.rows[0, i]) ** 2
-        way = np.sqrt(square)
+        way = distance(u, w)
         if way < SHARE * w.least[0]:
             continue
         size, volume = bound(u, w)

@@ -1,11 +1,14 @@
 """The compiled proof that rows of phi_q stay independent: never more than the singular values say, and no singular position is passed over."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import polyida as pi
 from polyida.assembly.independence import UnitRows
 from polyida.integrate.state import State
+from polyida.linear.lu import dense
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
 
 
@@ -51,3 +54,23 @@ def test_the_bound_is_below_the_least_singular_value(scene, size):
         proof.begin(state)
         found, exact = proof.workspace.least[0], least(rows_of(model.phi_q(0.0, state.q), sizes))
         assert exact / np.sqrt(model.m) * (1 - 1e-6) <= found <= exact * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("scene", [chain(6), four_bars(5), four_bars(20)])
+def test_a_state_keeps_the_reference_only_if_the_spectral_norm_of_the_change_allows_it(scene):
+    model, rng, kept = scene.build(), np.random.default_rng(2), {"by the spectral norm alone": 0, "all": 0}
+    start = pi.consistent_state(model)
+    proof, sizes = UnitRows(model, start), coordinate_sizes(model, start.q)
+    first = rows_of(model.phi_q(0.0, start.q), sizes)
+    for size in np.geomspace(1e-3, 0.1, 30):
+        proof.begin(start)
+        q = start.q + size * rng.standard_normal(model.n)
+        list(proof.unproven(SimpleNamespace(t=[1.0], q=[q], state=lambda k, q=q: State(1.0, q, start.v, start.a, start.lam))))
+        rows = rows_of(model.phi_q(1.0, q), sizes)
+        change = dense(rows.phi_q) / rows.lengths[:, None] - dense(first.phi_q) / first.lengths[:, None]
+        if proof.workspace.past[0, 0] == 0.0:
+            limit = 0.5 * proof.workspace.least[0]
+            assert np.linalg.norm(change, 2) < limit
+            kept["all"] += 1
+            kept["by the spectral norm alone"] += np.linalg.norm(change) > limit
+    assert kept["by the spectral norm alone"] > 0 and kept["all"] < 30
