@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from math import isfinite
 
 import numpy as np
@@ -114,10 +114,11 @@ def polynomial(coefficients: ArrayLike) -> Profile:
     numbers = floats(coefficients)
     if numbers is None or numbers.ndim != 1 or not numbers.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
-    value, first, second = _with_derivatives(numbers)
+    value, first, second = _with_derivatives(tuple(numbers.tolist()))
     return Profile(value, first, second, formula=("polynomial", *numbers.tolist()), shortest=np.inf)
 
 
+@lru_cache(maxsize=64)
 def _with_derivatives(c):
     """The polynomial `c0 + c1 t + ...` and its first two derivatives, as functions of t."""
     return tuple(partial(_horner, tuple(polyder(np.array(c, float), order).tolist())) for order in range(3))

@@ -156,9 +156,9 @@ class AlphaErrors(AlphaAdjoint):
             result.append("PeakStress reads the stress of cells, whose own error is not estimated")
         return tuple(result)
 
-    def observe(self, segment, first, t, motion, slopes, result, keep):
+    def observe(self, segment, first, t, motion, slopes, result):
         """Add the shares of some steps."""
-        count, end = len(t), first + len(t)
+        count, end, keep = len(t), first + len(t), result.keep
         piece = next(one for one in self.pieces if one[0] <= first < one[1])
         numbers = np.arange(first, end)
         at, points = near_points(numbers, *piece)

@@ -24,7 +24,7 @@ from polyida.adjoint.relaxation import cached_works, series_parameters
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
-from polyida.assembly.placement import gravity_at
+from polyida.assembly.placement import gravity_over
 from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import FieldBody, PointMass
@@ -131,7 +131,7 @@ def _mass_works(model, work):
         if drag := body.plate.material.mass_damping:
             of_body, b = slice(2 * body.pairs.start, 2 * body.pairs.stop), np.array(b) if b is work.a else b
             b[:, of_body] += drag * work.v[:, of_body]
-    return mass_work(model, b, work.w, np.array([gravity_at(model.gravity, t) for t in work.t.tolist()]).reshape(-1, 2))
+    return mass_work(model, b, work.w, gravity_over(model.gravity, work.t))
 
 
 def load_work(model, name, work, value=None):
@@ -160,8 +160,7 @@ class PointMassNumber(PartParameter):
     def slope(self, work):
         """`w_z . (a_z - gravity)` at its point z."""
         w, a = (self._at_point(x) for x in (work.w, work.a))
-        pull = np.array([complex(*gravity_at(self.model.gravity, t)) for t in work.t.tolist()])
-        return float(np.vdot(w, a - pull).real)
+        return float(np.vdot(w, a - complex_of_pairs(gravity_over(self.model.gravity, work.t))).real)
 
     def start(self, t, q, bar):
         """Slope if joints change the given motions, in the metric of M."""

@@ -43,7 +43,9 @@ def slope_over(profile, profile_at, scale, speeds, orders, t):
     """
     moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
     if moved.any():
-        t = np.array([_beside_kink(profile, at) for at in t.tolist()])
+        at_kink = (np.abs(t[:, None] - profile.kinks) <= 8 * np.spacing(np.maximum(1.0, np.abs(t)))[:, None]).any(axis=1)
+        t = np.array(t)
+        t[at_kink] = [_beside_kink(profile, at) for at in t[at_kink].tolist()]
 
     def table(s):
         near = profile_at(s)
@@ -54,9 +56,7 @@ def slope_over(profile, profile_at, scale, speeds, orders, t):
 
 
 def _beside_kink(profile, t):
-    """t; at a kink the time just beside it on the side whose values the profile takes, since round-off would choose the side."""
-    if not any(abs(kink - t) <= 8 * np.spacing(max(1.0, abs(t))) for kink in profile.kinks):
-        return t
+    """The time just beside a kink t, on the side whose values the profile takes, since round-off would choose the side."""
     at = np.array([beside(t, -1), t, beside(t, 1)])
     apart = sum(np.abs(values - values[1]) for values in (over(profile, at, order) for order in range(len(ORDERS))))
     return float(at[0] if apart[0] < apart[2] else at[2])
@@ -240,7 +240,11 @@ class ProfileNumber(Parameter):
         used, orders = np.flatnonzero(each.any(axis=1)), np.flatnonzero(each.any(axis=0))
         if not len(used):
             return 0.0 * self.value
-        return np.tensordot(each[np.ix_(used, orders)], self._slopes(orders, work.t[used]), 2)
+        at = orders.tobytes(), work.t[used].tobytes()
+        if at not in self._known:  # several objectives have the same times
+            self._known.clear()
+            self._known[at] = self._slopes(orders, work.t[used])
+        return np.tensordot(each[np.ix_(used, orders)], self._known[at], 2)
 
     def start(self, t, q, bar):
         """Slope if driven joints change the given motions."""
@@ -254,6 +258,11 @@ class ProfileNumber(Parameter):
 
     def _slopes(self, orders, t):
         return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
+
+    @cached_property
+    def _known(self):
+        """{(orders, times): their `_slopes`}, the last ones."""
+        return {}
 
     @cached_property
     def _speeds(self):

@@ -249,6 +249,11 @@ def gravity_at(gravity, t):
     return tuple(float(g(t)) if isinstance(g, Profile) else float(g) for g in gravity)
 
 
+def gravity_over(gravity, t):
+    """The same at times t (k,), (k, 2)."""
+    return np.stack([g.over(t) if isinstance(g, Profile) else np.full(len(t), float(g)) for g in gravity], axis=1)
+
+
 @dataclass(frozen=True)
 class Dead:
     """Dead load: forces (k, 2), N, on pairs of q, times a profile."""

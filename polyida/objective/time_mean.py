@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -358,10 +358,10 @@ class Deviation(TimeMean):
 
     def _evaluator(self, model, span):
         point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
-        pull = _pull(model, point)
+        pull, at = _pull(model, point), cache(self._at)
 
         def evaluate(frames):
-            gap = model.position(point, frames.q) - ([self._at(t) for t in frames.t.tolist()] if callable(self.path) else self._at(0.0))
+            gap = model.position(point, frames.q) - ([at(t) for t in frames.t.tolist()] if callable(self.path) else at(0.0))
 
             def to_slopes(factor):
                 toward = 2.0 * factor[:, None] * gap
