@@ -15,9 +15,10 @@ it begins from; j are the objective's own slopes:
 with `S = beta' M + gamma' C + K`, C = dr/dv and K = dr/dq at the accepted state, and `dJ/dp += w . dr/dp + mu . dphi/dp`. y is taken from
 K^T w: from the recursion it would carry the error of w, divided by h^2.
 
-The driver calls the entry ADJOINT of the model's table (adjoint/tables.py) with right, below, bar, w, mu and products. The entry solves the
-system above at the end of step k. w and mu hold a prediction before the call and the solution after it. bar (n,) is P_q + j_q. products (3, n)
-receives K^T w + B^T mu, C^T w, and M w, which is not used here.
+Several objectives are columns: all of them have the matrices of a step in common. The driver calls the entry ADJOINT of the model's table
+(adjoint/tables.py) with right, below, bar, w, mu and products, (columns, .) each. The entry solves the system above at the end of step k. w and mu
+hold a prediction before the call and the solution after it. bar is P_q + j_q. products (3, columns, n) receives K^T w + B^T mu, C^T w, and M w,
+which is not used here.
 """
 
 from dataclasses import replace
@@ -42,11 +43,11 @@ from polyida.system import ADJOINT
 from polyida.system.python import small_own, small_table
 
 # constants of compiled code
-Q, V, A, AHEAD = range(4)  # rows of Memory.bars
+Q, V, A, AHEAD = range(4)  # rows of Memory.bars; but for AHEAD, columns of FrameSlopes.place
+LAM = AHEAD  # of FrameSlopes.place
 SEEN, SHARE = range(2)  # of Memory.marks
 MARKS = 3
-W, RIGHT, BAR, STIFF, DAMPED = range(5)  # rows of Trial.now, which has one more
-MU, BELOW = range(2)  # of Trial.rows
+STIFF, DAMPED = range(2)  # of Trial.products
 WILD = 16.0  # a prediction with larger coefficients of differences is useless: w has grown from zero
 OF_NEWTON = 1e-2  # accepted error of w over Newton's tolerance
 SAMPLES = 300  # coordinates used to fit the coefficients
@@ -62,10 +63,10 @@ class AdjointState(NamedTuple):
 
 
 class SweepResult(NamedTuple):
-    """Results of a sweep: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
+    """Results of a sweep for a column: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
 
     With velocity rows or in the stabilised form also kappa (count, m), multipliers of phi's rate; in that form (y', slip, eta) of
-    `y' . (M slip + B^T eta)`. Else None.
+    `y' . (M slip + B^T eta)`. Else None. keep: y and z (2, count, n), or None.
     """
 
     bars: AdjointState
@@ -73,6 +74,7 @@ class SweepResult(NamedTuple):
     mu: np.ndarray
     kappa: np.ndarray | None = None
     slips: tuple | None = None
+    keep: np.ndarray | None = None
 
 
 @pack
@@ -90,19 +92,21 @@ class Method(NamedTuple):
 
 @pack
 class FrameSlopes(NamedTuple):
-    """The objective's slopes at the steps' ends, (count, .), or (0, .) where they are zero."""
+    """The objectives' slopes at the steps' ends, (., count, .): of those that have some. place (columns, 4): their index there, or -1."""
 
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
     lam: np.ndarray
+    place: np.ndarray
 
 
 @pack
 class Memory(NamedTuple):
-    """State of the sweep: bars (4, n); w (3, n) and mu (3, m): those of the last step with first and second backward differences.
+    """State of the sweep: bars (columns, 4, n); w (columns, 3, n) and mu (columns, 3, m): those of the last step with first and second backward
+    differences.
 
-    marks: SEEN, number of steps since the prediction started; from SHARE on the coefficients of both differences in a prediction.
+    marks (columns, MARKS): SEEN, number of steps since the prediction started; from SHARE on the coefficients of both differences in a prediction.
     """
 
     bars: np.ndarray
@@ -113,15 +117,19 @@ class Memory(NamedTuple):
 
 @pack
 class Trial(NamedTuple):
-    """Scratch of a step: now (6, n), rows (2, m)."""
+    """Arguments of ADJOINT in a step: right, bar, w (columns, n), below, mu (columns, m), products (3, columns, n)."""
 
-    now: np.ndarray
-    rows: np.ndarray
+    right: np.ndarray
+    bar: np.ndarray
+    w: np.ndarray
+    below: np.ndarray
+    mu: np.ndarray
+    products: np.ndarray
 
 
 @pack
 class SweepOutput(NamedTuple):
-    """Results of the steps: w (count, n), mu (count, m), and y and z (count, n), or (0, n) if they are not needed."""
+    """Results of the steps: w (columns, count, n), mu (columns, count, m), and y and z (columns, count, n), or (columns, 0, n) if they are not needed."""
 
     w: np.ndarray
     mu: np.ndarray
@@ -130,22 +138,23 @@ class SweepOutput(NamedTuple):
 
 
 @fast
-def begin(p, j, k, y, z):
-    """Set the right-hand sides of step k, and predict w and mu."""
-    right, bar, below, bars = z.now[RIGHT], z.now[BAR], z.rows[BELOW], y.bars
+def begin(p, j, k, y, z, c):
+    """Set the right-hand sides of step k in column c, and predict w and mu."""
+    right, bar, below, bars = z.right[c], z.bar[c], z.below[c], y.bars[c]
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
         right[i] = -bars[Q, i] - p.to_v * bars[V, i] - p.to_a * bars[A, i] - b * bars[AHEAD, i]
         bar[i] = bars[Q, i]
     for i in range(below.shape[0]):
         below[i] = 0.0
-    add_slope(j.q, k, -1.0, right)
-    add_slope(j.q, k, 1.0, bar)
-    add_slope(j.v, k, -p.to_v, right)
-    add_slope(j.a, k, -p.to_a, right)
-    add_slope(j.lam, k, -1.0, below)
-    predict(y.marks[SHARE], y.marks[SHARE + 1], y.w, z.now[W])
-    predict(y.marks[SHARE], y.marks[SHARE + 1], y.mu, z.rows[MU])
+    add_slope(j.q, j.place[c, Q], k, -1.0, right)
+    add_slope(j.q, j.place[c, Q], k, 1.0, bar)
+    add_slope(j.v, j.place[c, V], k, -p.to_v, right)
+    add_slope(j.a, j.place[c, A], k, -p.to_a, right)
+    add_slope(j.lam, j.place[c, LAM], k, -1.0, below)
+    first, second = y.marks[c, SHARE], y.marks[c, SHARE + 1]
+    predict(first, second, y.w[c], z.w[c])
+    predict(first, second, y.mu[c], z.mu[c])
 
 
 @fast
@@ -156,30 +165,31 @@ def predict(first, second, past, out):
 
 
 @fast
-def add_slope(j, k, factor, out):
-    """out += factor j[k], unless j is (0, .)."""
-    if j.shape[0]:
+def add_slope(j, place, k, factor, out):
+    """out += factor j[place, k], unless place is -1."""
+    if place >= 0:
         for i in range(out.shape[0]):
-            out[i] += factor * j[k, i]
+            out[i] += factor * j[place, k, i]
 
 
 @fast
-def finish(p, j, k, y, z, out):
-    """Write w, mu, y and z of step k, and the bars of the step's start."""
-    bars, now, h, scale = y.bars, z.now, p.h, 1.0 / (1.0 - p.alpha_m)
-    add_slope(j.v, k, 1.0, bars[V])
+def finish(p, j, k, y, z, out, c):
+    """Write w, mu, y and z of step k in column c, and the bars of the step's start."""
+    bars, bar, stiff, damped, w = y.bars[c], z.bar[c], z.products[STIFF, c], z.products[DAMPED, c], out.w[c, k]
+    h, scale = p.h, 1.0 / (1.0 - p.alpha_m)
+    add_slope(j.v, j.place[c, V], k, 1.0, bars[V])
     for i in range(bars.shape[1]):
-        b, c = -now[BAR, i] - now[STIFF, i], -bars[V, i] - now[DAMPED, i]
-        a = (h * h * p.beta * b + h * p.gamma * c - bars[AHEAD, i]) * scale
+        b, d = -bar[i] - stiff[i], -bars[V, i] - damped[i]
+        a = (h * h * p.beta * b + h * p.gamma * d - bars[AHEAD, i]) * scale
         bars[Q, i] = -b
-        bars[V, i] = -c - h * b
+        bars[V, i] = -d - h * b
         bars[A, i] = -p.alpha_f * a
-        bars[AHEAD, i] = p.alpha_m * a - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * c
-        out.w[k, i] = now[W, i]
-        if out.y.shape[0]:
-            out.y[k, i], out.z[k, i] = b, c
-    for i in range(out.mu.shape[1]):
-        out.mu[k, i] = z.rows[MU, i]
+        bars[AHEAD, i] = p.alpha_m * a - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * d
+        w[i] = z.w[c, i]
+        if out.y.shape[1]:
+            out.y[c, k, i], out.z[c, k, i] = b, d
+    for i in range(out.mu.shape[2]):
+        out.mu[c, k, i] = z.mu[c, i]
 
 
 @fast
@@ -191,10 +201,10 @@ def shift(now, past):
 
 
 @fast
-def fit(y, w):
+def fit(marks, past, w):
     """The coefficients of the differences that fit the change of w best; 0 while too few steps are known."""
     aa = ab = bb = ad = bd = 0.0
-    n, past = w.shape[0], y.w
+    n = w.shape[0]
     for i in range(0, n, n // SAMPLES | 1):
         first, second, d = past[1, i], past[2, i], w[i] - past[0, i]
         aa += first * first
@@ -205,9 +215,9 @@ def fit(y, w):
     first, second = nearest(aa, ab, bb, ad, bd)
     if not abs(first) + abs(second) < WILD:
         first = second = 0.0
-    count = y.marks[SEEN]
-    y.marks[SHARE] = first if count > 3.0 else 1.0 if count == 3.0 else 0.0
-    y.marks[SHARE + 1] = second if count > 3.0 else 0.0
+    count = marks[SEEN]
+    marks[SHARE] = first if count > 3.0 else 1.0 if count == 3.0 else 0.0
+    marks[SHARE + 1] = second if count > 3.0 else 0.0
 
 
 @entry
@@ -216,23 +226,25 @@ def stretch(f, workspace, p, j, first, last, y, z, out):
 
     f: addresses of the table's functions; workspace: address of the model's.
     """
-    right, below, bar = address(z.now[RIGHT]), address(z.rows[BELOW]), address(z.now[BAR])
-    w, mu, products = address(z.now[W]), address(z.rows[MU]), address(z.now[STIFF])
+    right, below, bar = address(z.right), address(z.below), address(z.bar)
+    w, mu, products, columns = address(z.w), address(z.mu), address(z.products), z.w.shape[0]
     for k in range(last - 1, first - 1, -1):
-        begin(p, j, k, y, z)
+        for c in range(columns):
+            begin(p, j, k, y, z, c)
         ended = call(f[ADJOINT], workspace, k, right, below, bar, w, mu, products)
         if ended != DONE:
             return k + 1, ended
-        finish(p, j, k, y, z, out)
-        y.marks[SEEN] += 1.0
-        fit(y, z.now[W])
-        shift(z.now[W], y.w)
-        shift(z.rows[MU], y.mu)
+        for c in range(columns):
+            finish(p, j, k, y, z, out, c)
+            y.marks[c, SEEN] += 1.0
+            fit(y.marks[c], y.w[c], z.w[c])
+            shift(z.w[c], y.w[c])
+            shift(z.mu[c], y.mu[c])
     return first, DONE
 
 
-def adjoint_table(model, settings, h, counts):
-    """The table of a model for steps of h. counts: Counts to be increased."""
+def adjoint_table(model, settings, h, counts, columns):
+    """The table of a model for steps of h and a number of columns. counts: Counts to be increased."""
     to_a, to_v = settings.coefficients.rates(h)
     if settings.form == "index3" and settings.linear != "kkt" and not model.velocity_rows.size:
         if model.compiled:
@@ -246,42 +258,42 @@ def adjoint_table(model, settings, h, counts):
                 return [(system.corotated, system.workspace)]
 
             enough, one = max(EXACT, OF_NEWTON * settings.newton_tolerance(0.0)[1]), np.ones(1)
-            return SceneAdjoint(model, [[to_v]], [[to_a]], [(to_a, to_v, one, one)], factor, enough, counts)
+            return SceneAdjoint(model, [[to_v]], [[to_a]], [(to_a, to_v, one, one)], factor, enough, counts, columns=columns)
         if small_own(model):
-            return DenseAdjoint(small_table(model), [[to_v]], [[to_a]], counts)
-    return PythonAdjoint(model, settings, h, counts)
+            return DenseAdjoint(small_table(model), [[to_v]], [[to_a]], counts, columns=columns)
+    return PythonAdjoint(model, settings, h, counts, columns)
 
 
 class Sweep:
-    """Backward sweep over steps of h of a model. counts: Counts to be increased; table: that of `adjoint_table`, if it is known."""
+    """Backward sweep over steps of h of a model. counts: Counts to be increased; columns: number of objectives."""
 
-    def __init__(self, model, settings, h, counts, table=None):
+    def __init__(self, model, settings, h, counts, columns=1):
         c, n, m = settings.coefficients, model.n, model.m
-        self.model, self.settings, self.counts = model, settings, counts
+        self.model, self.settings, self.counts, self.columns = model, settings, counts, columns
         self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h))
-        self.memory = Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS))
-        self.trial = Trial(np.zeros((6, n)), np.zeros((2, m)))
-        self.table, self.before = table or adjoint_table(model, settings, h, counts), np.inf
+        self.memory = Memory(*(np.zeros((columns, *size)) for size in ((4, n), (3, n), (3, m), (MARKS,))))
+        self.trial = Trial(*(np.zeros((columns, size)) for size in (n, n, n, m, m)), np.zeros((3, columns, n)))
+        self.table, self.before = adjoint_table(model, settings, h, counts, columns), np.inf
 
-    def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
-        """The SweepResult of steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
+    def back(self, t, q, v, a, lam, slopes, bars, keep=False, slips=None):
+        """The SweepResult of each column over steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
 
-        slopes: of the objective at these states; bars: the AdjointState from the step behind the last one. keep (2, count, n): for y and z,
-        or None. slips (count, n): of the stabilised form, the part of q from eta.
+        slopes: of the objectives at these states; bars: the AdjointStates from the step behind the last one; a list for each. keep: True if y and
+        z are needed. slips (count, n): of the stabilised form, the part of q from eta.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             self._forget()
         self.memory.bars[:], self.before = bars, t[0] - self.method.h
-        table, states, n, m = self.table, (t, q, v, a, lam), self.model.n, self.model.m
-        self.out = SweepOutput(np.empty_like(q), np.empty_like(lam), *(np.empty((2, 0, n)) if keep is None else keep))
-        parts = (slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m)
-        slopes_here = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
-        self.frame_slopes, done = slopes_here, len(t)
+        table, states, done = self.table, (t, q, v, a, lam), len(t)
+        w, mu = (np.empty((self.columns, *shape)) for shape in (q.shape, lam.shape))
+        kept = np.empty((2, self.columns, done if keep else 0, self.model.n))
+        self.out = SweepOutput(w, mu, *kept)
+        self.frame_slopes = frame_slopes(slopes, q, lam)
         table.set_states(*states, slips)
 
         def exact_table():
             self._forget()
-            exact = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
+            exact = PythonAdjoint(self.model, self.settings, self.method.h, self.counts, self.columns)
             exact.set_states(*states)
             return exact
 
@@ -291,11 +303,32 @@ class Sweep:
             done,
             lambda *at: stretch(*at[:2], self.method, self.frame_slopes, *at[2:], self.memory, self.trial, self.out),
         )
-        return SweepResult(AdjointState(*self.memory.bars.copy()), self.out.w, self.out.mu, table.kappa, table.slips)
+        return [
+            SweepResult(
+                AdjointState(*self.memory.bars[c].copy()),
+                w[c],
+                mu[c],
+                None if table.kappa is None else table.kappa[c],
+                None if table.slips is None else tuple(part[c] for part in table.slips),
+                kept[:, c] if keep else None,
+            )
+            for c in range(self.columns)
+        ]
 
     def _forget(self):
         """Restart the prediction."""
         self.memory.w[:], self.memory.mu[:], self.memory.marks[:] = 0.0, 0.0, 0.0
+
+
+def frame_slopes(slopes, q, lam):
+    """The FrameSlopes of the objectives' Slopes at states with these q and lam (count, .)."""
+    arrays, place = [], np.full((len(slopes), 4), -1)
+    for number, (name, shape) in enumerate((("q", q.shape), ("v", q.shape), ("a", q.shape), ("lam", lam.shape))):
+        known = [(c, part) for c, one in enumerate(slopes) if (part := getattr(one, name)) is not None]
+        place[[c for c, _ in known], number] = range(len(known))
+        parts = [np.ascontiguousarray(part, float)[None] for _, part in known]
+        arrays.append(parts[0] if len(parts) == 1 else np.concatenate([*parts, np.zeros((0, *shape))]))
+    return FrameSlopes(*arrays, place)
 
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once
@@ -323,7 +356,7 @@ class AlphaAdjoint(RunAdjoint):
 
     def __init__(self, run, objective, names, memory_limit):
         super().__init__(run, objective, names, memory_limit)
-        self.sweeps, self.tables, self.ready, self.ahead = FactorCache(), FactorCache(), {}, {}
+        self.sweeps, self.ready, self.ahead = FactorCache(), {}, {}
         self.longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
         if self.stabilised or self.events.speeds or self.observes:
@@ -363,80 +396,74 @@ class AlphaAdjoint(RunAdjoint):
         beta = self.settings.coefficients.beta
         return q[1:] - (q[:-1] + h * v[:-1] + h * h * ((0.5 - beta) * ahead[:-1] + beta * ahead[1:]))
 
-    def beside(self, run, objective):
-        """The sweep for another objective, which shares the tables with this one."""
-        other = super().beside(run, objective)
-        other.sweeps = FactorCache()
-        return other
-
-    def stretches_backward(self):
-        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state."""
-        bars, lam = AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
+    def stretches_backward(self, sweeps):
+        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state for each objective."""
+        each = [(AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)) for _ in sweeps]
         for segment in reversed(self.history.segments):
-            bars = yield from self._steps(segment, bars, lam)
+            bars = yield from self._steps(segment, sweeps, *zip(*each))
             if self.observes:
-                self.observe_start(segment, bars)
-            if self.events.speeds:
-                self._add_start_slopes(segment, bars)
-            bars, lam, entries = self._segment_start(segment, bars)
-            if entries:
-                at = stacked(entries)
-                self.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
-        return *bars[:3], lam
+                self.observe_start(segment, bars[0])
+            each = []
+            for sweep, after in zip(sweeps, bars):
+                if self.events.speeds:
+                    sweep.events.add_step_slope(segment, *self._start_slopes(segment, after))
+                before, lam, entries = self._segment_start(segment, after)
+                if entries:
+                    at = stacked(entries)
+                    sweep.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
+                each.append((before, lam))
+        return [(*bars[:3], lam) for bars, lam in each]
 
-    def _steps(self, segment, bars, lam):
-        """The AdjointState at the start of a segment, by sweeping over it; lam: the bar of the multipliers of its last state."""
+    def _steps(self, segment, sweeps, bars, lam):
+        """The AdjointStates at the start of a segment, by sweeping over it; lam: the bars of the multipliers of its last state."""
         key, end = f"{segment.h:.9e}", segment.first + segment.count
-        if (sweep := self.sweeps.get(key)) is None:
-            table = self.tables.get(key)
-            sweep = Sweep(self.model, self.settings, segment.h, self.counts, table and table.beside())
-            self.tables.keep(key, table or sweep.table)
-        self.sweeps.keep(key, sweep)
+        if (shared := self.sweeps.get(key)) is None:
+            shared = Sweep(self.model, self.settings, segment.h, self.counts, len(sweeps))
+        self.sweeps.keep(key, shared)
         for first, last in self._stretches(segment):
             t, q, v, a, rows = self.history.states(first + 1, last + 1)
-            slopes_here, inner = self.objective_slopes.at_states(first + 1, last + 1), t
-            own = slopes_here
+            own, inner = [sweep.objective_slopes.at_states(first + 1, last + 1) for sweep in sweeps], t
+            slopes_here = own
             if last == end:
                 inner = np.append(t[:-1], inner_side(self.model, t[-1], segment.h))
-                if lam.any():
-                    slopes_here = replace(slopes_here, lam=np.zeros(rows.shape) if slopes_here.lam is None else np.array(slopes_here.lam))
-                    slopes_here.lam[-1] += lam
+                slopes_here = [_with_last(one, bar, rows) for one, bar in zip(own, lam)]
             motion = self._motion(segment, first, last) if self.ready else None
             slip = self._slips(segment.h, *motion) if self.stabilised else None
-            keep = np.empty((2, *q.shape)) if self.events.speeds or self.observes else None
-            result = sweep.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
-            self.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
-            if self.stabilised:
-                (ahead, slipped, eta), still = result.slips, np.zeros_like(q)
-                self.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)
-                self.add(AdjointMultipliers(inner, q, still, still, np.zeros_like(eta), -ahead), t)
+            keep = bool(self.events.speeds or self.observes)
+            results = shared.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
+            for sweep, slopes, result in zip(sweeps, slopes_here, results):
+                sweep.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
+                if self.stabilised:
+                    (ahead, slipped, eta), still = result.slips, np.zeros_like(q)
+                    sweep.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)
+                    sweep.add(AdjointMultipliers(inner, q, still, still, np.zeros_like(eta), -ahead), t)
+                if self.events.speeds:
+                    sweep.events.add_step_slope(segment, self._step_slope(segment, *motion[:2], slip, *result.keep))
+                    if (by_time := slopes.by_time()) is not None:
+                        sweep.events.add_at(t, by_time)
             if self.observes:
-                self.observe(segment, first, inner, motion, own, result, keep)
-            if self.events.speeds:
-                self._add_step_slopes(segment, *motion[:2], slip, *keep)
-                if (by_time := slopes_here.by_time()) is not None:
-                    self.events.add_at(t, by_time)
-            bars = result.bars
+                self.observe(segment, first, inner, motion, own[0], results[0])
+            bars = [result.bars for result in results]
             yield float(t[0])
         return bars
 
-    def observe(self, segment, first, t, motion, slopes, result, keep):
+    def observe(self, segment, first, t, motion, slopes, result):
         """Take the multipliers of steps from state number `first`.
 
-        t (count,): times of their ends, beside kinks; motion: of `_motion`; slopes: of the objective; result: SweepResult; keep: y and z (count, n).
+        t (count,): times of their ends, beside kinks; motion: of `_motion`; slopes: of the objective; result: SweepResult with y and z.
         """
 
     def observe_start(self, segment, bars):
         """Take the AdjointState of the state from which the steps of a segment begin."""
 
-    def _add_step_slopes(self, segment, q, v, slip, y, z):
-        """Add the slope in h of steps with multipliers y and z; q and v: of `_motion`; slip: what the stabilised form adds to q, or None."""
+    def _step_slope(self, segment, q, v, slip, y, z):
+        """The slope in h of steps with multipliers y and z; q and v: of `_motion`; slip: what the stabilised form adds to q, or None."""
         moved = np.diff(q, axis=0) - (0.0 if slip is None else slip)
         by_h = np.sum(y * (2.0 * moved / segment.h - v[:-1])) + np.sum(z * np.diff(v, axis=0)) / segment.h
-        self.events.add_step_slope(segment, -by_h)
+        return -by_h
 
-    def _add_start_slopes(self, segment, bars):
-        """Add the slopes of a segment's start in h, and in h of the segment before."""
+    def _start_slopes(self, segment, bars):
+        """The slopes of a segment's start in h, and in h of the segment before."""
         (state, _), slopes = self.ready[segment.first], [0.0, 0.0]
         for k, h in enumerate((segment.h, segment.before)[: 1 + (segment.kind == "on")]):
             for s, weight in ((SMALL, 0.5), (-SMALL, -0.5)):
@@ -444,7 +471,7 @@ class AlphaAdjoint(RunAdjoint):
                 ready = started(self.settings, self.model, moved, segment.h * (1.0 + s) if k == 0 else segment.h)
                 vectors = ready.q, ready.v, ready.a, ready.memory["a_alg"]
                 slopes[k] += weight * sum(float(bar @ x) for bar, x in zip(bars, vectors)) / (SMALL * h)
-        self.events.add_step_slope(segment, *slopes)
+        return slopes
 
     def _segment_start(self, segment, bars):
         """(AdjointState, bar of lam, entries for parameters) of the state before a segment's start procedure; bars: of the state after it."""
@@ -456,3 +483,12 @@ class AlphaAdjoint(RunAdjoint):
             add_to(var, bar)
         tape.back()
         return AdjointState(q.bar, v.bar, a.bar, ahead.bar), lam.bar, taped.entries
+
+
+def _with_last(slopes, bar, rows):
+    """The Slopes with the bar of the multipliers of the last state, (m,); rows (count, m)."""
+    if not bar.any():
+        return slopes
+    lam = np.zeros(rows.shape) if slopes.lam is None else np.array(slopes.lam)
+    lam[-1] += bar
+    return replace(slopes, lam=lam)

@@ -1,4 +1,7 @@
-"""Products of a scene's matrices with a field at one state: `K^T w + B^T mu`, `M w` and `C^T w`, without a matrix."""
+"""Products of a scene's matrices with fields at one state: `K^T w + B^T mu`, `M w` and `C^T w`, without a matrix.
+
+The fields are columns w (columns, nodes, 2). What depends on the state alone is evaluated once for all of them.
+"""
 
 from typing import NamedTuple
 
@@ -17,8 +20,8 @@ class Scratch(NamedTuple):
     """Workspace of products at a state: nodal rotations, matrices of the points and of bodies of few coordinates, and the results.
 
     points (4, points, 2): displacements, velocities, those of w, forces. curvature, slack (., 2, 2): blocks of K and C on the coupled points, of
-    rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few coordinates. stiff, heavy, slowing (nodes, 2): K^T w + B^T mu,
-    M w, C^T w; rows (m,): B w.
+    rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few coordinates. stiff, heavy, slowing (columns, nodes, 2):
+    K^T w + B^T mu, M w, C^T w; rows (columns, m): B w.
     """
 
     rotation: np.ndarray
@@ -47,12 +50,12 @@ def viscosity_of(model):
     return model.arrays.plates.body_viscosity if model.damped else np.zeros(0)
 
 
-def scratch(model, tied=False):
+def scratch(model, tied=False, columns=1):
     """Scratch of a scene's size; tied: True if there are multipliers of the rates of the rows, which add to C^T w."""
-    nodes, few = (model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
+    nodes, few = (columns, model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
     coupled = (len(model.arrays.links.coupling.columns), 2, 2)
     return Scratch(
-        np.zeros(nodes),
+        np.zeros(nodes[1:]),
         np.zeros((4, model.n_points, 2)),
         np.zeros(coupled),
         np.zeros(coupled if len(model.laws.energies) else (0, 2, 2)),
@@ -60,8 +63,8 @@ def scratch(model, tied=False):
         np.zeros(few if model.damped else (0, 2, 2)),
         np.zeros(nodes),
         np.zeros(nodes),
-        np.zeros(nodes if tied or model.needs.velocity_forces else (0, 2)),
-        np.zeros(model.m),
+        np.zeros(nodes if tied or model.needs.velocity_forces else (columns, 0, 2)),
+        np.zeros((columns, model.m)),
     )
 
 
@@ -97,25 +100,28 @@ def few_products(c, few, w, r):
 
 
 @shared
-def body_products(s, viscosity, u, v, w, rotation, x):
-    """Fill x.stiff, x.heavy and x.slowing with the parts of the bodies; rotation: x.rotation, or (0, 2) if it is already computed."""
-    clear(x.stiff)
-    clear(x.heavy)
-    clear(x.slowing)
+def body_products(s, viscosity, u, v, which, w, rotation, x):
+    """Fill x.stiff, x.heavy and x.slowing of the columns in `which` with the parts of the bodies; rotation: x.rotation, or (0, 2) if it is known."""
     clear(rotation)
-    plate_products(s.plates, viscosity, u, v, w, rotation, x)
-    compact.momentum(s.compact, w, x.heavy)
-    few_products(s.compact, x.few, w, x.stiff)
-    if x.slow.shape[0]:
-        few_products(s.compact, x.slow, w, x.slowing)
-    relaxation.add_products(s, s.relaxation, u, v, w, rotation, x.stiff, x.heavy, x.slowing)
+    for c in which:
+        clear(x.stiff[c])
+        clear(x.heavy[c])
+        clear(x.slowing[c])
+    plate_products(s.plates, viscosity, u, v, which, w, rotation, x)
+    for k in range(which.shape[0]):
+        c, turns = which[k], rotation if k == 0 else rotation[:0]
+        compact.momentum(s.compact, w[c], x.heavy[c])
+        few_products(s.compact, x.few, w[c], x.stiff[c])
+        if x.slow.shape[0]:
+            few_products(s.compact, x.slow, w[c], x.slowing[c])
+        relaxation.add_products(s, s.relaxation, u, v, w[c], turns, x.stiff[c], x.heavy[c], x.slowing[c])
     if rotation.shape[0]:
         for b in range(s.compact.drag.shape[0]):
             compact.turn(s.compact, b, u, rotation)
 
 
 @part
-def plate_products(s, viscosity, u, v, w, rotation, x):
+def plate_products(s, viscosity, u, v, which, w, rotation, x):
     """Add the parts of the plates."""
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
@@ -124,21 +130,23 @@ def plate_products(s, viscosity, u, v, w, rotation, x):
         weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
         indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
         if viscosity.shape[0] == 0:
-            cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
-        else:
-            cell_products.viscous_products(
-                layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w, x.stiff, x.slowing, rotation
-            )
-            if s.body_drag[b] != 0.0:
-                kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w, x.slowing)
-        kernels.mass_product(indptr, indices, mass, s.body_density[b], n0, w, x.heavy)
-        if s.body_stabilisation[b] != 0.0:
-            kernels.stabilisation_force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w, x.stiff)
+            cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, which, w, x.stiff, rotation)
+        cell_products.mass_products(indptr, indices, mass, s.body_density[b], n0, which, w, x.heavy)
+        for k in range(which.shape[0]):
+            c, turns = which[k], rotation if k == 0 else rotation[:0]
+            if viscosity.shape[0]:
+                cell_products.viscous_products(
+                    layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w[c], x.stiff[c], x.slowing[c], turns
+                )
+                if s.body_drag[b] != 0.0:
+                    kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w[c], x.slowing[c])
+            if s.body_stabilisation[b] != 0.0:
+                kernels.stabilisation_force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w[c], x.stiff[c])
 
 
 @part
-def point_products(s, laws, slopes, w, mu, x):
-    """Add the parts of point masses, rows and force elements; x.rows = B w. slopes: phi_z."""
+def point_products(s, laws, slopes, c, w, mu, x):
+    """Add the parts of point masses, rows and force elements to column c; its x.rows = B w. slopes: phi_z; w (nodes, 2), mu (m,): of the column."""
     wz, forces = x.points[WZ], x.points[FORCES]
     joints.point_values(s, w, wz)
     pull_back(s.coupling, x.curvature, wz, forces)
@@ -148,14 +156,14 @@ def point_products(s, laws, slopes, w, mu, x):
             i = s.row_columns[e]
             total += slopes[e] * wz[i // 2, i % 2]
             forces[i // 2, i % 2] += slopes[e] * mu[k]
-        x.rows[k] = total
-    joints.spread(s, forces, x.stiff)
+        x.rows[c, k] = total
+    joints.spread(s, forces, x.stiff[c])
     for f in range(forces.shape[0]):
         forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]
-    joints.spread(s, forces, x.heavy)
+    joints.spread(s, forces, x.heavy[c])
     if x.slack.shape[0]:
         pull_back(s.coupling, x.slack, wz, forces)
-        joints.spread(s, forces, x.slowing)
+        joints.spread(s, forces, x.slowing[c])
 
 
 @part
@@ -170,12 +178,30 @@ def pull_back(coupling, blocks, wz, forces):
 
 
 @entry
+def curvature_product(s, drives, lam, w, x):
+    """Fill x.stiff with (B^T lam)_q^T w."""
+    x.curvature[:] = 0.0
+    joints.joint_curvature(s, drives, lam, x.curvature)
+    joints.point_values(s, w, x.points[WZ])
+    pull_back(s.coupling, x.curvature, x.points[WZ], x.points[FORCES])
+    clear(x.stiff[0])
+    joints.spread(s, x.points[FORCES], x.stiff[0])
+
+
+def reaction_product(model, t, lam, w):
+    """(B^T lam)_q^T w of a compiled scene at any q, (n,)."""
+    x = model.once(scratch)
+    curvature_product(model.arrays.links, model.drives(t), np.array(lam, float), np.array(w, float).reshape(-1, 2), x)
+    return x.stiff.ravel().copy()
+
+
+@entry
 def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
-    """All products at one state, into x; slopes is workspace for phi_z."""
+    """All products of one column at one state, into x; slopes is workspace for phi_z."""
     hold_state(s, laws, drives, u, v, lam, x)
-    body_products(s, viscosity, u, v, w, x.rotation, x)
+    body_products(s, viscosity, u, v, np.zeros(1, np.int64), w, x.rotation, x)
     joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
-    point_products(s.links, laws, slopes, w, mu, x)
+    point_products(s.links, laws, slopes, 0, w[0], mu, x)
 
 
 def products_at(model, drives, q, v, lam, w, mu):
@@ -183,5 +209,5 @@ def products_at(model, drives, q, v, lam, w, mu):
     x, arrays, slopes = model.once(scratch), model.once(arrays_of), np.empty(len(model.arrays.links.row_columns))
     u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
     viscosity = viscosity_of(model)
-    products(arrays, viscosity, model.laws, drives, slopes, u, v, np.array(lam, float), w, np.array(mu, float), x)
+    products(arrays, viscosity, model.laws, drives, slopes, u, v, np.array(lam, float), w[None], np.array(mu, float), x)
     return x

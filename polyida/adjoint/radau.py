@@ -160,17 +160,20 @@ class RadauAdjoint(RunAdjoint):
         """The States with numbers first to end - 1."""
         return States(*(np.ascontiguousarray(x, float) for x in self.history.states(first, end)))
 
-    def stretches_backward(self):
-        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state."""
+    def stretches_backward(self, sweeps):
+        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state for each objective."""
         together = int(max(1, min(self.engine.most, CHUNK // (8 * self.model.n * self.settings.stages))))
         longest = 1 if self.single_steps else together
         for segment in reversed(self.history.segments):
             for end in range(segment.first + segment.count, segment.first, -longest):
-                yield self._steps(segment, max(segment.first, end - longest), end)
-                if sum(len(x.t) for x in self.pending[0]) >= together:
-                    self._flush()
-        self._flush()
-        return *self.sweep.bars, np.zeros(self.model.n), np.zeros(self.model.m)
+                for sweep in sweeps:
+                    t = sweep._steps(segment, max(segment.first, end - longest), end)
+                    if sum(len(x.t) for x in sweep.pending[0]) >= together:
+                        sweep._flush()
+                yield t
+        for sweep in sweeps:
+            sweep._flush()
+        return [(*sweep.sweep.bars, np.zeros(self.model.n), np.zeros(self.model.m)) for sweep in sweeps]
 
     def _steps(self, segment, first, end):
         """Sweep backward over the steps from state number `first` to `end`. Returns the time of the first."""

@@ -226,10 +226,10 @@ def sweep_with_fallback(table, exact, count, steps):
 
 
 class RunAdjoint:
-    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `stretches_backward()`.
+    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `stretches_backward(sweeps)`.
 
-    `stretches_backward` is a generator: it adds the slopes of a stretch of steps to `totals`, yields the time at which the stretch begins, and
-    returns the bars of q, v, a and lam of the run's first state. start_is_given: True if the run starts from a given state, which is held constant.
+    `stretches_backward` is a generator: it adds the slopes of a stretch of steps to the `totals` of each of the sweeps, this one and those beside
+    it, yields the time at which the stretch begins, and returns their bars of q, v, a and lam of the run's first state. start_is_given: True if the run starts from a given state, which is held constant.
     """
 
     def __init__(self, run, objective, names, memory_limit):
@@ -334,14 +334,14 @@ class RunAdjoint:
 
 
 def together(sweeps, progress):
-    """The results of the sweeps' `stretches_backward`, stretch by stretch of all; progress is called with t."""
-    results = [None] * len(sweeps)
+    """The bars of the run's first state of sweeps over the same steps; progress is called with t."""
+    results = []
 
-    def noted(k, sweep):
-        results[k] = yield from sweep.stretches_backward()
+    def steps():
+        results.extend((yield from sweeps[0].stretches_backward(sweeps)))
 
-    for times in zip(*(noted(k, sweep) for k, sweep in enumerate(sweeps)), strict=True):
-        progress(times[0])
+    for t in steps():
+        progress(t)
     return results
 
 

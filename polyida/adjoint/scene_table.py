@@ -12,6 +12,8 @@ of the middle stage:
     | S                   B^T   (c B + H)^T |  |w    |     S = K + c C + c^2 M
     | B                                     |  |mu   |
     | B (c M + C)^T              B B^T      |  |kappa|     the last row and column where there is mu in the step
+
+Several objectives are columns of the right-hand side. Columns that have converged are left out of further corrections.
 """
 
 from contextlib import contextmanager, nullcontext
@@ -33,6 +35,7 @@ from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
+from polyida.linear.columns import COLUMNS
 from polyida.linear.dense import magnitude
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
@@ -40,9 +43,13 @@ from polyida.system import ADJOINT
 from polyida.system import scene as forward
 
 # constants of compiled code
-CONTRACTION, AGE, SOLVES, LARGEST, SLOWEST = range(5)  # of SceneAdjointWork.marks
+SOLVES, SLOWEST, STEPS, WORK, LATELY = range(5)  # of SceneAdjointWork.marks
+CONTRACTION, MEASURED, MOVED = range(3)  # of SceneAdjointWork.rates
+LARGEST, UNCONSTRAINED = range(2)  # of SceneAdjointWork.sizes
 MU, KAPPA = range(2)  # of multipliers and of rows
 FRESHEN = 30  # steps after which the contraction is measured again
+RENEWAL = 20.0  # solves, with their products, in the time of which a factor is made: 12 at 1e3 coordinates, 19 at 1e4
+SMOOTHING = 0.125  # weight of the last step in LATELY
 ROUND_OFF = 1e-9  # of |w|: below it a correction need not fall any more
 NEGLIGIBLE = 1e-14  # of what w would be without constraints: below it corrections of a w that these hold to zero are nothing
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which the factor solves, ends at 1e-38
@@ -54,7 +61,10 @@ OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and abov
 
 @pack
 class Mode(NamedTuple):
-    """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch: r, dw (nodes, 2), rows, multipliers (1 or 2, m).
+    """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch for columns: r, dw (columns, nodes, 2), rows, multipliers
+    (columns, 1 or 2, m), sizes (columns,).
+
+    lanes (n, COLUMNS): right-hand sides that are solved for together; None if the factor is complex.
 
     mass_columns, before, border: the factor with the columns of `c M + C`, the workspaces of the border forward and backward; None without mu.
     """
@@ -71,6 +81,8 @@ class Mode(NamedTuple):
     dw: np.ndarray
     rows: np.ndarray
     multipliers: np.ndarray
+    sizes: np.ndarray
+    lanes: np.ndarray | None
 
 
 @pack
@@ -92,9 +104,11 @@ class SceneAdjointWork(NamedTuple):
 
     real, pair, tied: None if the step has none; the code for it is then not compiled. viscosity: of `viscosity_of`. drives (count, s, profiles, 3),
     q, v, lam (count, s, .): of the stages. enough: accepted error of w over |w|. first, second, third: products of the stages and w.
-    slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, nodes, 2), rows, change (1 or 2, s, m): residuals,
-    and corrections of w and of the multipliers. marks: CONTRACTION, and AGE in steps since it was measured; SOLVES; LARGEST, the largest |w| of a
-    solve without constraints; SLOWEST, the largest accepted contraction.
+    slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, columns, nodes, 2), rows, change (1 or 2, s, columns, m):
+    residuals, and corrections of w and of the multipliers. which (columns,): first the numbers of the columns that have not converged; small (columns,): True if those have.
+    marks, rates (columns, 3) belong to a factor: SOLVES; SLOWEST, the largest accepted contraction; STEPS, WORK, number of steps and of solves with
+    the factor; LATELY, mean number of solves in the last steps; CONTRACTION, MEASURED at that number of steps; MOVED, |dw| of the last correction.
+    sizes (columns, 2): LARGEST, the largest |w| of a solve without constraints, UNCONSTRAINED, that of the last one.
     """
 
     scene: tuple
@@ -119,7 +133,11 @@ class SceneAdjointWork(NamedTuple):
     dw: np.ndarray
     rows: np.ndarray
     change: np.ndarray
+    which: np.ndarray
+    small: np.ndarray
     marks: np.ndarray
+    rates: np.ndarray
+    sizes: np.ndarray
 
 
 @part
@@ -136,7 +154,7 @@ def stage(w, i):
 @part
 def pairs(w, x):
     """A vector (n,) as (nodes, 2)."""
-    return x.reshape(w.r.shape[1:])
+    return x.reshape(w.r.shape[2:])
 
 
 @part
@@ -191,100 +209,125 @@ def fill(w, mode, i, slopes, curvature):
 
 
 @part
-def correct(w, mode, u):
-    """A mode's correction of w and of the multipliers for the residual: the sum of |S^-1 r|, or -1 if the border is singular. u: in the middle."""
+def correct(w, mode, u, which):
+    """Corrections of w and of the multipliers of a mode for the residuals of the columns in `which`. False if the border is singular. u: in the middle."""
     if mode is None:
-        return 0.0
-    r, dw, rows, size, unconstrained = mode.r, mode.dw, mode.rows, LEAST, 0.0
-    for a in range(r.shape[0]):
-        for e in range(2):
-            r[a, e] = 0.0
-            for i in range(w.r.shape[0]):
-                r[a, e] += mode.column[i] * w.r[i, a, e]
-            size = max(size, magnitude(r[a, e]))
-    for f in range(rows.shape[0]):
-        for e in range(rows.shape[1]):
-            rows[f, e] = 0.0
-            for i in range(w.r.shape[0]):
-                rows[f, e] += mode.column[i] * w.rows[f, i, e]
-    for a in range(r.shape[0]):
-        r[a, 0], r[a, 1] = r[a, 0] / size, r[a, 1] / size
-    eliminate_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r)
-    corotated.solve_turned(mode.factored, mode.workspace, r, dw)
-    recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r, dw)
-    for a in range(r.shape[0]):
-        for e in range(2):
-            r[a, e], dw[a, e] = -size * r[a, e], -size * dw[a, e]
-            unconstrained += magnitude(dw[a, e])
-    regular = solve_border(w, mode, mode.mass_columns, mode.before, mode.border)
-    recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, r, dw)
-    return unconstrained if regular else -1.0
+        return True
+    for c in which:
+        mode.sizes[c] = collect(w.r, w.rows, mode, c)
+        eliminate_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c])
+    solve_columns(mode.factored, mode.workspace, mode.lanes, mode.sizes, mode.r, mode.dw, which)
+    for c in which:
+        recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
+        w.sizes[c, UNCONSTRAINED] += size_of(mode.dw[c])
+        if not solve_border(w, mode, mode.mass_columns, mode.before, mode.border, c):
+            return False
+        recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
+    return True
+
+
+@fast
+def collect(residuals, rows, mode, c):
+    """A mode's part of the residuals of a column, in mode.r and mode.rows. Returns the sum of the sizes. With one stage mode.r is `residuals`."""
+    stages, r, own = residuals.shape[0], mode.r[c], mode.rows[c]
+    if stages > 1:
+        for a in range(r.shape[0]):
+            for e in range(2):
+                r[a, e] = 0.0
+                for i in range(stages):
+                    r[a, e] += mode.column[i] * residuals[i, c, a, e]
+    for f in range(own.shape[0]):
+        for e in range(own.shape[1]):
+            own[f, e] = 0.0
+            for i in range(stages):
+                own[f, e] += mode.column[i] * rows[f, i, c, e]
+    return max(LEAST, size_of(r))
+
+
+@fast
+def size_of(x):
+    """The sum of the sizes of the entries of x (nodes, 2)."""
+    total = 0.0
+    for a in range(x.shape[0]):
+        total += magnitude(x[a, 0]) + magnitude(x[a, 1])
+    return total
 
 
 @part
-def solve_border(w, mode, mass_columns, before, border):
-    """The multipliers of a mode, and the effect of their forces on dw. False if the border is singular."""
-    s, c, workspace = w.scene.links, mode.factored, mode.workspace
+def solve_columns(factored, workspace, lanes, sizes, r, dw, which):
+    """dw[c] = S^-1 r[c] of the plates: several columns with one pass through the factor, unless it is complex (lanes is None)."""
+    together = 0
+    if lanes is not None:
+        together = which.shape[0] if which.shape[0] > 1 else 0
+        for first in range(0, together, COLUMNS):
+            corotated.solve_turned_columns(factored, workspace, lanes, sizes, r, dw, which[first : min(first + COLUMNS, together)])
+    for c in which[together:]:
+        corotated.solve_turned(factored, workspace, sizes[c], r[c], dw[c])
+
+
+@part
+def solve_border(w, mode, mass_columns, before, border, c):
+    """The multipliers of a mode in a column, and the effect of their forces on dw. False if the border is singular."""
+    s, factored, workspace, dw = w.scene.links, mode.factored, mode.workspace, mode.dw[c]
     if mass_columns is None:
         if not workspace.spin.shape[0]:
             return True
-        joints.point_values(s, mode.dw, workspace.moved)
-        if not corotated.solve_multipliers(s, c, workspace, mode.rows[MU], mode.multipliers[MU]):
+        joints.point_values(s, dw, workspace.moved)
+        if not corotated.solve_multipliers(s, factored, workspace, mode.rows[c, MU], mode.multipliers[c, MU]):
             return False
-        corotated.apply_point_forces(s, c, workspace, mode.dw)
-        corotated.settle_states(s, c, workspace.border.curvature, workspace.moved, mode.dw)
+        corotated.apply_point_forces(s, factored, workspace, dw)
+        corotated.settle_states(s, factored, workspace.border.curvature, workspace.moved, dw)
         return True
     if not stabilised_border.transposed(
-        s, c, mass_columns, workspace, before, border, mode.c[1], mode.r, mode.dw, mode.rows, mode.multipliers
+        s, factored, mass_columns, workspace, before, border, mode.c[1], mode.r[c], dw, mode.rows[c], mode.multipliers[c]
     ):
         return False
-    corotated.apply_point_forces(s, c, workspace, mode.dw)
-    corotated.settle_states(s, c, border.workspace.curvature, border.displacements, mode.dw)
+    corotated.apply_point_forces(s, factored, workspace, dw)
+    corotated.settle_states(s, factored, border.workspace.curvature, border.displacements, dw)
     return True
 
 
 @part
-def add_change(w, mode, twice):
-    """Add the part of a mode to the corrections of the stages."""
+def add_change(w, mode, twice, c):
+    """Add the part of a mode to the corrections of the stages in a column. With one stage mode.dw is w.dw."""
     if mode is not None:
         for i in range(w.dw.shape[0]):
             share = twice * mode.row[i]
-            for a in range(w.dw.shape[1]):
+            for a in range(w.dw.shape[2] if w.dw.shape[0] > 1 else 0):
                 for e in range(2):
-                    w.dw[i, a, e] += (share * mode.dw[a, e]).real
+                    w.dw[i, c, a, e] += (share * mode.dw[c, a, e]).real
             for f in range(w.change.shape[0]):
-                for e in range(w.change.shape[2]):
-                    w.change[f, i, e] += (share * mode.multipliers[f, e]).real
+                for e in range(w.change.shape[3]):
+                    w.change[f, i, c, e] += (share * mode.multipliers[c, f, e]).real
 
 
 @part
-def add_mu_terms(w, t, now, multipliers, bar):
-    """Add the terms of kappa and mu to the products, and B v* to w.rows, unless the step has no mu (t is None)."""
+def add_mu_terms(w, t, multipliers, bar, c):
+    """Add the terms of kappa and mu to the products of a column, and B v* to w.rows, unless the step has no mu (t is None)."""
     if t is None:
         return
     s, stages, values, forces = w.scene.links, w.r.shape[0], t.points[0], t.points[1]
     for i in range(stages):
-        x = stage(w, i)
-        weighted_rows(s, w.slopes[i], multipliers[KAPPA, i], forces)
-        joints.spread(s, forces, x.slowing)
-        for a in range(x.slowing.shape[0]):
+        slowing = stage(w, i).slowing[c]
+        weighted_rows(s, w.slopes[i], multipliers[KAPPA, i, c], forces)
+        joints.spread(s, forces, slowing)
+        for a in range(slowing.shape[0]):
             for e in range(2):
-                t.v[i, a, e] = x.slowing[a, e] + (bar[a, e] if i == stages - 1 else 0.0)
+                t.v[i, a, e] = slowing[a, e] + (bar[c, a, e] if i == stages - 1 else 0.0)
     for i in range(stages):
-        x = stage(w, i)
         for j in range(stages):
-            heavy = stage(w, j).heavy
+            heavy = stage(w, j).heavy[c]
             for a in range(heavy.shape[0]):
                 for e in range(2):
                     t.v[i, a, e] += w.to_v[i, j] * heavy[a, e]
         joints.point_values(s, t.v[i], values)
         products.pull_back(s.coupling, t.curvature[i], values, forces)
-        for k in range(w.rows.shape[2]):
-            w.rows[KAPPA, i, k] = joints.along(s, w.slopes[i], k, values)
+        for k in range(w.rows.shape[3]):
+            w.rows[KAPPA, i, c, k] = joints.along(s, w.slopes[i], k, values)
             for e in range(s.row_start[k], s.row_start[k + 1]):
                 p = s.row_columns[e]
-                forces[p // 2, p % 2] += t.rates[i, e] * multipliers[KAPPA, i, k]
-        joints.spread(s, forces, x.stiff)
+                forces[p // 2, p % 2] += t.rates[i, e] * multipliers[KAPPA, i, c, k]
+        joints.spread(s, forces, stage(w, i).stiff[c])
 
 
 @part
@@ -299,133 +342,165 @@ def weighted_rows(s, slopes, factors, forces):
 
 
 @part
-def multiply(w, k, now, multipliers, bar, anew):
-    """All products of w and the multipliers at the stages; anew: True if the bodies' rotations must be computed."""
+def multiply(w, k, now, multipliers, bar, which, anew):
+    """All products of w and the multipliers at the stages in the columns of `which`; anew: True if the bodies' rotations must be computed."""
     for i in range(w.r.shape[0]):
         x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
-        products.body_products(w.scene, w.viscosity, u, v, now[i], x.rotation if anew else x.rotation[:0], x)
-        products.point_products(w.scene.links, w.laws, w.slopes[i], now[i], multipliers[MU, i], x)
-        for e in range(w.rows.shape[2]):
-            w.rows[MU, i, e] = x.rows[e]
-    add_mu_terms(w, w.tied, now, multipliers, bar)
+        products.body_products(w.scene, w.viscosity, u, v, which, now[i], x.rotation if anew else x.rotation[:0], x)
+        for c in which:
+            products.point_products(w.scene.links, w.laws, w.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
+            for e in range(w.rows.shape[3]):
+                w.rows[MU, i, c, e] = x.rows[c, e]
+    for c in which:
+        add_mu_terms(w, w.tied, multipliers, bar, c)
 
 
 @fast
-def set_residuals(w, right, below):
-    """r (s, nodes, 2) and rows = residuals of the equations, rotated to the middle stage."""
+def set_residuals(w, right, below, c):
+    """rows = residuals of the equations in a column, and r (s, columns, nodes, 2) = minus the residuals, rotated to the middle stage."""
     stages = w.r.shape[0]
     for i in range(stages):
-        x, r = stage(w, i), w.r[i]
+        stiff, r = stage(w, i).stiff[c], w.r[i, c]
         for a in range(r.shape[0]):
             for e in range(2):
-                r[a, e] = x.stiff[a, e] - right[i, a, e]
+                r[a, e] = right[i, c, a, e] - stiff[a, e]
         for j in range(stages):
-            y, to_v, to_a = stage(w, j), w.to_v[i, j], w.to_a[i, j]
+            heavy, slowing, to_v, to_a = stage(w, j).heavy[c], stage(w, j).slowing[c], w.to_v[i, j], w.to_a[i, j]
             for a in range(r.shape[0]):
                 for e in range(2):
-                    r[a, e] += to_a * y.heavy[a, e]
-            if y.slowing.shape[0]:
-                for a in range(r.shape[0]):
-                    for e in range(2):
-                        r[a, e] += to_v * y.slowing[a, e]
-        for e in range(below.shape[1]):
-            w.rows[MU, i, e] -= below[i, e]
+                    r[a, e] -= to_a * heavy[a, e]
+            for a in range(slowing.shape[0]):
+                for e in range(2):
+                    r[a, e] -= to_v * slowing[a, e]
+        for e in range(below.shape[2]):
+            w.rows[MU, i, c, e] -= below[i, c, e]
         if stages > 1:
             for a in range(r.shape[0]):
-                c, n, p, q = w.turn[i, a, 0], w.turn[i, a, 1], r[a, 0], r[a, 1]
-                r[a, 0], r[a, 1] = c * p - n * q, n * p + c * q
+                co, n, p, q = w.turn[i, a, 0], w.turn[i, a, 1], r[a, 0], r[a, 1]
+                r[a, 0], r[a, 1] = co * p - n * q, n * p + co * q
 
 
 @fast
-def add_correction(w, now, multipliers):
-    """w += dw, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow, and of |dmu| and |mu|."""
+def add_correction(w, now, multipliers, c):
+    """w += dw in a column, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow, and of |dmu| and |mu|."""
     moved = size = mu_moved = mu_size = 0.0
     for i in range(now.shape[0]):
-        for a in range(now.shape[1]):
-            p, q = w.dw[i, a, 0], w.dw[i, a, 1]
+        dw, own = w.dw[i, c], now[i, c]
+        for a in range(own.shape[0]):
+            p, q = dw[a, 0], dw[a, 1]
             if now.shape[0] > 1:
-                c, n = w.turn[i, a, 0], w.turn[i, a, 1]
-                p, q = c * p + n * q, c * q - n * p
-            now[i, a, 0] += p
-            now[i, a, 1] += q
+                co, n = w.turn[i, a, 0], w.turn[i, a, 1]
+                p, q = co * p + n * q, co * q - n * p
+            own[a, 0] += p
+            own[a, 1] += q
             moved += abs(p) + abs(q)
-            size += abs(now[i, a, 0]) + abs(now[i, a, 1])
+            size += abs(own[a, 0]) + abs(own[a, 1])
     for f in range(multipliers.shape[0]):
         for i in range(multipliers.shape[1]):
-            for e in range(multipliers.shape[2]):
-                multipliers[f, i, e] += w.change[f, i, e]
+            for e in range(multipliers.shape[3]):
+                multipliers[f, i, c, e] += w.change[f, i, c, e]
                 if f == MU:
-                    mu_moved += abs(w.change[f, i, e])
-                    mu_size += abs(multipliers[f, i, e])
+                    mu_moved += abs(w.change[f, i, c, e])
+                    mu_size += abs(multipliers[f, i, c, e])
     return moved, size, mu_moved, mu_size
 
 
 @part
-def convergence(w, moved, size, mu_moved, mu_size, last, iteration):
-    """(True if the error after a correction by `moved` following one by `last` is small enough or round-off, True if it will not become so).
+def convergence(w, c, moved, size, mu_moved, mu_size, iteration):
+    """(True if the error of a column after a correction by `moved` is small enough or round-off, True if it will not become so).
 
     The error of mu is that of w times M / h^2, and an error of the bars of the state before: it is estimated by its own last correction.
     """
-    marks, measured = w.marks, last > 0.0
-    rate = marks[CONTRACTION]
+    marks, rates, last = w.marks, w.rates[c], w.rates[c, MOVED]
+    rate, measured, rates[MOVED] = rates[CONTRACTION], iteration > 0 and last > 0.0, moved
     if measured:
         rate = moved / last
-        marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
+        rates[CONTRACTION], rates[MEASURED] = max(rate, (0.5 if iteration == 1 else 1.0) * rates[CONTRACTION]), marks[STEPS]
+    elif rates[MEASURED] > 0.0 and marks[STEPS] < rates[MEASURED] + FRESHEN:
+        rate *= marks[STEPS] / rates[MEASURED]  # it grows with the distance from the state of the factor
+    else:
+        rate = np.inf
     slow = measured and not rate <= marks[SLOWEST]
-    factor = rate / (1.0 - rate) if rate < 1.0 and (measured or marks[AGE] < FRESHEN) else np.inf
+    factor = rate / (1.0 - rate) if rate < 1.0 else np.inf
     small = moved * factor <= w.enough * size and mu_moved * factor <= OF_MU * w.enough * mu_size
-    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * marks[LARGEST], slow
+    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * w.sizes[c, LARGEST], slow
+
+
+@part
+def count_work(marks, solves):
+    """Count a step with its solves."""
+    marks[STEPS] += 1.0
+    marks[WORK] += solves
+    marks[LATELY] += (SMOOTHING if marks[STEPS] > 1.0 else 1.0) * (solves - marks[LATELY])
 
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, out):
-    """Solve step k by refinement. Returns a status."""
-    (kinds, stages, m), (_, nodes, _), last = w.rows.shape, w.r.shape, 0.0
-    middle, shape = stages // 2, (stages, nodes, 2)
-    right_r, bar, right_rows = carray(pointer(right), shape), carray(pointer(bar), (nodes, 2)), carray(pointer(below), (stages, m))
-    now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), (kinds, stages, m))
+    """Solve step k by refinement. Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included."""
+    if w.marks[LATELY] * w.marks[STEPS] > w.marks[WORK] + RENEWAL:
+        return REFACTOR
+    _, stages, columns, m = w.rows.shape
+    middle, shape, work = stages // 2, w.r.shape, 0.0
+    right_r, bar, right_rows = carray(pointer(right), shape), carray(pointer(bar), shape[1:]), carray(pointer(below), (stages, columns, m))
+    now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), w.rows.shape)
+    which = w.which
+    for c in range(columns):
+        which[c] = c
     for i in range(stages):
         x, drives, speed = stage(w, i), w.drives[k, i], pairs(w, w.v[k, i])
         products.hold_state(w.scene, w.laws, drives, pairs(w, w.q[k, i]), speed, w.lam[k, i], x)
         joints.joint_jacobian(w.scene.links, drives, x.points[DZ], w.slopes[i])
         evaluate_mu_terms(w, w.tied, k, i)
-    multiply(w, k, now, multipliers, bar, True)
+    multiply(w, k, now, multipliers, bar, which, True)
     for i in range(stages if stages > 1 else 0):
         own, mid = stage(w, i).rotation, stage(w, middle).rotation
-        for a in range(nodes):
+        for a in range(shape[2]):
             size = 1.0 / np.sqrt((mid[a, 0] ** 2 + mid[a, 1] ** 2) * (own[a, 0] ** 2 + own[a, 1] ** 2))
             w.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
             w.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
     prepare_mode(w, w.real, middle)
     prepare_mode(w, w.pair, middle)
     for iteration in range(MAX_CORRECTIONS):
-        set_residuals(w, right_r, right_rows)
-        unconstrained, other = correct(w, w.real, pairs(w, w.q[k, middle])), correct(w, w.pair, pairs(w, w.q[k, middle]))
-        if unconstrained < 0.0 or other < 0.0:
+        for c in which:
+            set_residuals(w, right_r, right_rows, c)
+            w.sizes[c, UNCONSTRAINED] = 0.0
+        u = pairs(w, w.q[k, middle])
+        if not (correct(w, w.real, u, which) and correct(w, w.pair, u, which)):
             return SINGULAR
-        w.dw[:], w.change[:] = 0.0, 0.0
-        add_change(w, w.real, 1.0)
-        add_change(w, w.pair, 2.0)
-        w.marks[LARGEST] = max(w.marks[LARGEST], unconstrained + other)
-        w.marks[SOLVES] += 1.0
-        moved, size, mu_moved, mu_size = add_correction(w, now, multipliers)
-        multiply(w, k, now, multipliers, bar, False)
-        small, hopeless = convergence(w, moved, size, mu_moved, mu_size, last, iteration)
-        if small:
-            stage_products = carray(pointer(out), (3, stages, nodes, 2))
+        w.marks[SOLVES] += which.shape[0]
+        work += 0.5 * (1.0 + which.shape[0])  # each further column costs about half of the first
+        for e in range(which.shape[0]):
+            c = which[e]
+            if stages > 1:
+                w.dw[:, c] = 0.0
+            w.change[:, :, c] = 0.0
+            add_change(w, w.real, 1.0, c)
+            add_change(w, w.pair, 2.0, c)
+            w.sizes[c, LARGEST] = max(w.sizes[c, LARGEST], w.sizes[c, UNCONSTRAINED])
+            moved, size, mu_moved, mu_size = add_correction(w, now, multipliers, c)
+            small, hopeless = convergence(w, c, moved, size, mu_moved, mu_size, iteration)
+            if hopeless and not small:
+                return REFACTOR
+            w.small[e] = small
+        multiply(w, k, now, multipliers, bar, which, False)
+        left = 0
+        for e in range(which.shape[0]):
+            if not w.small[e]:
+                which[left] = which[e]
+                left += 1
+        which = which[:left]
+        if not left:
+            stage_products = carray(pointer(out), (3, *shape))
             for i in range(stages):
                 x = stage(w, i)
                 stage_products[0, i], stage_products[2, i] = x.stiff, x.heavy
-                if x.slowing.shape[0]:
+                if x.slowing.shape[1]:
                     stage_products[1, i] = x.slowing
                 else:
                     stage_products[1, i] = 0.0
-            w.marks[AGE] += 1.0
+            count_work(w.marks, work)
             w.marks[SLOWEST] = OLD
             return DONE
-        if hopeless:
-            return REFACTOR
-        last = moved
     return REFACTOR
 
 
@@ -435,15 +510,17 @@ class SceneAdjoint(AdjointTable):
     to_v, to_a (s, s): of steps with h = 1 that `scale` is of; modes: (c_m, c_v, row, column) of each mode at h = 1. factor: a function
     (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, SolveWorkspace), and with mu the Corotated
     with the columns of `c M + C` and the StabilisedWorkspace of the border.
-    enough: as of SceneAdjointWork. counts: what counts its work.
+    enough: as of SceneAdjointWork. counts: what counts its work. columns: number of right-hand sides.
     """
 
-    def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False):
+    def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False, columns=1):
         self.model, self.modes, self.factor, self.counts, self.tied, self.h = model, modes, factor, counts, tied, 1.0
         self.factors, self.factor_cache = (np.array(to_v, float), np.array(to_a, float)), FactorCache()
+        self.columns = columns
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
+        each = s, columns
         self.helpers = Helpers(threads()) if s == 1 and model.n >= forward.SHARED and threads() > 1 else None
-        scratches = [scratch(model, tied) for _ in range(s)]
+        scratches = [scratch(model, tied, columns) for _ in range(s)]
         self.w: dict[str, Any] = {
             "scene": arrays_of(model),
             "viscosity": viscosity_of(model),
@@ -452,11 +529,13 @@ class SceneAdjoint(AdjointTable):
             **dict(zip(("first", "second", "third"), scratches + scratches[-1:] * 2)),
             "slopes": np.zeros((s, entries)),
             "turn": np.zeros((s, *nodes)),
-            "r": np.zeros((s, *nodes)),
-            "dw": np.zeros((s, *nodes)),
-            "rows": np.zeros((kinds, s, model.m)),
-            "change": np.zeros((kinds, s, model.m)),
-            "marks": np.zeros(5),
+            "r": np.zeros((*each, *nodes)),
+            "dw": np.zeros((*each, *nodes)),
+            "rows": np.zeros((kinds, *each, model.m)),
+            "change": np.zeros((kinds, *each, model.m)),
+            "which": np.zeros(columns, np.int64),
+            "small": np.zeros(columns, bool),
+            "sizes": np.zeros((columns, 2)),
         }
         self.mu_terms = {}
         if tied:
@@ -470,10 +549,9 @@ class SceneAdjoint(AdjointTable):
         self.scale(1.0)
 
     def beside(self):
-        """The same with marks of its own, which belong to an objective."""
+        """The same for the sweep of another objective, with the same factors."""
         other = copy(self)
-        other.w = self.w | {"marks": np.zeros_like(self.w["marks"])}
-        other.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
+        other.w = self.w | {"sizes": np.zeros_like(self.w["sizes"])}
         return other
 
     def scale(self, h):
@@ -491,29 +569,34 @@ class SceneAdjoint(AdjointTable):
 
     def refresh(self, k):
         key = f"{self.h:.9e}"
-        entries = self.factor_cache.get(key)
-        if entries is not None:
-            if self.w.get("real") is not entries["real"]:  # another objective's sweep made the factor
-                self.w["marks"][[CONTRACTION, AGE]] = 1.0, FRESHEN
-            self.w |= entries
-            self.w["marks"][SLOWEST] = OLD
+        if known := self.factor_cache.get(key):
+            self._use(*known, OLD)
             return False
         middle = len(self.factors[0]) // 2
         factors = self.factor(*(x[k, middle].copy() for x in self.states), [(c_m / self.h**2, c_v / self.h) for c_m, c_v, *_ in self.modes])
         self.counts.factorizations += len(factors)
-        entries = {"real": None, "pair": None}
+        modes = {"real": None, "pair": None}
         for (c_m, c_v, row, column), parts in zip(self.modes, factors):
-            entries["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
-        self.factor_cache.keep(key, entries)
-        self.w |= entries
-        self.w["marks"][[CONTRACTION, AGE, SLOWEST]] = 1.0, FRESHEN, FRESH
+            modes["pair" if np.iscomplexobj(row) else "real"] = self._mode((c_m / self.h**2, c_v / self.h), row, column, *parts)
+        self.factor_cache.keep(key, known := (modes, {}))
+        self._use(*known, FRESH)
         return True
 
+    def _use(self, modes, known, slowest):
+        """Use the modes of a factor. known: {number of a table: its marks and rates of this factor}."""
+        if id(self) not in known:
+            known[id(self)] = {"marks": np.zeros(5), "rates": np.zeros((self.columns, 3))}
+            known[id(self)]["marks"][SLOWEST], known[id(self)]["rates"][:, CONTRACTION] = slowest, 1.0
+        self.w |= modes | known[id(self)]
+
     def _mode(self, c, row, column, factored, workspace, mass_columns=None, before=None):
-        kind, nodes, rows = np.asarray(row).dtype, (self.model.n_nodes, 2), (1 + self.tied, self.model.m)
+        kind, columns = np.asarray(row).dtype, self.columns
+        rows = columns, 1 + self.tied, self.model.m
+        vectors = [self.w[name][0] if len(self.w["r"]) == 1 else np.zeros(self.w["r"].shape[1:], kind) for name in ("r", "dw")]
         border = stabilised_border.stabilised_workspace(self.model, kind, transposed=True) if self.tied else None
-        scratch = np.zeros(nodes, kind), np.zeros(nodes, kind), np.zeros(rows, kind), np.zeros(rows, kind)
-        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, mass_columns, before, border, *scratch)
+        scratch = *vectors, np.zeros(rows, kind), np.zeros(rows, kind), np.zeros(columns)
+        lanes = None if np.issubdtype(kind, complex) else np.zeros((2 * self.model.n_factored, COLUMNS), np.float32)
+        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, mass_columns, before, border, *scratch, lanes)
 
     def drop(self):
         self.factor_cache.factors.pop(f"{self.h:.9e}", None)

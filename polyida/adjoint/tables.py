@@ -26,13 +26,14 @@ class PythonAdjoint(PythonTable, AdjointTable):
 
     That form has one more unknown, eta in `q = Newmark's - M^-1 B^T eta`, and one more equation, psi = `B v + phi_t = 0`, with the
     multiplier kappa: `psi_q^T kappa + (B^T eta)_q^T M^-1 y` stands beside `B^T mu` in y, `B^T kappa` beside `C^T w` in z, and
-    `B M^-1 y = 0`. kappa (count, m) and slips = (y', slip, eta) are filled: y' = M^-1 y, slip what eta adds to q.
+    `B M^-1 y = 0`. kappa (columns, count, m) and slips = (y', slip, eta), (columns, count, .) each, are filled: y' = M^-1 y, slip what eta adds
+    to q.
 
     The multiplier of a velocity row psi = W v + w is kappa too: `psi_q^T kappa` stands in y and `W^T kappa` in z, and there is no mu.
     """
 
-    def __init__(self, model, settings, h, counts):
-        self.saddle = ExactSaddle(model, *settings.coefficients.rates(h), counts)
+    def __init__(self, model, settings, h, counts, columns=1):
+        self.saddle, self.columns = ExactSaddle(model, *settings.coefficients.rates(h), counts), columns
         self.stabilised = settings.form == "stabilised" and model.m > 0
         super().__init__(model, False)
 
@@ -43,9 +44,10 @@ class PythonAdjoint(PythonTable, AdjointTable):
         """Set the states at the ends of some steps; slips (count, n): of the stabilised form, the part of q from eta."""
         self.states = t, q, v, a, lam
         if self.stabilised or self.model.velocity_rows.size:
-            self.kappa = np.zeros_like(lam)
+            self.kappa = np.zeros((self.columns, *lam.shape))
         if self.stabilised:
-            self.slips = np.empty_like(q), np.array(slips), np.empty_like(lam)
+            self.slip, shapes = np.array(slips), (q.shape, q.shape, lam.shape)
+            self.slips = tuple(np.empty((self.columns, *shape)) for shape in shapes)
 
     @contextmanager
     def at_work(self):
@@ -53,28 +55,37 @@ class PythonAdjoint(PythonTable, AdjointTable):
         yield self.functions, 0
 
     def _solve(self, k, right, below, bar, w, mu, out):
-        n, m, saddle = self.model.n, self.model.m, self.saddle
-        w, mu, out = self._array(w, n), self._array(mu, m), self._array(out, 3 * n).reshape(3, n)
-        right, below = self._array(right, n).copy(), self._array(below, m).copy()
-        saddle.at(*(x[k] for x in self.states))
-        damped = lambda: 0.0 if saddle.C is None else saddle.C.T @ w  # noqa: E731
+        n, m, count = self.model.n, self.model.m, self.columns
+        w, mu, out = self._array(w, count * n), self._array(mu, count * m), self._array(out, 3 * count * n)
+        vectors = (self._array(x, count * size).reshape(count, size).copy() for x, size in ((right, n), (below, m), (bar, n)))
+        w, mu, out = w.reshape(count, n), mu.reshape(count, m), out.reshape(3, count, n)
+        self.saddle.at(*(x[k] for x in self.states))
+        for c, given in enumerate(zip(*vectors)):
+            w[c], mu[c], out[0, c], out[1, c] = self._column(k, c, *given)
+
+    def _column(self, k, c, right, below, bar):
+        """(w, mu, K^T w + B^T mu, C^T w) of a column."""
+        saddle = self.saddle
+        damped = lambda w: 0.0 if saddle.C is None else saddle.C.T @ w  # noqa: E731
         if self.stabilised:
-            w[:], mu[:], out[0], kappa, more = self._stabilised(k, right, below, self._array(bar, n).copy())
-            self.kappa[k], out[1] = kappa, damped() + saddle.B.T @ kappa
+            w, mu, lost, kappa, more = self._stabilised(k, right, below, bar)
+            self.kappa[c, k] = kappa
             for part, value in zip(self.slips, more):
-                part[k] = value
-            return
+                part[c, k] = value
+            return w, mu, lost, damped(w) + saddle.B.T @ kappa
         of_psi, c_v, W = self.model.velocity_rows, saddle.c_v, saddle.B
         if of_psi.size:  # dv = c_v dq: kappa is solved for times c_v
-            saddle.B, slopes = dense(W), dense(W).copy()
+            W, slopes = dense(W), dense(W).copy()
             slopes[of_psi] += dense(self.model.phi_rate_q(*(x[k] for x in self.states[:3])))[of_psi] / c_v
-            saddle.slopes = slopes
-        w[:], mu[:] = saddle.solve(right, below, transposed=True)
-        out[0], out[1] = saddle.K.T @ w + saddle.slopes.T @ mu, damped()
+            saddle.B, saddle.slopes = W, slopes
+        w, mu = saddle.solve(right, below, transposed=True)
+        stiff, slow = saddle.K.T @ w + saddle.slopes.T @ mu, damped(w)
         if of_psi.size:
-            self.kappa[k, of_psi], mu[of_psi] = mu[of_psi] / c_v, 0.0
-            pull = W.T @ self.kappa[k]
-            out[0], out[1] = out[0] - c_v * pull, out[1] + pull
+            mu = np.array(mu)
+            self.kappa[c, k, of_psi], mu[of_psi] = mu[of_psi] / c_v, 0.0
+            pull = W.T @ self.kappa[c, k]
+            stiff, slow = stiff - c_v * pull, slow + pull
+        return w, mu, stiff, slow
 
     def _stabilised(self, k, right, below, bar):
         """(w, mu, loss of y beside bar, kappa, (y', slip, eta)).
@@ -84,7 +95,7 @@ class PythonAdjoint(PythonTable, AdjointTable):
         saddle, model, (t, q, v, _, _) = self.saddle, self.model, self.saddle.here
         G, B, system = dense(model.phi_rate_q(t, q, v)), dense(saddle.B), model.mass_system(t, q)
         still, none = np.zeros(model.n), np.zeros(model.m)
-        slip, eta = system.solve(still, -B @ self.slips[1][k])
+        slip, eta = system.solve(still, -B @ self.slip[k])
         ties = np.stack([-system.solve(still, row)[0] for row in np.eye(model.m)], axis=1)  # M^-1 B^T (B M^-1 B^T)^-1: where eta moves q
         closed, turned, ahead = self._closed(B, G, ties), model.reaction_q(t, q, eta).T, still
         for _ in range(ROUNDS):
@@ -118,7 +129,7 @@ class DenseAdjointWork(NamedTuple):
     """The workspace of a model and steps of s stages; t (count, s), q, v, a (count, s, n), lam, mu (count, s, m): their states.
 
     mu is (count, s, 0) if the steps have none. to_v, to_a (s, s), lift (n,): of `solve`. K, C, M, T (s, n, n), B, H (s, m, n): matrices of the
-    stages. matrix, pivots, x: the system of a step; solved (1,): the number of steps.
+    stages. columns: number of right-hand sides. matrix, pivots, x: the system of a step and a solution; solved (1,): the number of solutions.
     """
 
     model: small.Dense
@@ -137,6 +148,7 @@ class DenseAdjointWork(NamedTuple):
     T: np.ndarray
     B: np.ndarray
     H: np.ndarray
+    columns: int
     matrix: np.ndarray
     pivots: np.ndarray
     x: np.ndarray
@@ -245,30 +257,49 @@ def solve(w, k, right, below, bar, now, multipliers, out):
     assemble(w, size, unit)
     if not compiled_lu.factor(w.matrix, w.pivots):
         return SINGULAR
-    x, bars = w.x, small.vector(bar, n)
-    compiled_lu.put(1.0, small.vector(right, s * n), x)
-    compiled_lu.put(size, small.vector(below, s * m), x[s * n :])
-    for e in range((kinds - 1) * s * m):
-        x[s * (n + m) + e] = 0.0
-    if kinds == 2:
+    right, below, bar = (
+        carray(pointer(right), (s, w.columns, n)),
+        carray(pointer(below), (s, w.columns, m)),
+        carray(pointer(bar), (w.columns, n)),
+    )
+    now, multipliers = carray(pointer(now), (s, w.columns, n)), carray(pointer(multipliers), (kinds, s, w.columns, m))
+    out = carray(pointer(out), (3, s, w.columns, n))
+    for c in range(w.columns):
+        ended = solve_column(w, size, unit, right[:, c], below[:, c], bar[c], now[:, c], multipliers[:, :, c], out[:, :, c])
+        if ended != DONE:
+            return ended
+    return DONE
+
+
+@part
+def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
+    """Solve for a column with the factors of the step. Returns a status."""
+    (s, m, n), x = w.B.shape, w.x
+    for i in range(s):
+        for p in range(n):
+            x[i * n + p] = right[i, p]
+        for e in range(m):
+            x[s * n + i * m + e] = size * below[i, e]
+    for e in range(s * (n + m), x.shape[0]):
+        x[e] = 0.0
+    if multipliers.shape[0] == 2:
         for p in range(n):
             for o in range(n):
-                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * bars[o]
+                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * bar[o]
         for e in range(m):
             for p in range(n):
-                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * bars[p] / unit
+                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * bar[p] / unit
     compiled_lu.solve(w.matrix, w.pivots, x)
     if not small.finite(x):
         return NOT_FINITE
-    shape = carray(pointer(now), (s, n)), carray(pointer(multipliers), (kinds, s, m)), carray(pointer(out), (3, s, n))
     for i in range(s):
         for p in range(n):
-            shape[0][i, p] = x[i * n + p] / size
+            now[i, p] = x[i * n + p] / size
         for e in range(m):
-            shape[1][0, i, e] = x[s * n + i * m + e]
-            if kinds == 2:
-                shape[1][1, i, e] = unit * x[s * (n + m) + i * m + e]
-    products(w, shape[0], shape[1], bars, shape[2])
+            multipliers[0, i, e] = x[s * n + i * m + e]
+            if multipliers.shape[0] == 2:
+                multipliers[1, i, e] = unit * x[s * (n + m) + i * m + e]
+    products(w, now, multipliers, bar, out)
     w.solved[0] += 1
     return DONE
 
@@ -301,10 +332,10 @@ def products(w, now, multipliers, bar, out):
 class DenseAdjoint(AdjointTable):
     """The table of a small model for steps of s stages; table: that of its functions; to_v, to_a (s, s), lift: of the system of `solve`.
 
-    tied: True if the steps have mu. counts: Counts to be increased.
+    tied: True if the steps have mu. counts: Counts to be increased. columns: number of right-hand sides.
     """
 
-    def __init__(self, table, to_v, to_a, counts, lift=None, tied=False):
+    def __init__(self, table, to_v, to_a, counts, lift=None, tied=False, columns=1):
         n, m, s = table.model.n, table.model.m, len(to_v)
         size = s * (n + m * (1 + tied))
         self.table, self.counts, self.functions = table, counts, np.zeros(ENTRIES, np.int64)
@@ -314,6 +345,7 @@ class DenseAdjoint(AdjointTable):
             "lift": np.ones(n) if lift is None else lift,
             **{name: np.zeros((s, n, n)) for name in "KCMT"},
             **{name: np.zeros((s, m, n)) for name in "BH"},
+            "columns": columns,
             "matrix": np.zeros((size, size)),
             "pivots": np.zeros(size, np.int64),
             "x": np.zeros(size),
@@ -340,5 +372,5 @@ class DenseAdjoint(AdjointTable):
         work, self.w["solved"][0] = DenseAdjointWork(**self.w), 0
         self.functions[ADJOINT] = table_address(solve, typeof(work))
         yield self.functions, work.address
-        self.counts.factorizations += int(self.w["solved"][0])
+        self.counts.factorizations += int(self.w["solved"][0]) // self.w["columns"]
         self.counts.solves += int(self.w["solved"][0])

@@ -201,7 +201,13 @@ class _MassSystem:
 
 def reaction_transposed(model, t, q, lam, x):
     """((B^T lam)_q)^T x, (n,)."""
-    return model.reaction_q(t, q, lam).T @ x if model.needs.phi_q_varies and model.m else np.zeros(model.n)
+    if not (model.needs.phi_q_varies and model.m):
+        return np.zeros(model.n)
+    if model.compiled:
+        from polyida.adjoint.products import reaction_product
+
+        return reaction_product(model, t, lam, x)
+    return model.reaction_q(t, q, lam).T @ x
 
 
 @resolution.register

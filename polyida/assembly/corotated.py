@@ -20,6 +20,7 @@ from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
 from polyida.jit import entry, leaf, pack, part, shared
+from polyida.linear.columns import as_columns
 from polyida.linear.dense import factor
 from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of
@@ -146,6 +147,12 @@ def solve_panels(fronts, panels, x):
     solve_fronts(fronts, panels, x)
 
 
+@shared
+def solve_panels_columns(fronts, panels, x):
+    """x[:, c] <- S_ref^-1 x[:, c] in the factor's order, x (n, COLUMNS)."""
+    solve_fronts(fronts, panels, as_columns(x))
+
+
 @part
 def solve_in_place(c, team, x):
     """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
@@ -159,21 +166,42 @@ def solve_in_place(c, team, x):
 def solve_plates(s, c, w, rotation, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r; sets the frames of nodes and points."""
     turn_frames(s, c, w, rotation)
-    solve_turned(c, w, r, x)
+    solve_turned(c, w, 1.0, r, x)
 
 
 @part
-def solve_turned(c, w, r, x):
-    """The same with the frames already set."""
-    order, b, turn = c.fronts.order, w.x, w.turn
+def solve_turned(c, w, size, r, x):
+    """The same with the frames already set; size: of r, by which it is divided in the solve, so that it fits into single precision."""
+    order, b, turn, part = c.fronts.order, w.x, w.turn, 1.0 / size
     for i in range(turn.shape[0]):
-        b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]
-        b[order[2 * i + 1]] = turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0]
+        p, q = part * r[i, 0], part * r[i, 1]
+        b[order[2 * i]] = turn[i, 0] * p + turn[i, 1] * q
+        b[order[2 * i + 1]] = turn[i, 0] * q - turn[i, 1] * p
     solve_in_place(c, w.team, b)
     for i in range(turn.shape[0]):
-        p, q = b[order[2 * i]], b[order[2 * i + 1]]
+        p, q = size * b[order[2 * i]], size * b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+
+
+@part
+def solve_turned_columns(c, w, lanes, sizes, r, x, which):
+    """The same for the columns in `which`, at most COLUMNS, of r and x (columns, nodes, 2), with one pass through the factor."""
+    order, turn = c.fronts.order, w.turn
+    for e in range(lanes.shape[1]):
+        k = which[min(e, which.shape[0] - 1)]  # lanes without a column repeat the last one
+        column, part = r[k], 1.0 / sizes[k]
+        for i in range(turn.shape[0]):
+            p, q = part * column[i, 0], part * column[i, 1]
+            lanes[order[2 * i], e] = turn[i, 0] * p + turn[i, 1] * q
+            lanes[order[2 * i + 1], e] = turn[i, 0] * q - turn[i, 1] * p
+    solve_panels_columns(c.fronts, c.panels, lanes)
+    for e in range(which.shape[0]):
+        column, size = x[which[e]], sizes[which[e]]
+        for i in range(turn.shape[0]):
+            p, q = size * lanes[order[2 * i], e], size * lanes[order[2 * i + 1], e]
+            column[i, 0] = turn[i, 0] * p - turn[i, 1] * q
+            column[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
 @shared

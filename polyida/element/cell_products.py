@@ -14,20 +14,35 @@ and products of fields on the node pattern, for the work of the constant matrice
 Arguments as in kernels.py; results are added to the output arrays.
 """
 
-from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace
+from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace, mass_product
 from polyida.element.material import (
     add_outer,
+    add_product,
     add_rotation,
     add_times,
     carried,
     first_piola,
+    scaled,
     second_piola,
     strain,
     two_state_piola,
     two_state_strain,
 )
 from polyida.jit import entry, part
-from polyida.jit.intrinsics import LANES, load, load2, load_integer, store, traced, zeros2, zeros4
+from polyida.jit.intrinsics import (
+    LANES,
+    add_pair,
+    load,
+    load2,
+    load_float,
+    load_integer,
+    load_pair,
+    store,
+    traced,
+    zero_pair,
+    zeros2,
+    zeros4,
+)
 
 
 def symmetric_part(h, d):
@@ -43,12 +58,16 @@ def times(d, s):
     return d[0] * s11 + d[1] * s12, d[0] * s12 + d[1] * s22, d[2] * s11 + d[3] * s12, d[2] * s12 + d[3] * s22
 
 
+@traced(3)
+def stress(h, w, spherical, deviatoric):
+    """w S."""
+    return second_piola(strain(h), spherical * w, deviatoric * w)
+
+
 @traced(4)
-def piola_change(h, d, w, spherical, deviatoric):
-    """w dP along D."""
-    ball, shear = spherical * w, deviatoric * w
-    turned = times(d, second_piola(strain(h), ball, shear))
-    stretched = carried(h, second_piola(symmetric_part(h, d), ball, shear))
+def piola_change(h, s, d, w, spherical, deviatoric):
+    """w dP along D; s: w S."""
+    turned, stretched = times(d, s), carried(h, second_piola(symmetric_part(h, d), spherical * w, deviatoric * w))
     return tuple(a + b for a, b in zip(turned, stretched))
 
 
@@ -86,27 +105,65 @@ def _two_gradients(gradients, start, differences, m):
 
 
 @entry
-def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, w, f, rotation):
-    """Add K(u) w to f (N, 2); to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
-    work = _workspace(layout, 6, 0)
+def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, which, w, f, rotation):
+    """Add K(u) w[c] to f[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
+    count = which.shape[0]
+    work = _workspace(layout, 2 + 4 * count, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
-        force = work[2 * size :]
+        forces = work[(1 + count) * size :]
         _differences(u, corners, first, node_offset, m, work)
-        _differences(w, corners, first, node_offset, m, work[size:])
-        for k in range(0, size, 2 * LANES):
-            store(force, k, zeros2())
+        for c in range(count):
+            _differences(w[which[c]], corners, first, node_offset, m, work[(1 + c) * size :])
+        for k in range(0, count * size, 2 * LANES):
+            store(forces, k, zeros2())
         turn = zeros2()
         for p in range(layout[b, 1]):
             g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
             h, d = _two_gradients(gradients, g, work, m)
-            turn = add_rotation(turn, share, h)
-            change = piola_change(h, d, share, c1 * nu, c1 * (1.0 - nu))
-            for k in range(0, size, 2 * LANES):
-                store(force, k, add_times(load2(force, k), change, load2(gradients, g + k)))
-        _scatter_balanced(force, corners, first, node_offset, m, f)
+            turn, elastic = add_rotation(turn, share, h), stress(h, share, c1 * nu, c1 * (1.0 - nu))
+            _add_forces(forces, gradients, g, piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu)), size)
+            for c in range(1, count - 1, 2):  # two columns share the loads of the gradients
+                d, e = _two_gradients(gradients, g, work[(1 + c) * size :], m)
+                here, behind = forces[c * size :], forces[(c + 1) * size :]
+                one = piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu))
+                two = piola_change(h, elastic, e, share, c1 * nu, c1 * (1.0 - nu))
+                for k in range(0, size, 2 * LANES):
+                    slope = load2(gradients, g + k)
+                    store(here, k, add_times(load2(here, k), one, slope))
+                    store(behind, k, add_times(load2(behind, k), two, slope))
+            if count % 2 == 0:
+                d = _gradient(gradients, g, work[count * size :], m)
+                change = piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu))
+                _add_forces(forces[(count - 1) * size :], gradients, g, change, size)
+        for c in range(count):
+            _scatter_balanced(forces[c * size :], corners, first, node_offset, m, f[which[c]])
         _scatter_turn(turn, corners, first, node_offset, m, rotation)
+
+
+@part
+def _add_forces(forces, gradients, start, change, size):
+    """Add the forces of a stress at one point."""
+    for k in range(0, size, 2 * LANES):
+        store(forces, k, add_times(load2(forces, k), change, load2(gradients, start + k)))
+
+
+@entry
+def mass_products(indptr, indices, mass, scale, node_offset, which, w, out):
+    """out[c] (N, 2) += scale * (mass (x) I2) w[c] of a body's nodes for the columns c in `which`; two at a time share the loads of the matrix."""
+    count = which.shape[0]
+    for e in range(0, count - 1, 2):
+        one, two, to, behind = w[which[e]], w[which[e + 1]], out[which[e]], out[which[e + 1]]
+        for row in range(indptr.shape[0] - 1):
+            p, q = zero_pair(), zero_pair()
+            for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+                value, place = load_float(mass, k), 2 * (load_integer(indices, k) + node_offset)
+                p, q = add_product(p, value, load_pair(one, place)), add_product(q, value, load_pair(two, place))
+            add_pair(to, 2 * (row + node_offset), scaled(scale, p))
+            add_pair(behind, 2 * (row + node_offset), scaled(scale, q))
+    if count % 2:
+        mass_product(indptr, indices, mass, scale, node_offset, w[which[count - 1]], out[which[count - 1]])
 
 
 @entry

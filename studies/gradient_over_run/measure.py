@@ -92,24 +92,24 @@ def several_row(scene, dof, t_end, repeats):
 @entry
 def _products(count, s, u, v, w, x):
     for _ in range(count):
-        products.body_products(s, s.plates.body_viscosity[:0], u, v, w, x.rotation[:0], x)
+        products.body_products(s, s.plates.body_viscosity[:0], u, v, np.zeros(1, np.int64), w, x.rotation[:0], x)
 
 
 @entry
 def _solves(count, work, u):
     for _ in range(count):
-        scene.correct(work, work.real, u)
+        scene.correct(work, work.real, u, np.zeros(1, np.int64))
 
 
 def sweep_us(model, settings, run, objective, repeats):
     """CPU microseconds of the sweep back in a step of the run, of one product and of one solve in it."""
     sweep, count = Sweep(model, settings, H, Counts()), max(20, 500_000 // model.n)
     t, *frames = (np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
-    slopes, none = objective.slopes(run)(slice(1, len(run))), AdjointState(*np.zeros((4, model.n)))
+    slopes, none = [objective.slopes(run)(slice(1, len(run)))], [AdjointState(*np.zeros((4, model.n)))]
     swept = partial(sweep.back, t, *frames, slopes, none)
-    u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
+    u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept()[0].w))
     work = scene.SceneAdjointWork(**sweep.table.w)
-    loops = {"product": (_products, (work.scene, u, v, w, work.first)), "solve": (_solves, (work, u))}
+    loops = {"product": (_products, (work.scene, u, v, w[None], work.first)), "solve": (_solves, (work, u))}
     result = {"sweep": cpu(swept)[0] / len(t)}
     for name, (loop, arguments) in loops.items():
         loop(1, *arguments)

@@ -9,7 +9,7 @@ import polyida as pi
 from polyida import environment
 from polyida.adjoint import alpha as loop
 from polyida.adjoint.alpha import AdjointState, Sweep
-from polyida.adjoint.products import products_at
+from polyida.adjoint.products import products_at, reaction_product
 from polyida.adjoint.tables import DenseAdjoint
 from polyida.errors import REFACTOR
 from polyida.model.differences import along
@@ -74,6 +74,7 @@ def test_products_are_derivatives_of_the_residual(case):
         check(x.slowing, lambda s: w @ case.residual(t, q, v + s * d, zero, lam))
     assert np.allclose(x.rows, case.phi_q(t, q) @ w, rtol=1e-12)
     assert np.allclose(x.rotation, case.rotation(q), rtol=1e-12)
+    assert np.allclose(reaction_product(case, t, lam, w), case.reaction_q(t, q, lam).T @ w, rtol=1e-12, atol=1e-12)
 
 
 def steps_of(model):
@@ -83,7 +84,7 @@ def steps_of(model):
     frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
     sizes = (1.0, 1e-3, 1e-6, 1e-4)
     own = Slopes(**{name: s * random.standard_normal(x.shape) for name, s, x in zip(("q", "v", "a", "lam"), sizes, frames[1:])})
-    return settings, (*frames, own, AdjointState(*np.zeros((4, model.n))))
+    return settings, (*frames, [own], [AdjointState(*np.zeros((4, model.n)))])
 
 
 def exact(model, settings, h, counts):
@@ -91,10 +92,10 @@ def exact(model, settings, h, counts):
     return Sweep(model, replace(settings, linear="kkt"), h, counts)
 
 
-def swept(sweep, steps, keep=None):
-    """All that a sweep gives, as one list of arrays."""
-    found = sweep.back(*steps, keep=keep)
-    return [*found.bars, found.w, found.mu]
+def swept(sweep, steps, keep=False):
+    """All that a sweep gives for its last column, as one list of arrays."""
+    found = sweep.back(*steps, keep=keep)[-1]
+    return [*found.bars, found.w, found.mu, *(found.keep if keep else ())]
 
 
 def agree(found, wanted, tolerance=1e-9):
@@ -104,11 +105,20 @@ def agree(found, wanted, tolerance=1e-9):
 def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch):
     model = scenes.jointed("slot", cells=12).build()
     settings, steps = steps_of(model)
-    kept, other = (tuple(np.zeros((2, STEPS, model.n))) for _ in range(2))
-    wanted = swept(exact(model, settings, H, pi.Counts()), steps, other)
+    wanted = swept(exact(model, settings, H, pi.Counts()), steps, True)
     compiled, calls = loop.stretch, iter(range(99))
     monkeypatch.setattr(loop, "stretch", lambda *given: (given[5], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
-    assert agree([*swept(Sweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
+    assert agree(swept(Sweep(model, settings, H, pi.Counts()), steps, True), wanted)
+
+
+@pytest.mark.parametrize("columns", [2, 5])
+def test_columns_of_other_objectives_change_nothing(case, columns):
+    settings, (*frames, own, bars) = steps_of(case)
+    scale = np.linspace(1e-12, 1e9, columns - 1)
+    others = [Slopes(q=s * own[0].q) if k % 2 else Slopes(lam=s * own[0].lam) for k, s in enumerate(scale)]
+    sweep = Sweep(case, settings, H, pi.Counts(), columns)
+    together = swept(sweep, (*frames, others + own, bars * columns), True)
+    assert agree(together, swept(exact(case, settings, H, pi.Counts()), (*frames, own, bars), True))
 
 
 def test_two_threads_give_the_same(scenes, monkeypatch):
@@ -131,7 +141,7 @@ def test_small_models_of_ones_own_take_compiled_steps(problem, by_numba):
     run = pi.solve(model, STEPS * 1e-4, settings, q0=given.q0, v0=given.v0)
     frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
     own = Slopes(**{name: random.standard_normal(x.shape) for name, x in (("q", frames[1]), ("lam", frames[4]))})
-    steps, model, counts = (*frames, own, AdjointState(*np.zeros((4, model.n)))), guard(model), pi.Counts()
+    steps, model, counts = (*frames, [own], [AdjointState(*np.zeros((4, model.n)))]), guard(model), pi.Counts()
     sweep = Sweep(model, settings, 1e-4, counts)
     assert type(sweep.table) is DenseAdjoint
     assert agree(swept(sweep, steps), swept(exact(model, settings, 1e-4, pi.Counts()), steps), 1e-7)
