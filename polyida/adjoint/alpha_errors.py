@@ -26,7 +26,7 @@ from polyida.errors import DONE, REASONS, StepFailure
 from polyida.integrate.alpha.steps import table_of
 from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import motor_jump, started
-from polyida.jit import entry
+from polyida.jit import entry, fast
 from polyida.jit.intrinsics import address, call
 from polyida.model.differences import beside, near_points, step_integrals
 from polyida.objective.objective import OneFrame, terms_of
@@ -36,6 +36,7 @@ from polyida.system import RATE, RESIDUAL
 WIDTHS = 3.0  # of the Gaussian, on each side
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
 STARTING = 10  # steps of a start, whose transient lam at an instant sees
+TOGETHER = 128  # coordinates that are averaged at once
 AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J depend on an instant
 
 
@@ -59,25 +60,53 @@ def truncation(numbers, a, at, weights, ahead, y, z, tau, shares):
             shares[k] -= y[k, i] * tau[0, k, i] + z[k, i] * tau[1, k, i]
 
 
+@fast
+def averaged_part(shares, first_seen, last_seen, tau, old, factors, old_factors, first, low, high, mean):
+    """`sum factors . tau` of coordinates low to high - 1 over steps from `first` on, with averaged tau; mean (2, .): workspace."""
+    total, count, size = 0.0, tau.shape[1], high - low
+    for k in range(shares.shape[1]):
+        mean[:] = 0.0
+        for j in range(first_seen[k], last_seen[k]):
+            for e in range(2):
+                share, out = shares[e, k, j - first_seen[k]], mean[e]
+                x = tau[e, j, low:high] if j < count else old[e, j - count, low:high]
+                for i in range(size):
+                    out[i] += share * x[i]
+        at = first + k
+        for e in range(2):
+            y, x = factors[e, at, low:high] if at < count else old_factors[e, at - count, low:high], mean[e]
+            for i in range(size):
+                total += y[i] * x[i]
+    return total
+
+
 @entry
-def averaged(t, h, widths, tau, factors, first, last, mean):
+def averaged(t, h, widths, tau, old, factors, old_factors, first, last):
     """`-sum factors . tau` over steps first to last - 1, with tau over h^4 and h^3 averaged over time.
 
-    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, count, n); mean (2, n): workspace.
+    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): of the first steps, old, old_factors:
+    of those behind them.
     """
-    total = 0.0
-    for k in range(first, last):
-        mean[:], weight = 0.0, 0.0
-        for j in range(t.shape[0]):
-            s = (t[j] - t[k]) / widths[k]
-            if abs(s) <= WIDTHS:
-                g = np.exp(-0.5 * s * s) * h[j]
-                weight += g
-                for i in range(mean.shape[1]):
-                    mean[0, i] += g / h[j] ** 4 * tau[0, j, i]
-                    mean[1, i] += g / h[j] ** 3 * tau[1, j, i]
-        for i in range(mean.shape[1]):
-            total -= (h[k] ** 4 * factors[0, k, i] * mean[0, i] + h[k] ** 3 * factors[1, k, i] * mean[1, i]) / weight
+    steps, total = max(0, last - first), 0.0
+    first_seen, last_seen = np.zeros(steps, np.int64), np.zeros(steps, np.int64)
+    for k in range(steps):
+        while abs(t[first_seen[k]] - t[first + k]) > WIDTHS * widths[first + k]:
+            first_seen[k] += 1
+        last_seen[k] = first + k
+        while last_seen[k] < t.shape[0] and abs(t[last_seen[k]] - t[first + k]) <= WIDTHS * widths[first + k]:
+            last_seen[k] += 1
+    shares = np.zeros((2, steps, np.max(last_seen - first_seen) if steps else 0))
+    for k in range(steps):
+        at, weight = first + k, 0.0
+        for j in range(first_seen[k], last_seen[k]):
+            s = (t[j] - t[at]) / widths[at]
+            g = np.exp(-0.5 * s * s) * h[j]
+            weight += g
+            shares[0, k, j - first_seen[k]], shares[1, k, j - first_seen[k]] = g * (h[at] / h[j]) ** 4, g * (h[at] / h[j]) ** 3
+        shares[:, k] /= weight
+    n, mean = tau.shape[2], np.empty((2, TOGETHER))
+    for low in range(0, n, TOGETHER):  # as many coordinates as stay in the processor's cache
+        total -= averaged_part(shares, first_seen, last_seen, tau, old, factors, old_factors, first, low, min(low + TOGETHER, n), mean)
     return total
 
 
@@ -212,19 +241,15 @@ class AlphaErrors(AlphaAdjoint):
 
     def _average(self, t, h, tau, factors, closed):
         """Subtract from `lost` the averaged steps whose neighbours within WIDTHS are all known; closed: True if the piece begins with the first one here."""
-        parts = t, h, tau, factors
-        if self.window is None:
-            self.window, self.open = parts, len(t)
-        else:
-            self.window = tuple(np.concatenate(pair, axis=-2 if np.ndim(pair[0]) > 1 else 0) for pair in zip(parts, self.window))
-            self.open += len(t)
-        t, h, tau, factors = self.window
+        before_t, before_h, old, old_factors = self.window or (t[:0], h[:0], tau[:, :0].copy(), factors[:, :0].copy())
+        t, h, self.open = np.append(t, before_t), np.append(h, before_h), len(t) + self.open
         widths = np.cbrt(h * h * np.ptp(self.times) / 12.0)
         known = t - WIDTHS * widths >= t[0]
         first = 0 if closed else min(self.open, int(np.argmax(known)) if known.any() else len(t))
-        self.lost -= averaged(t, h, widths, tau, factors, first, self.open, np.empty((2, self.model.n)))
+        self.lost -= averaged(t, h, widths, tau, old, factors, old_factors, first, self.open)
         last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + WIDTHS * widths.max(), side="right"))
-        self.window, self.open = (None, 0) if closed else ((t[:last], h[:last], tau[:, :last], factors[:, :last]), first)
+        kept = t[:last], h[:last], _first_steps(tau, old, last), _first_steps(factors, old_factors, first)
+        self.window, self.open = (None, 0) if closed else (kept, first)
 
     def of_time(self):
         """(error of time, its shares (steps,))."""
@@ -262,3 +287,8 @@ class AlphaErrors(AlphaAdjoint):
             if starts > FAST * abs(time):
                 result.append(f"{text}sees the first steps behind a start")
         return share, tuple(result)
+
+
+def _first_steps(new, old, count):
+    """The first `count` steps of those in new (2, ., n) and behind them in old, as a copy."""
+    return np.concatenate([new[:, :count], old[:, : max(0, count - new.shape[1])]], axis=1)
