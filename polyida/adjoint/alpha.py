@@ -404,10 +404,9 @@ class AlphaAdjoint(RunAdjoint):
             if self.observes:
                 self.observe_start(segment, bars[0])
             each = []
-            for sweep, after in zip(sweeps, bars):
+            for sweep, after, (before, lam, entries) in zip(sweeps, bars, self._segment_start(segment, bars)):
                 if self.events.speeds:
                     sweep.events.add_step_slope(segment, *self._start_slopes(segment, after))
-                before, lam, entries = self._segment_start(segment, after)
                 if entries:
                     at = stacked(entries)
                     sweep.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
@@ -474,15 +473,21 @@ class AlphaAdjoint(RunAdjoint):
         return slopes
 
     def _segment_start(self, segment, bars):
-        """(AdjointState, bar of lam, entries for parameters) of the state before a segment's start procedure; bars: of the state after it."""
+        """Yield (AdjointState, bar of lam, entries for parameters) of the state before a segment's start procedure; bars: of the state after it, for
+        each objective.
+        """
         state, tape = stored_state(self.history, segment.first), Tape()
         taped = TapedModel(self.model, tape)
-        q, v, a, lam, ahead = (tape.var(x) for x in (state.q, state.v, state.a, state.lam, state.a))
+        first = q, v, a, lam, ahead = [tape.var(x) for x in (state.q, state.v, state.a, state.lam, state.a)]
         ready = started(self.settings, taped, State(state.t, q, v, a, lam, segment.memory(ahead)), segment.h)
-        for var, bar in zip((ready.q, ready.v, ready.a, ready.memory["a_alg"]), bars):
-            add_to(var, bar)
-        tape.back()
-        return AdjointState(q.bar, v.bar, a.bar, ahead.bar), lam.bar, taped.entries
+        for number, after in enumerate(bars, 1):
+            for var in first:
+                var.bar = np.zeros_like(var.value)
+            taped.entries = []
+            for var, bar in zip((ready.q, ready.v, ready.a, ready.memory["a_alg"]), after):
+                add_to(var, bar)
+            tape.back(again=number < len(bars))
+            yield AdjointState(q.bar, v.bar, a.bar, ahead.bar), lam.bar, taped.entries
 
 
 def _with_last(slopes, bar, rows):

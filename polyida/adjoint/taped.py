@@ -29,12 +29,18 @@ class Tape:
         self.records.append((results, back))
         return results
 
-    def back(self):
-        """Propagate all bars. The tape is empty afterwards and holds no reference to a model."""
-        while self.records:
-            results, back = self.records.pop()
-            if any(var.bar.any() for var in results):
-                back(*(var.bar for var in results))
+    def back(self, again=False):
+        """Propagate all bars. Those of results of operations are zero afterwards. again: True if others follow; else the tape is empty afterwards and holds
+        no reference to a model.
+        """
+        for results, back in reversed(self.records):
+            bars = [var.bar for var in results]
+            for var in results:
+                var.bar = np.zeros_like(var.value)
+            if any(bar.any() for bar in bars):
+                back(*bars)
+        if not again:
+            self.records = []
 
 
 class Var:
