@@ -34,8 +34,7 @@ from polyida.assembly.stabilised_border import StabilisedWorkspace
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
-from polyida.jit.intrinsics import pointer
-from polyida.linear.columns import COLUMNS
+from polyida.jit.intrinsics import COLUMNS, pointer
 from polyida.linear.dense import magnitude
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers

@@ -20,7 +20,7 @@ from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
 from polyida.jit import entry, leaf, pack, part, shared
-from polyida.linear.columns import as_columns
+from polyida.jit.intrinsics import as_columns
 from polyida.linear.dense import factor
 from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of

@@ -3,9 +3,11 @@
 The kernels of elements process LANES cells with the same number of vertices side by side. With an explicit vector type the machine code does
 not depend on an auto-vectoriser, and stays portable: LLVM splits vectors to fit the machine. Formulas of vectors are plain Python functions
 decorated by `traced`: they run once, on stand-ins that emit the instructions. numba infers no types in them, so kernels compile fast, and the
-same functions work on numpy arrays. Accesses are not checked for bounds. Only the public numba.extending and llvmlite.ir are used.
+same functions work on numpy arrays. Columns make code for arrays of numbers work on four right-hand sides at once. Accesses are not checked
+for bounds. Only the public numba.extending and llvmlite.ir are used.
 """
 
+import operator
 from inspect import signature
 
 from llvmlite import ir
@@ -13,6 +15,7 @@ from numba import types
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES = 8
+COLUMNS = 4  # right-hand sides of which one element of an array holds the numbers
 
 INT32, INT64 = ir.IntType(32), ir.IntType(64)
 
@@ -341,3 +344,79 @@ def leave(typing_context, numbers, at, number):
 
 
 pointer, complex_pointer, integers = (pointer_to(kind) for kind in (types.float64, types.complex128, types.int64))
+
+
+class Columns(types.Type):
+    """COLUMNS float32 held in a register."""
+
+    element = ir.VectorType(ir.FloatType(), COLUMNS)
+
+    def __init__(self):
+        super().__init__(name="Columns")
+
+
+@register_model(Columns)
+class ColumnsModel(models.PrimitiveModel):
+    """An LLVM vector."""
+
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, fe_type.element)
+
+
+def _in_columns(builder, value):
+    """A number in each column; columns unchanged."""
+    narrow = isinstance(value.type, ir.DoubleType)
+    return _spread(builder, builder.fptrunc(value, ir.FloatType()) if narrow else value, Columns.element)
+
+
+def _register(function, result, lower):
+    """Let compiled code call an operator for two Columns, or Columns and a number."""
+
+    @type_callable(function)
+    def typed(context):
+        def typer(a, b):
+            both = all(isinstance(kind, (Columns, types.Float)) for kind in (a, b))
+            return result if both and any(isinstance(kind, Columns) for kind in (a, b)) else None
+
+        return typer
+
+    for kinds in ((Columns, Columns), (Columns, types.Float), (types.Float, Columns)):
+        lower_builtin(function, *kinds)(lower)
+
+
+def _arithmetic(instruction):
+    return lambda context, builder, sig, args: getattr(builder, instruction)(
+        *(_in_columns(builder, value) for value in args), flags=("contract", "reassoc", "nsz")
+    )
+
+
+def _differs(context, builder, sig, args):
+    bits = builder.fcmp_unordered("!=", *(_in_columns(builder, value) for value in args))
+    return builder.icmp_unsigned("!=", builder.bitcast(bits, ir.IntType(COLUMNS)), ir.IntType(COLUMNS)(0))
+
+
+for names, instruction in ((("add", "iadd"), "fadd"), (("sub", "isub"), "fsub"), (("mul", "imul"), "fmul")):
+    for name in names:
+        _register(getattr(operator, name), Columns(), _arithmetic(instruction))
+_register(operator.ne, types.boolean, _differs)  # in any column
+
+
+@intrinsic
+def zero_of(typing_context, value):
+    """Zero of the type of a value."""
+    return value(value), lambda context, builder, sig, args: ir.Constant(args[0].type, None)
+
+
+@intrinsic
+def as_columns(typing_context, array):
+    """A contiguous array (n, COLUMNS) of float32 as an array (n,) of Columns. The caller keeps the memory alive."""
+    kind = types.Array(Columns(), 1, "C")
+
+    def generate(context, builder, sig, args):
+        given, result = context.make_array(array)(context, builder, args[0]), context.make_array(kind)(context, builder)
+        length, size, single = builder.extract_value(given.shape, 0), INT64(4 * COLUMNS), types.UniTuple(types.intp, 1)
+        result.data, result.itemsize, result.nitems = builder.bitcast(given.data, result.data.type), size, length
+        result.shape, result.strides = (context.make_tuple(builder, single, [number]) for number in (length, size))
+        return result._getvalue()
+
+    return kind(array), generate

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from polyida import jit
-from polyida.linear.columns import zero_of
+from polyida.jit.intrinsics import zero_of
 from polyida.linear.lu import SingularSystem
 
 entry = partial(jit.entry, fastmath=jit.FAST)
