@@ -202,16 +202,30 @@ class WithRows(Model):
 
 
 class Slips(WithRows):
-    """The same, with rows of friction that slip: each acts with `lam = sign (c + mu |lam_on|)`. slips: (RowLaw, sign of its rate) each."""
+    """The same, with rows of friction that slip: each acts with `lam = sign (c + mu |lam_on|)`. slips: (RowLaw, sign of its rate) each.
+
+    On a contact it is `sign (c - mu lam_on)`, which is smooth where the contact begins to pull, so that its end can be located.
+    """
 
     def __init__(self, whole, rows, slips):
         super().__init__(whole, rows)
-        self.slips = slips
+        self.slips, contacts = slips, [law.row for law in whole.row_laws if law.is_contact]
+        self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
+
+    def pressures(self, lam, rows):
+        """(|lam_on| of each slip, its slopes by lam_on) at multipliers of which `rows` press, a list each; those of a contact have signs."""
+        for on, on_contact in zip(rows, self.on_contact):
+            size = np.linalg.norm(lam[on])
+            if on_contact:
+                yield -lam[on].sum(), -np.ones(len(on))
+            else:
+                yield size, lam[on] / size if size else np.zeros(len(on))
 
     def _all(self, lam):
         result = super()._all(lam)
-        for law, sign in self.slips:
-            result[law.row] = sign * (law.constant + law.mu * np.linalg.norm(result[list(law.on)]))
+        pressures = self.pressures(result, [list(law.on) for law, _ in self.slips])
+        for (law, sign), (pressure, _) in zip(self.slips, pressures):
+            result[law.row] = sign * (law.constant + law.mu * pressure)
         return result
 
     def force(self, t, q, v):
@@ -225,18 +239,29 @@ class Slips(WithRows):
         """The rows of phi_q, with the friction that grows with their multipliers."""
         B, forces = dense(self.whole.phi_q(t, q)), self._all(lam)
         columns = B[self.kept]
-        for law, sign in self.slips:
-            on = np.array(law.on, np.int64)
-            if size := np.linalg.norm(forces[on]):
-                shares = np.where(np.isin(self.kept[:, None], on), forces[self.kept][:, None], 0.0) / size
-                columns = columns + sign * law.mu * shares * B[law.row]
+        pressures = self.pressures(forces, [list(law.on) for law, _ in self.slips])
+        for (law, sign), (_, slopes) in zip(self.slips, pressures):
+            shares = np.zeros(self.whole.m)
+            shares[list(law.on)] = slopes
+            columns = columns + sign * law.mu * shares[self.kept][:, None] * B[law.row]
         return columns
 
-    def require_unique(self, state):
-        """Raise SingularSystem if the matrix of the friction was singular between a state and where friction is small."""
-        masses = SlippingMasses(self, state.t, state.q)
-        if not np.linalg.det(masses.slope(state.lam)) > 0.0:
-            raise masses.singular()
+    def uniqueness(self, t, q, lam):
+        """Determinant of the matrix of the friction, 1 where friction is small, if rows press in the direction of lam; its force is not unique at 0."""
+        return float(np.linalg.det(SlippingMasses(self, t, q).slope(lam)))
+
+    def pressed(self, state, lam):
+        """True if all rows that press do so in the direction of lam at a state, too, or would if friction were small."""
+        force, bias = self.whole.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v)
+        free = super().mass_system(state.t, state.q).solve(force, bias)[1]
+        on = [np.isin(self.kept, law.on) for law, _ in self.slips]
+        return all(lam[rows] @ free[rows] > 0.0 for rows in on if rows.any())
+
+    def singular(self):
+        """The SingularSystem of friction without a unique force."""
+        names = ", ".join(dict.fromkeys(repr(law.name) for law, _ in self.slips))
+        why = "its friction has no unique force, and only time stepping, polyida.NonsmoothAlpha(h=...), goes on"
+        return SingularSystem(f"the matrix of the slip of {names} is singular: {why}")
 
     def mass_system(self, t, q):
         return SlippingMasses(self, t, q)
@@ -251,21 +276,13 @@ class SlippingMasses:
         solved = [self.system.solve(row, none) for row in rows]
         self.X, self.Y = (np.array(part).T for part in zip(*solved))
         place = {int(row): k for k, row in enumerate(model.kept)}
-        self.on = [([place[row] for row in law.on if row in place], sign * law.mu) for law, sign in model.slips]
+        self.on = [[place[row] for row in law.on if row in place] for law, _ in model.slips]
+        self.mu = np.array([sign * law.mu for law, sign in model.slips])
 
     def slope(self, lam):
         """d(f - mu |lam_on|)/df at lam = dlam + Y f."""
-        slope = np.eye(len(self.on))
-        for k, (rows, mu) in enumerate(self.on):
-            size = np.linalg.norm(lam[rows])
-            slope[k] -= mu * lam[rows] @ self.Y[rows] / size if size else 0.0
-        return slope
-
-    def singular(self):
-        """The SingularSystem of friction without a unique force."""
-        names = ", ".join(dict.fromkeys(repr(law.name) for law, _ in self.model.slips))
-        why = "its friction has no unique force, and only time stepping, polyida.NonsmoothAlpha(h=...), goes on"
-        return SingularSystem(f"the matrix of the slip of {names} is singular: {why}")
+        slopes = [slope @ self.Y[on] for on, (_, slope) in zip(self.on, self.model.pressures(lam, self.on))]
+        return np.eye(len(self.on)) - self.mu[:, None] * np.array(slopes)
 
     def solve(self, r, phi):
         """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""
@@ -273,7 +290,7 @@ class SlippingMasses:
         f = np.zeros(len(self.on))
         for _ in range(MOST):
             lam = dlam + self.Y @ f
-            error = f - np.array([mu * np.linalg.norm(lam[rows]) for rows, mu in self.on])
+            error = f - self.mu * np.array([size for size, _ in self.model.pressures(lam, self.on)])
             if np.abs(error).max() <= 1e-14 * max(np.abs(f).max(), np.abs(f - error).max()):
                 return dq + self.X @ f, lam
             try:
@@ -282,7 +299,7 @@ class SlippingMasses:
                 break
         if not r.any():  # a projection of positions or velocities, which needs no friction
             return dq, dlam
-        raise self.singular()
+        raise self.model.singular()
 
 
 OF_ROWS = ("phi", "phi_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q", "phi_p", "reaction_q", "psi", "psi_v", "p")

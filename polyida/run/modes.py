@@ -18,7 +18,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.event import Events, Happened
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
-from polyida.integrate.state import State
+from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
@@ -29,6 +29,7 @@ MOST = 1000  # changes of one row
 AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
+NEAR = 1e-2  # determinant of friction that slips below which errors of the state, enlarged by its inverse, decide whether a contact opens
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
 
@@ -90,16 +91,37 @@ class Modes(Happenings):
         return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
 
     def _motion(self, before, t_end, counts):
+        self.at = before
         try:
+            if self._uniqueness(before, before) <= 0.0:
+                raise self.mode.singular()
             yield from super()._motion(before, t_end, counts)
         except SingularSystem as error:
-            raise StepFailure("singular", str(error), self.at) from None
+            raise StepFailure("singular", str(error), self.at.t) from None
+
+    def _uniqueness(self, before, state):
+        """The determinant of friction that slips, positive while its force is unique; rows press in the directions that they had before."""
+        return self.mode.uniqueness(state.t, state.q, before.lam) if isinstance(self.mode, Slips) else 1.0
 
     def _first(self, before, after):
-        self.at = after.t
-        if isinstance(self.mode, Slips):
-            self.mode.require_unique(after)
-        return super()._first(before, after)
+        """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
+        hit = super()._first(before, after)
+        if self._uniqueness(before, after) <= 0.0:
+            from scipy.optimize import brentq
+
+            t = brentq(lambda t: self._uniqueness(before, between(before, after, t)), before.t, after.t)
+            ahead = _ahead(before, t)  # the step's own end is that of forces behind the singular matrix, where contacts pull
+            if hit is None or hit[0] >= t or all(self._lasts(k, before, ahead) for k in hit[1]):
+                self.at = between(before, after, t)
+                raise self.mode.singular()
+        self.at = after
+        return hit
+
+    def _lasts(self, number, before, ahead):
+        """True if a row has the status that it had before at a state ahead, too; that of a closed contact follows from its force without friction."""
+        if self.contacts.contact[number] and self.status[number] == CLOSED:
+            return self.mode.pressed(ahead, before.lam)
+        return self.value(self.events[number], ahead) > 0.0
 
     def _crossing(self, event, side, values, offset, before, after):
         """As of all events; a slip or an opening that began in the wrong direction and goes on so, by more than round-off, ends with the step."""
@@ -215,6 +237,9 @@ class Modes(Happenings):
             if self.value(self.events[k], state) > AT_BOUND * np.abs(lam).max(initial=0.0):
                 continue
             if self.contacts.contact[k]:
+                if self.status[k] == CLOSED and self._uniqueness(state, state) < NEAR:
+                    self.at = state
+                    raise self.mode.singular()
                 closed[k] &= self.status[k] != CLOSED
             elif self.status[k] == STICKS:
                 begins[k] = np.sign(lam[self.whole.row_laws[k].row])
@@ -230,6 +255,12 @@ class Modes(Happenings):
                 name = self.contacts.names[int(np.argmax(counts))]
                 advice = "use polyida.NonsmoothAlpha(h=...), which steps through"
                 raise StepFailure("events", f"the contact or friction of {name!r} {why} more than {limit} times; {advice}", t)
+
+
+def _ahead(state, t):
+    """The State at t, near a state, with its accelerations."""
+    s = t - state.t
+    return State(t, state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a, state.a, state.lam, restart=False)
 
 
 def _independent(G, equal, size):

@@ -94,6 +94,26 @@ def test_events_end_where_friction_has_no_unique_force():
     assert abs(np.arctan2(*(middle - low)[::-1]) - 0.5551961971) < 1e-5
 
 
+@pytest.mark.parametrize("speed", [-20.0, -30.0, -40.0])
+@pytest.mark.parametrize(
+    "integrator, error", [(pi.GeneralizedAlpha(h=2e-3), 5e-4), (pi.RadauIIA(rtol=1e-6), 1e-3), (pi.IDA(rtol=1e-5), 2e-3)], ids=name_of
+)
+def test_the_point_of_painleve_is_located(integrator, error, speed):
+    """From 35 degrees and 0.5 rad/s DOP853 on `dt = D d tau` comes to 45 degrees, D = 0, at 0.1300920 s, whatever the speed of the slip."""
+    run = pi.solve(sliding_rod(np.radians(35.0), 0.5, speed=speed).build(), 0.2, integrator)
+    assert run.status == "singular" and "the slip of 'tip' is singular" in run.message and not len(run.events), run.message
+    located = float(run.message.split(" at t = ")[1].split()[0])
+    assert run.t[-1] < located + 1e-9 and abs(located - 0.1300920) < error
+
+
+def test_a_slip_that_reverses_before_the_point_of_painleve():
+    """A slower tip comes to rest 2 ms before that point, slips to the other side with a unique force, and opens: DOP853, as above."""
+    run = pi.solve(sliding_rod(np.radians(31.0), 0.0).build(), 0.95, pi.GeneralizedAlpha(h=1e-3))
+    assert run.success, run.message
+    assert [one.name for one in run.events] == ["tip slips", "tip opens", "tip is free"]
+    assert np.abs(np.array([one.t for one in run.events[:2]]) - [0.8128087, 0.9349855]).max() < 1e-3
+
+
 @pytest.mark.parametrize("integrator, error", [(pi.RadauIIA(rtol=1e-9), 2e-6), (pi.NonsmoothAlpha(h=5e-5), 1e-4)], ids=name_of)
 def test_the_woodpecker_returns_to_its_periodic_state(integrator, error):
     """Data of Glocker and Studer (2005); the state differs from theirs by 0.5 % in y' and 0.05 % in the bird's rate."""
