@@ -81,29 +81,29 @@ def cost(rows):
 
 @study_figure
 def polyhedra_figure(rows):
-    """Error of the tip against CPU time; condition numbers against h; errors of q against h; errors of the bar's form against coordinates."""
+    """Condition numbers against h; errors of q against h; errors of the bar's form against coordinates; error of the tip against CPU time."""
     fig, axes = panels(4, width=10.6, height=3.8)
     runs = pick(rows, part="run", cells=60)
     exact = [row["tip"] for row in pick(runs, **EXACT)]
     for i, name in enumerate(SETTINGS if exact else ()):
         points = [row for row in pick(runs, integrator=name) if row["tip"] != exact[0]]
-        axes[0].loglog(
+        axes[3].loglog(
             column(points, "cpu_s"), [np.linalg.norm(np.subtract(row["tip"], exact[0])) for row in points], label=name, **marker_style(i)
         )
     at = pick(rows, part="conditioning")
     for i, name in enumerate(f"{method}_{scaling}" for method in ("alpha", "radau", "ida") for scaling in ("scaled", "none")):
-        axes[1].loglog(column(at, "h"), column(at, name), label=name.replace("_", ", ").replace("none", "raw"), **marker_style(i))
+        axes[0].loglog(column(at, "h"), column(at, name), label=name.replace("_", ", ").replace("none", "raw"), **marker_style(i))
     for i, row in enumerate(pick(rows, part="order")):
-        axes[2].loglog(row["sizes"], row["errors"], label=f"{row['integrator']}, E = {1e-6 * row['E']:g} MPa", **marker_style(i))
+        axes[1].loglog(row["sizes"], row["errors"], label=f"{row['integrator']}, E = {1e-6 * row['E']:g} MPa", **marker_style(i))
     lines = {"cantilever": ("deviation", pick(rows, part="cantilever"))}
     for name in ("bending", "torsion"):
         for mass, lumped in (("lumped", True), ("consistent", False)):
             lines[f"{name}, {mass}"] = f"{name}_error", pick(rows, part="free", lumped=lumped)
     for i, (label, (name, points)) in enumerate(lines.items()):
-        axes[3].loglog(column(points, "n"), column(points, name), label=label, **marker_style(i))
+        axes[2].loglog(column(points, "n"), column(points, name), label=label, **marker_style(i))
     below, beside = (
-        ("CPU time, s", "h, s", "h, s", "n"),
-        ("error of the tip, m", "condition number", "largest error of q, m", "relative error"),
+        ("h, s", "h, s", "n", "CPU time, s"),
+        ("condition number", "largest error of q, m", "relative error", "error of the tip, m"),
     )
     for axis, x, y in zip(axes, below, beside):
         axis.set(xlabel=x, ylabel=y, visible=bool(axis.lines))
