@@ -229,7 +229,8 @@ class RunAdjoint:
     """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `stretches_backward(sweeps)`.
 
     `stretches_backward` is a generator: it adds the slopes of a stretch of steps to the `totals` of each of the sweeps, this one and those beside
-    it, yields the time at which the stretch begins, and returns their bars of q, v, a and lam of the run's first state. start_is_given: True if the run starts from a given state, which is held constant.
+    it, yields the time at which the stretch begins, and returns their bars of q, v, a and lam of the run's first state. start_is_given: True if
+    the run starts from a given state, which is held constant.
     """
 
     def __init__(self, run, objective, names, memory_limit):

@@ -35,7 +35,7 @@ from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import COLUMNS, pointer
-from polyida.linear.dense import magnitude
+from polyida.linear.dense import clear, copy_matrix, magnitude
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
 from polyida.system import ADJOINT
@@ -104,7 +104,8 @@ class SceneAdjointWork(NamedTuple):
     real, pair, tied: None if the step has none; the code for it is then not compiled. viscosity: of `viscosity_of`. drives (count, s, profiles, 3),
     q, v, lam (count, s, .): of the stages. enough: accepted error of w over |w|. first, second, third: products of the stages and w.
     slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, columns, nodes, 2), rows, change (1 or 2, s, columns, m):
-    residuals, and corrections of w and of the multipliers. which (columns,): first the numbers of the columns that have not converged; small (columns,): True if those have.
+    residuals, and corrections of w and of the multipliers. which (columns,): first the numbers of the columns that have not converged;
+    small (columns,): True for those of them that have in this iteration.
     marks, rates (columns, 3) belong to a factor: SOLVES; SLOWEST, the largest accepted contraction; STEPS, WORK, number of steps and of solves with
     the factor; LATELY, mean number of solves in the last steps; CONTRACTION, MEASURED at that number of steps; MOVED, |dw| of the last correction.
     sizes (columns, 2): LARGEST, the largest |w| of a solve without constraints, UNCONSTRAINED, that of the last one.
@@ -492,11 +493,13 @@ def solve(w, k, right, below, bar, now, multipliers, out):
             stage_products = carray(pointer(out), (3, *shape))
             for i in range(stages):
                 x = stage(w, i)
-                stage_products[0, i], stage_products[2, i] = x.stiff, x.heavy
-                if x.slowing.shape[1]:
-                    stage_products[1, i] = x.slowing
-                else:
-                    stage_products[1, i] = 0.0
+                for c in range(columns):
+                    copy_matrix(x.stiff[c], stage_products[0, i, c])
+                    copy_matrix(x.heavy[c], stage_products[2, i, c])
+                    if x.slowing.shape[1]:
+                        copy_matrix(x.slowing[c], stage_products[1, i, c])
+                    else:
+                        clear(stage_products[1, i, c])
             count_work(w.marks, work)
             w.marks[SLOWEST] = OLD
             return DONE

@@ -177,30 +177,35 @@ def pairs_at(c, number):
 @entry
 def elastic_force(c, b, displacements, forces, d, e, f, g):
     """r += dW/dz of elastic body b."""
-    u, (first, count, size) = pairs_at(c, displacements), vectors(c, b)
-    change, s, z = np.empty(size), np.empty(size), np.empty((count, 2))
+    u, size = pairs_at(c, displacements), vectors(c, b)[2]
+    change = np.empty(size)
     strained(c, b, u, change)
+    push_elastic(c, b, u, change, forces)
+    return DONE
+
+
+@part
+def push_elastic(c, b, u, change, forces):
+    """r += (dy/dz)^T (form change + shift) of elastic body b at displacements u."""
+    first, count, size = vectors(c, b)
+    s, z = np.empty(size), np.empty((count, 2))
     for k in range(size):
         s[k] = c.shift[c.shift_start[b] + k]
     stresses(c, b, change, s)
     place(c, first, count, u, z)
     push(count, first, s, z, pairs_at(c, forces))
-    return DONE
 
 
 @entry
 def elastic_force_middle(c, b, step, start, end, middle, forces, g):
     """The same in the middle of a step, with viscosity."""
-    u0, u1, um, (first, count, size) = pairs_at(c, start), pairs_at(c, end), pairs_at(c, middle), vectors(c, b)
-    before, change, s, z, lag = np.empty(size), np.empty(size), np.empty(size), np.empty((count, 2)), c.viscosity[b] / float_of(step)
-    strained(c, b, u0, before)
-    strained(c, b, u1, change)
+    size, lag = vectors(c, b)[2], c.viscosity[b] / float_of(step)
+    before, change = np.empty(size), np.empty(size)
+    strained(c, b, pairs_at(c, start), before)
+    strained(c, b, pairs_at(c, end), change)
     for k in range(size):
-        s[k] = c.shift[c.shift_start[b] + k]
         change[k] = 0.5 * (before[k] + change[k]) + lag * (change[k] - before[k])
-    stresses(c, b, change, s)
-    place(c, first, count, um, z)
-    push(count, first, s, z, pairs_at(c, forces))
+    push_elastic(c, b, pairs_at(c, middle), change, forces)
     return DONE
 
 

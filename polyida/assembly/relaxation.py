@@ -27,7 +27,7 @@ from polyida.errors import DONE
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import LANES, address, call, pointer
 from polyida.jit.user_functions import table_address
-from polyida.linear.dense import put
+from polyida.linear.dense import copy_matrix, put
 from polyida.validation import pairs_of
 
 
@@ -192,19 +192,12 @@ def elimination(model, dtype):
     return workspace
 
 
-@part
-def copy_pairs(x, y):
-    """y = x, both (nodes, 2). numba takes two seconds to compile an assignment of arrays."""
-    for i in range(x.shape[0]):
-        y[i, 0], y[i, 1] = x[i, 0], x[i, 1]
-
-
 @entry
 def eliminate(w, u, r):
     """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself without strains."""
     if w.calls[0] == 0:
         return r
-    copy_pairs(r, w.whole)
+    copy_matrix(r, w.whole)
     call(w.calls[1], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
     return w.r
 
@@ -213,9 +206,9 @@ def eliminate(w, u, r):
 def recover(w, u, dq):
     """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2)."""
     if w.calls[0] != 0:
-        copy_pairs(dq, w.whole)
+        copy_matrix(dq, w.whole)
         call(w.calls[2], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
-        copy_pairs(w.whole, dq)
+        copy_matrix(w.whole, dq)
 
 
 @entry

@@ -6,7 +6,7 @@ All of them use numba's public decorators. For numba versions in TESTED, `jit/co
 
 import warnings
 from contextlib import suppress
-from functools import lru_cache, update_wrapper
+from functools import update_wrapper
 from hashlib import sha256
 from importlib import import_module
 from inspect import signature
@@ -63,7 +63,6 @@ def leaf(function):
     return part(function, forceinline=True)
 
 
-@lru_cache(None)
 def c_address(inner, kinds):
     """The address of an entry or a part as a C function with a numba signature; cached like an entry."""
     outer = _around(inner.py_func, inner)

@@ -1,8 +1,8 @@
 """Edges of a body, or a point, that face the edges of another body: pieces of both sides and mortar weights of gaps.
 
 A point has a gap for each edge on which its projection lies, its distance. A node i of a side has the gap `g_i = int N_i gap ds / int N_i ds`,
-m, over what faces the second side; N_i is its hat function, gap the distance from the line of the facing edge. Each edge of the first side is cut where nodes of the second side project onto it, along its
-normal; two Gauss points a piece integrate exactly while both sides are nearly parallel. The derivative of a gap by q with constant weights is
+m, over what faces the second side; N_i is its hat function, gap the distance from the line of the facing edge. Each edge of the first side
+is cut where nodes of the second side project onto it, along its normal; two Gauss points a piece integrate exactly while both sides are nearly parallel. The derivative of a gap by q with constant weights is
 exact where the gap is zero.
 
 What faces what changes with q, so that the arrays of a scene have no products of these rows; `links_at` appends them.
