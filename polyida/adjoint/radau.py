@@ -145,7 +145,7 @@ class RadauAdjoint(RunAdjoint):
 
         def factor(t, q, v, a, lam, modes):
             h = self.tableau.modes[0].value / modes[0][1]
-            matrices = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]), tied)
+            matrices = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]))
             self.counts.backend = matrices.backend
             return [x[1:] for x in (matrices.real, matrices.pair) if x]
 

@@ -6,12 +6,14 @@ The step's system is, with B, C, H, K and M of each stage (system/table.py, rada
     B_i w_i = below_i,    B_i v*_i = 0,    v*_i = C_i^T w_i + B_i^T kappa_i + sum_j to_v_ij M w_j + [bar]
 
 and the terms of kappa and mu_i are there where the step has mu. With `to_v = sum c row column^T`, to_a = to_v^2, it falls into one system for each
-eigenvalue c, of K, M and C as old as the factor, in the frames of the nodes, each stage turned from its own to the middle one's, and B and H
-of the middle stage:
+eigenvalue c, of K, M and C as old as the factor, in the frames of the nodes, each stage turned from its own to the middle one's, and B of the
+middle stage; as in the steps (assembly/rate_multipliers.py) H is left to the refinement:
 
-    | S                   B^T   (c B + H)^T |  |w    |     S = K + c C + c^2 M
-    | B                                     |  |mu   |
-    | B (c M + C)^T              B B^T      |  |kappa|     the last row and column where there is mu in the step
+    | S                   B^T   c B^T |  |w    |     S = K + c C + c^2 M
+    | B                               |  |mu   |
+    | B (c M + C)^T             B B^T |  |kappa|     the last row and column where there is mu in the step
+
+so that w and mu + c kappa follow from the first two rows, and kappa from the last one.
 
 Several objectives are columns of the right-hand side. Columns that have converged are left out of further corrections.
 """
@@ -27,10 +29,10 @@ from polyida.adjoint import products
 from polyida.adjoint.products import DZ, VZ, Scratch, arrays_of, scratch, viscosity_of
 from polyida.adjoint.relaxation import eliminate_transposed, recover_transposed
 from polyida.adjoint.run import AdjointTable
-from polyida.assembly import corotated, joints, stabilised_border
+from polyida.assembly import corotated, joints
 from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import Laws
-from polyida.assembly.stabilised_border import StabilisedWorkspace
+from polyida.assembly.rate_multipliers import RateMultipliers, factor_rates, rate_multipliers, rate_values, solve_rates
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
@@ -55,17 +57,16 @@ LEAST = 1e-280  # a residual below that is taken as that large: single precision
 EXACT = 1e-11  # of |w|: refinement leaves no less
 OF_MU = 100.0  # accepted relative error of mu over that of w: mu has the error of w times M / h^2
 MAX_CORRECTIONS = 60  # corrections of a step with one factor
+UNDAMPED = np.zeros((0, 2, 2))  # C A^T without damping or mu
 OLD, FRESH = 0.5, 0.8  # contraction above which a factor is made anew, and above which one that was made for the step does not serve
 
 
 @pack
 class Mode(NamedTuple):
-    """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, and scratch for columns: r, dw (columns, nodes, 2), rows, multipliers
+    """A mode: c = (c_m, c_v) of its S, row and column (s,), its factor, C A^T (see RateMultipliers), and scratch for columns: r, dw (columns, nodes, 2), rows, multipliers
     (columns, 1 or 2, m), sizes (columns,).
 
     lanes (n, COLUMNS): right-hand sides that are solved for together; None if the factor is complex.
-
-    mass_columns, before, border: the factor with the columns of `c M + C`, the workspaces of the border forward and backward; None without mu.
     """
 
     c: np.ndarray
@@ -73,9 +74,7 @@ class Mode(NamedTuple):
     column: np.ndarray
     factored: corotated.Corotated
     workspace: corotated.SolveWorkspace
-    mass_columns: corotated.Corotated | None
-    before: StabilisedWorkspace | None
-    border: StabilisedWorkspace | None
+    slowing: np.ndarray
     r: np.ndarray
     dw: np.ndarray
     rows: np.ndarray
@@ -87,7 +86,7 @@ class Mode(NamedTuple):
 @pack
 class MuTerms(NamedTuple):
     """Arrays of steps with mu: mu (count, s, m), blocks of (B^T mu)_q on the coupled points (s, ., 2, 2), slopes of the rates of the rows (s, .),
-    v* (s, nodes, 2), values and forces at points (2, points, 2).
+    v* (s, nodes, 2), values and forces at points (2, points, 2), and the system of B B^T.
     """
 
     mu: np.ndarray
@@ -95,6 +94,7 @@ class MuTerms(NamedTuple):
     rates: np.ndarray
     v: np.ndarray
     points: np.ndarray
+    system: RateMultipliers
 
 
 @pack
@@ -172,25 +172,17 @@ def evaluate_mu_terms(w, t, k, i):
 def prepare_mode(w, mode, i):
     """The frames of a mode's factor, and its border, at stage i."""
     if mode is not None:
-        corotated.turn_frames(w.scene.links, mode.factored, mode.workspace, stage(w, i).rotation)
-        fill_border(w, mode, mode.mass_columns, mode.before, mode.border, w.tied, i)
+        s, c, workspace = w.scene.links, mode.factored, mode.workspace
+        corotated.turn_frames(s, c, workspace, stage(w, i).rotation)
+        corotated.points_matrix(s, c, workspace)
+        fill(w, mode, i, workspace.border.slopes, workspace.border.curvature)
+        workspace.keeps[0] = 0
 
 
 @part
-def fill_border(w, mode, mass_columns, before, border, tied, i):
-    """Fill the border of a mode: with the rates of the rows if there is mu (mass_columns is not None)."""
-    s, c, workspace = w.scene.links, mode.factored, mode.workspace
-    if mass_columns is None:
-        corotated.points_matrix(s, c, workspace, c.border, workspace.border.blocks, 0)
-        fill(w, mode, i, workspace.border.slopes, workspace.border.curvature)
-        return
-    y, z = before.workspace, border.workspace
-    corotated.points_matrix(s, c, workspace, before.border, y.blocks, 0)
-    corotated.points_matrix(s, mass_columns, workspace, before.border, y.blocks, 1)
-    stabilised_border.add_masses(s, before.border, mode.c[1], y.blocks)
-    stabilised_border.transpose_blocks(border.border, y.blocks, z.blocks)
-    fill(w, mode, i, z.slopes, z.curvature)
-    z.rates[:] = tied.rates[i]
+def prepare_rates(w, t, k, i):
+    """Factor B B^T at stage i of step k, unless the step has no mu (t is None). False if it is singular."""
+    return True if t is None else factor_rates(w.scene.links, t.system, w.drives[k, i], stage(w, i).points[DZ])
 
 
 @part
@@ -220,7 +212,7 @@ def correct(w, mode, u, which):
     for c in which:
         recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
         w.sizes[c, UNCONSTRAINED] += size_of(mode.dw[c])
-        if not solve_border(w, mode, mode.mass_columns, mode.before, mode.border, c):
+        if not solve_border(w, mode, w.tied, c):
             return False
         recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
     return True
@@ -266,25 +258,33 @@ def solve_columns(factored, workspace, lanes, sizes, r, dw, which):
 
 
 @part
-def solve_border(w, mode, mass_columns, before, border, c):
+def solve_border(w, mode, tied, c):
     """The multipliers of a mode in a column, and the effect of their forces on dw. False if the border is singular."""
     s, factored, workspace, dw = w.scene.links, mode.factored, mode.workspace, mode.dw[c]
-    if mass_columns is None:
-        if not workspace.spin.shape[0]:
-            return True
-        joints.point_values(s, dw, workspace.moved)
-        if not corotated.solve_multipliers(s, factored, workspace, mode.rows[c, MU], mode.multipliers[c, MU]):
-            return False
-        corotated.apply_point_forces(s, factored, workspace, dw)
-        corotated.settle_states(s, factored, workspace.border.curvature, workspace.moved, dw)
+    if not workspace.spin.shape[0]:
         return True
-    if not stabilised_border.transposed(
-        s, factored, mass_columns, workspace, before, border, mode.c[1], mode.r[c], dw, mode.rows[c], mode.multipliers[c]
-    ):
+    joints.point_values(s, dw, workspace.moved)
+    if not corotated.solve_multipliers(s, factored, workspace, mode.rows[c, MU], mode.multipliers[c, MU]):
         return False
+    workspace.keeps[0] = 1
     corotated.apply_point_forces(s, factored, workspace, dw)
-    corotated.settle_states(s, factored, border.workspace.curvature, border.displacements, dw)
-    return True
+    corotated.settle_states(s, factored, workspace.border.curvature, workspace.moved, dw)
+    return solve_kappa(w, mode, tied, c)
+
+
+@part
+def solve_kappa(w, mode, t, c):
+    """kappa of a mode in a column, and mu without c kappa, unless the step has no mu (t is None). False if the system is singular."""
+    if t is None:
+        return True
+    s, values, rows, multipliers = w.scene.links, mode.workspace.moved, mode.rows[c], mode.multipliers[c]
+    rate_values(s, t.system, mode.slowing, mode.workspace, mode.c[1], mode.dw[c], values)
+    for e in range(rows.shape[1]):
+        rows[KAPPA, e] = -rows[KAPPA, e] - joints.along(s, t.system.workspace.slopes, e, values)
+    good = solve_rates(t.system, rows[KAPPA], multipliers[KAPPA])
+    for e in range(rows.shape[1]):
+        multipliers[MU, e] -= mode.c[1] * multipliers[KAPPA, e]
+    return good
 
 
 @part
@@ -458,6 +458,8 @@ def solve(w, k, right, below, bar, now, multipliers, out):
             size = 1.0 / np.sqrt((mid[a, 0] ** 2 + mid[a, 1] ** 2) * (own[a, 0] ** 2 + own[a, 1] ** 2))
             w.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
             w.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
+    if not prepare_rates(w, w.tied, k, middle):
+        return SINGULAR
     prepare_mode(w, w.real, middle)
     prepare_mode(w, w.pair, middle)
     for iteration in range(MAX_CORRECTIONS):
@@ -510,9 +512,8 @@ class SceneAdjoint(AdjointTable):
     """The table of a compiled scene.
 
     to_v, to_a (s, s): of steps with h = 1 that `scale` is of; modes: (c_m, c_v, row, column) of each mode at h = 1. factor: a function
-    (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, SolveWorkspace), and with mu the Corotated
-    with the columns of `c M + C` and the StabilisedWorkspace of the border.
-    enough: as of SceneAdjointWork. counts: what counts its work. columns: number of right-hand sides.
+    (t, q, v, a, lam, c) of a stage and the pairs c = (c_m, c_v) of the modes that gives for each mode (Corotated, SolveWorkspace), and with mu
+    C A^T. enough: as of SceneAdjointWork. counts: what counts its work. columns: number of right-hand sides.
     """
 
     def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False, columns=1):
@@ -547,6 +548,7 @@ class SceneAdjoint(AdjointTable):
                 "rates": np.zeros((s, entries)),
                 "v": np.zeros((s, *nodes)),
                 "points": np.zeros(points),
+                "system": rate_multipliers(model),
             }
         self.scale(1.0)
 
@@ -591,14 +593,13 @@ class SceneAdjoint(AdjointTable):
             known[id(self)]["marks"][SLOWEST], known[id(self)]["rates"][:, CONTRACTION] = slowest, 1.0
         self.w |= modes | known[id(self)]
 
-    def _mode(self, c, row, column, factored, workspace, mass_columns=None, before=None):
+    def _mode(self, c, row, column, factored, workspace, slowing=UNDAMPED):
         kind, columns = np.asarray(row).dtype, self.columns
         rows = columns, 1 + self.tied, self.model.m
         vectors = [self.w[name][0] if len(self.w["r"]) == 1 else np.zeros(self.w["r"].shape[1:], kind) for name in ("r", "dw")]
-        border = stabilised_border.stabilised_workspace(self.model, kind, transposed=True) if self.tied else None
         scratch = *vectors, np.zeros(rows, kind), np.zeros(rows, kind), np.zeros(columns)
         lanes = None if np.issubdtype(kind, complex) else np.zeros((2 * self.model.n_factored, COLUMNS), np.float32)
-        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, mass_columns, before, border, *scratch, lanes)
+        return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, slowing, *scratch, lanes)
 
     def drop(self):
         self.factor_cache.factors.pop(f"{self.h:.9e}", None)

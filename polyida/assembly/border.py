@@ -7,11 +7,8 @@ The unknowns x are multipliers and forces on components of points. They cause th
 |---|---|---|
 | w, forces on active components | a unit vector | a row of C, the curvature of the rows of phi and the slopes of force elements |
 | lam, multipliers of phi | a row of Bz = phi_z | the same row of Bz |
-| mu, multipliers of the rate of phi | a row of Bz, in the second layer | a row of Hz, and a row of Bz in the second layer |
 
-I_w is the unit matrix on w. With mu each component of a point exists twice, in two layers; the matrix of a body is ((G, H), (0, -A A^T)). The
-transposed system has Hz in E and the layers in reverse order: ((-A A^T, H^T), (0, G)). All numbers of E and F are in one array: Bz, 1, C, Hz.
-Their indices are called slots.
+I_w is the unit matrix on w. All numbers of E and F are in one array: Bz, 1, C. Their indices are called slots.
 """
 
 from typing import NamedTuple
@@ -31,16 +28,14 @@ ACCURATE = 1e-10  # residual of an equation over the sum of the sizes of its ter
 class Border(NamedTuple):
     """The pattern of a system.
 
-    active: components with an unknown w. layers: 1, or 2 with mu. points: of body n from point_start[n] on. block: index at which the matrix of
-    each body begins; it is square, of 2 layers components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and
-    column_start[n] on; their entries begin at row_entry and column_entry and have components within the body and slots. first_layer: number of
-    the first columns of each body that act on the first layer only. into: where the values of each pair of row and column of a body are, from
+    active: components with an unknown w. points: of body n from point_start[n] on. block: index at which the matrix of each body begins; it is
+    square, of 2 components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and
+    column_start[n] on; their entries begin at row_entry and column_entry and have components within the body and slots. into: where the values of each pair of row and column of a body are, from
     into_start on.
     """
 
     elimination: Elimination
     active: np.ndarray
-    layers: int
     point_start: np.ndarray
     points: np.ndarray
     block: np.ndarray
@@ -54,7 +49,6 @@ class Border(NamedTuple):
     column_entry: np.ndarray
     column_component: np.ndarray
     column_slot: np.ndarray
-    first_layer: np.ndarray
     into_start: np.ndarray
     into: np.ndarray
 
@@ -63,7 +57,7 @@ class Border(NamedTuple):
 class BorderWorkspace(NamedTuple):
     """Values of a system, float or complex.
 
-    slots: numbers of E and F; slopes, curvature, rates: views of it, Bz, C and Hz. blocks: matrices of the bodies. matrix, values: of the
+    slots: numbers of E and F; slopes, curvature: views of it, Bz and C. blocks: matrices of the bodies. matrix, values: of the
     elimination, and its factors. right: right-hand side. x: unknowns. Scratch: row (columns,), responses (components, columns) of one body; left
     and terms of each equation, its left-hand side and the sum of the sizes of its terms.
     """
@@ -71,7 +65,6 @@ class BorderWorkspace(NamedTuple):
     slots: np.ndarray
     slopes: np.ndarray
     curvature: np.ndarray
-    rates: np.ndarray
     blocks: np.ndarray
     matrix: np.ndarray
     values: np.ndarray
@@ -83,24 +76,21 @@ class BorderWorkspace(NamedTuple):
     terms: np.ndarray
 
 
-def border(model, active=True, rows=True, rates=False, transposed=False):
-    """The Border of a scene. active, rows, rates: True for the unknowns w, lam, mu; transposed: True for the transposed system."""
+def border(model, active=True, rows=True):
+    """The Border of a scene. active, rows: True for the unknowns w and lam."""
     s, bodies = model.arrays.links, body_of_points(model)
     number, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
     points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
     for group in points:
         local[group] = np.arange(len(group))
-    layers, wide = 1 + rates, [2 * len(group) for group in points]
     coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
     coupled[s.coupling.states] = False  # states are eliminated, see `condense_states`
     components = np.flatnonzero(np.repeat(coupled & active, 2))
     m, first, slots = len(s.row_constant) if rows else 0, len(components), len(s.row_columns)
     forces, equations = ([{} for _ in points] for _ in range(2))
 
-    def add(table, unknown, component, slot, layer=0):
-        body = number[component // 2]
-        place = 2 * local[component // 2] + component % 2 + (layer != transposed) * wide[body]
-        table[body].setdefault(unknown, []).append((place, slot))
+    def add(table, unknown, component, slot):
+        table[number[component // 2]].setdefault(unknown, []).append((2 * local[component // 2] + component % 2, slot))
 
     for unknown, component in enumerate(components.tolist()):
         point, axis = divmod(component, 2)
@@ -113,29 +103,21 @@ def border(model, active=True, rows=True, rates=False, transposed=False):
         of_row = np.arange(s.row_start[row], s.row_start[row + 1])
         for i in vectors:
             turning[of_row[np.isin(s.row_columns[of_row] // 2, s.vector_points[s.vector_start[i] : s.vector_start[i + 1]])]] = True
-    behind = slots + 1 + 4 * len(s.coupling.columns)
-    entries = [(k, e) for k in range(m) for e in range(s.row_start[k], s.row_start[k + 1])]
-    for layer in range(layers):
-        for k, e in entries:
-            unknown, component = first + layer * m + k, s.row_columns[e]
+    for k in range(m):
+        for e in range(s.row_start[k], s.row_start[k + 1]):
             if s.row_slopes[e] != 0 or turning[e]:
-                add(forces, unknown, component, e, layer)
-                add(equations, unknown, component, e, layer)
-            if layer and turning[e]:
-                add(forces if transposed else equations, unknown, component, behind + e)
-    groups = [sorted({*force, *equation}) for force, equation in zip(forces, equations)]
-    order = elimination(first + layers * m, groups)
+                add(forces, first + k, s.row_columns[e], e)
+                add(equations, first + k, s.row_columns[e], e)
+    order = elimination(first + m, [sorted({*force, *equation}) for force, equation in zip(forces, equations)])
     into = [_grid(order, list(equation), list(force)) for force, equation in zip(forces, equations)]
     return Border(
         order,
         components,
-        layers,
         starts(points),
         np.concatenate([*points, np.zeros(0, np.int64)]).astype(np.int64),
-        np.concatenate([[0], np.cumsum([(layers * size) ** 2 for size in wide])]).astype(np.int64),
+        np.concatenate([[0], np.cumsum([(2 * len(group)) ** 2 for group in points])]).astype(np.int64),
         *_listed(equations),
         *_listed(forces),
-        np.array([0 if transposed else sum(unknown < first + m for unknown in force) for force in forces], np.int64),
         starts(into),
         np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
     )
@@ -167,14 +149,13 @@ def border_workspace(model, pattern, dtype=float):
     """A BorderWorkspace of a Border."""
     s, count = model.arrays.links, len(pattern.elimination.diagonal)
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
-    slots = np.zeros(first + blocks + len(s.row_columns), dtype)
+    slots = np.zeros(first + blocks, dtype)
     slots[first - 1] = 1.0
-    wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.layers * pattern.point_start, pattern.column_start))
+    wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.point_start, pattern.column_start))
     return BorderWorkspace(
         slots,
         slots[: first - 1],
-        slots[first : first + blocks].reshape(-1, 2, 2),
-        slots[first + blocks :],
+        slots[first:].reshape(-1, 2, 2),
         np.zeros(pattern.block[-1], dtype),
         *np.zeros((2, pattern.elimination.start[-1]), dtype),
         np.zeros(count, dtype),
@@ -194,20 +175,15 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def measure(b, w, first, second):
-    """right = F u. u, (points, 2) in each layer: first and second; second is (0, 2) if it is zero."""
-    for u in range(w.right.shape[0]):
-        w.right[u] = 0.0
+def measure(b, w, u):
+    """right = F u. u: (points, 2)."""
+    for k in range(w.right.shape[0]):
+        w.right[k] = 0.0
     for n in range(b.block.shape[0] - 1):
-        layer = width(b, n) // b.layers
         for r in range(b.row_start[n], b.row_start[n + 1]):
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 at = b.row_component[e]
-                if at < layer:
-                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * first[b.points[b.point_start[n] + at // 2], at % 2]
-                elif second.shape[0]:
-                    at -= layer
-                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * second[b.points[b.point_start[n] + at // 2], at % 2]
+                w.right[b.rows[r]] += w.slots[b.row_slot[e]] * u[b.points[b.point_start[n] + at // 2], at % 2]
 
 
 @shared
@@ -246,14 +222,13 @@ def assemble(b, w):
     row = w.row
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
-        layer = width(b, n) // b.layers
         respond(b, w, n, first, count)
         for r in range(b.row_start[n], b.row_start[n + 1] if count else b.row_start[n]):
             for j in range(count):
                 row[j] = 0.0
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 value, at = w.slots[b.row_slot[e]], b.row_component[e]
-                for j in range(0 if at < layer else b.first_layer[n], count):
+                for j in range(count):
                     row[j] += value * w.responses[at, j]
             at = b.into_start[n] + (r - b.row_start[n]) * count
             for j in range(count):
@@ -265,20 +240,19 @@ def assemble(b, w):
 @part
 def width(b, n):
     """Number of rows of the matrix of body n."""
-    return 2 * b.layers * (b.point_start[n + 1] - b.point_start[n])
+    return 2 * (b.point_start[n + 1] - b.point_start[n])
 
 
 @part
 def respond(b, w, n, first, count):
-    """Set w.responses to G E of body n, (components, columns). Entries of the second layer for columns of the first one are not set."""
+    """Set w.responses to G E of body n, (components, columns)."""
     wide, at = width(b, n), b.block[n]
     for j in range(count):
-        end = wide if j >= b.first_layer[n] else wide // b.layers
-        for p in range(end):
+        for p in range(wide):
             w.responses[p, j] = 0.0
         for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
             value, place = w.slots[b.column_slot[e]], at + b.column_component[e]
-            for p in range(end):
+            for p in range(wide):
                 w.responses[p, j] += w.blocks[place + p * wide] * value
 
 

@@ -15,7 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.assembly.border import Border, BorderWorkspace, body_of_points, border, border_workspace, measure, solve_border
+from polyida.assembly.border import (
+    Border,
+    BorderWorkspace,
+    body_of_points,
+    border,
+    border_workspace,
+    measure,
+    solve_border,
+    solve_border_again,
+)
 from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
@@ -54,6 +63,7 @@ class SolveWorkspace(NamedTuple):
     border: BorderWorkspace
     point_forces: np.ndarray  # (2 points,) forces at the points
     own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements, as old as the factor; (0, 2, 2) without
+    keeps: np.ndarray  # (1,) 1 if the border of the last solve is used again
     team: Team | None = None  # of threads that share the solves
     elimination: Elimination | None = None  # of relaxed strains
 
@@ -137,6 +147,7 @@ def solve_workspace(model, system):
         border_workspace(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
         np.zeros((coupled if model.laws and len(model.laws.energies) else 0, 2, 2), dtype),
+        np.zeros(1, np.int64),
         elimination=elimination(model, dtype),
     )
 
@@ -212,8 +223,9 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if w.spin.shape[0] == 0:
         return True
-    fill_border(s, c, w, drives, dz)
-    fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
+    if not w.keeps[0]:
+        fill_border(s, c, w, drives, dz)
+        fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
     joints.point_values(s, dq, w.moved)
     if not solve_multipliers(s, c, w, phi, dlam):
         return False
@@ -247,11 +259,12 @@ def turn_frames(s, c, w, rotation):
 
 
 @part
-def points_matrix(s, c, w, b, blocks, layer):
-    """G = A X at the current rotations, body by body, in the first rows of its matrices, after `layer` others of its kind."""
+def points_matrix(s, c, w):
+    """w.border.blocks = G = A X at the current rotations, body by body."""
+    b, blocks = c.border, w.border.blocks
     for n in range(b.block.shape[0] - 1):
         first, end = b.point_start[n], b.point_start[n + 1]
-        wide = 2 * b.layers * (end - first)
+        wide = 2 * (end - first)
         for e in range(first, end):
             for o in range(first, end):
                 f, h = b.points[e], b.points[o]
@@ -267,7 +280,7 @@ def points_matrix(s, c, w, b, blocks, layer):
                     xy += co * p - si * q
                     yy += si * p + co * q
                 co, si = w.spin[h, 0], w.spin[h, 1]
-                to = b.block[n] + 2 * (e - first) * wide + 2 * (o - first + layer * (end - first))
+                to = b.block[n] + 2 * (e - first) * wide + 2 * (o - first)
                 blocks[to], blocks[to + 1] = xx * co - xy * si, xx * si + xy * co
                 blocks[to + wide], blocks[to + wide + 1] = yx * co - yy * si, yx * si + yy * co
 
@@ -373,7 +386,7 @@ def add_masses(s, c_m, curvature):
 @part
 def fill_border(s, c, w, drives, dz):
     """G of the bodies and Bz of a state whose frames are set."""
-    points_matrix(s, c, w, c.border, w.border.blocks, 0)
+    points_matrix(s, c, w)
     joints.joint_jacobian(s, drives, dz, w.border.slopes)
 
 
@@ -384,11 +397,11 @@ def solve_multipliers(s, c, w, phi, dlam):
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    measure(c.border, w.border, w.moved, w.moved[:0])
+    measure(c.border, w.border, w.moved)
     count = c.border.active.shape[0]
     for k in range(phi.shape[0]):
         w.border.right[count + k] += phi[k]
-    if not solve_border(c.border, w.border):
+    if not (solve_border_again(c.border, w.border) if w.keeps[0] else solve_border(c.border, w.border)):
         return False
     point_forces_of(s, c.border, w.border, w.point_forces, dlam)
     return True

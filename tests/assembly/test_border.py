@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.assembly.border import solve_border, solve_in_order
 from polyida.assembly.corotated import SceneStepMatrix
-from polyida.assembly.stabilised_border import stabilised_workspace
+from polyida.assembly.rate_multipliers import rate_multipliers
 from polyida.jit import entry
 from polyida.problems.n_four_bar import n_four_bar
 
@@ -99,12 +99,12 @@ def test_the_saddle_is_that_of_the_whole_matrix(name, c):
 @pytest.mark.parametrize("c", C.values(), ids=C)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_unknowns_are_those_of_a_dense_solve(name, c):
-    """With lam, and with lam and mu: the numbers that the state left, and random ones in their places."""
+    """With w and lam, and with mu: the numbers that the state left, and random ones in their places."""
     model = SCENES[name]().build()
     q, lam, random = state(model)
     step = step_of(model, c, lam, q)
     step.saddle(0.1, q, lam, random.standard_normal(model.n), np.zeros(model.m))
-    other = stabilised_workspace(model, type(c))
+    other = rate_multipliers(model)
     other.workspace.slots[:] = random.standard_normal(len(other.workspace.slots))
     other.workspace.blocks[:] += random.standard_normal(len(other.workspace.blocks))
     for b, w in ((step.corotated.border, step.workspace.border), (other.border, other.workspace)):
@@ -128,10 +128,7 @@ def assembled(b, w):
         for k in columns:
             at = slice(b.column_entry[k], b.column_entry[k + 1])
             np.add.at(E, (b.column_component[at], b.columns[k]), w.slots[b.column_slot[at]])
-        G = w.blocks[begin:end].reshape(wide, wide).copy()
-        if b.layers == 2:
-            G[wide // 2 :, : wide // 2] = 0.0
-        matrix += F @ G @ E
+        matrix += F @ w.blocks[begin:end].reshape(wide, wide) @ E
     matrix[np.arange(len(b.active)), np.arange(len(b.active))] += 1.0
     return matrix
 

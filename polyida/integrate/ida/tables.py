@@ -23,7 +23,7 @@ import numpy as np
 
 from polyida import system as of
 from polyida.assembly import joints
-from polyida.assembly.stabilised_border import mass_columns, stabilised_workspace
+from polyida.assembly.rate_multipliers import slowing
 from polyida.errors import DONE
 from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau import matrices
@@ -163,15 +163,12 @@ class SceneForm(SceneStages):
         model, step, c, before = self.model, self.step, 1.0 / h, self.solver
         at = float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3))
         step.factor(*at, c * c, c)
-        damping = model.force_v(*at[:2], np.zeros(model.n)) / c if model.damped else None
-        in_place = before is not None and before.factored is step.corotated
-        columns = mass_columns(model, step.corotated, damping, before.mass_columns if in_place else None)
         counts.backend = step.backend
-        counts.solves += 2 * step.solves
-        if in_place:
-            before.c[0] = c
+        counts.solves += step.solves
+        if before is not None and before.factored is step.corotated:
+            before.c[0], before.slowing[...] = c, slowing(model, *at[:2])
             return
-        self.solver = Solver(np.array([c]), step.corotated, step.workspace, columns, stabilised_workspace(model))
+        self.solver = Solver(np.array([c]), step.corotated, step.workspace, slowing(model, *at[:2]))
         self.set_solvers(self.solver, None)
 
 

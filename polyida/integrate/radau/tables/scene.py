@@ -19,8 +19,8 @@ from polyida.assembly.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
+from polyida.assembly.rate_multipliers import RateMultipliers, add_rate_forces, factor_rates, rate_multipliers, slowing, solve_rates
 from polyida.assembly.relaxation import eliminate, recover
-from polyida.assembly.stabilised_border import mass_columns, stabilised_border, stabilised_workspace
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
@@ -45,6 +45,7 @@ START, VX, DX, DV = range(4)  # rows of SceneWork.points: displacements and velo
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 CALL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
+TIED = 2  # number of the system of mu in SceneWork.anew
 NEVER = 1e8  # iterations: a new factor of rigid bodies, for the same step, is the old one
 
 
@@ -55,8 +56,8 @@ class SceneWork(NamedTuple):
     damp: (0, 2) without damping. optional: of `optional_kernels`. moves: profiles with formulas. drives, gains (instants, profiles, 3): values of the profiles at
     each instant, and their changes since the start of the step. rotation (s, ., 2): rotations of the pairs without relaxed strains; turn (s, nodes, 2): from those
     of a stage to the middle one. points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle stage; u (nodes, 2): its displacements if plates relax, else (0, 2); c: of the tableau;
-    h (1,); still (nodes, 2), level (m,): zeros; inverse (nodes, nodes): M^-1, complex, or (0, 0); anew (2,): 1 if the border of the real or
-    complex mode must be computed at the next solve.
+    h (1,); still (nodes, 2), level (m,): zeros; inverse (nodes, nodes): M^-1, complex, or (0, 0); tied: True if
+    there is mu. anew (3,): 1 if the border of the real or complex mode, or the system of mu, must be computed at the next solve.
     """
 
     scene: tuple
@@ -83,6 +84,8 @@ class SceneWork(NamedTuple):
     still: np.ndarray
     r: np.ndarray
     inverse: np.ndarray
+    rates: RateMultipliers
+    tied: bool
     anew: np.ndarray
 
 
@@ -183,8 +186,8 @@ def project(w, instant, changes, x, anew, d, e, f):
 
 @entry
 def middle_rows(w, instant, q, v, c, d, e, f):
-    """Have both borders computed at the next solve, for all iterations of a step."""
-    w.anew[0] = w.anew[1] = 1
+    """Have the borders computed at the next solve, for all iterations of a step."""
+    w.anew[0] = w.anew[1] = w.anew[TIED] = 1
     return DONE
 
 
@@ -222,51 +225,30 @@ def turn_back(turn, dq):
 
 @part
 def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
-    """Solve for dq and multipliers of one mode, rows and curvature being those of the middle stage. Returns a status; DONE if mode is None."""
+    """Solve for dq and multipliers of one mode, rows and curvature being those of the middle stage. Returns a status; DONE if mode is None.
+
+    number: 0 for the real mode, 1 for the complex one. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten.
+    """
     if mode is None:
         return DONE
-    return solve_border(w, instant, number, mode, mode.mass_columns, mode.border, r, closing, lam, dq, multipliers)
-
-
-@part
-def solve_border(w, instant, number, mode, mass_columns, border, r, closing, lam, dq, multipliers):
-    """Solve for dq and multipliers of one mode, with the border of lam alone if `mass_columns` is None, else of lam and mu. Returns a status.
-
-    number: 0 for the real mode, 1 for the complex one. r, closing: right-hand sides of the equations of motion and of the rows.
-    `mass_columns` is an argument of its own, so that numba leaves out the branch that does not apply.
-    """
-    k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
-    c, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
+    k, s, drives, c = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
+    factored, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
     right = eliminate(workspace.elimination, w.u, r)
-    if mass_columns is None:
-        good = corotated.solve(s, c, workspace, drives, rotation, dz, lam, right, closing[0], c_v * c_v, dq, multipliers[0])
-        recover(workspace.elimination, w.u, dq)
-        return DONE if good else SINGULAR
-    corotated.solve_plates(s, c, workspace, rotation, right, dq)
-    for i in range(dq.shape[0]):
-        dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
-    for f in range(2):
+    if w.tied:
+        if w.anew[TIED]:
+            w.anew[TIED] = 0
+            if not factor_rates(s, w.rates, drives, dz):
+                return SINGULAR
         for e in range(closing.shape[1]):
-            closing[f, e] = -closing[f, e]
-    good = stabilised_border(
-        s,
-        c,
-        mass_columns,
-        workspace,
-        border,
-        drives,
-        dz,
-        w.vz,
-        lam,
-        c_v,
-        w.anew[number],
-        dq,
-        closing[0],
-        closing[1],
-        multipliers[0],
-        multipliers[1],
-    )
-    w.anew[number] = 0
+            closing[1, e] = c * closing[0, e] - closing[1, e]
+        if not solve_rates(w.rates, closing[1], multipliers[1]):
+            return SINGULAR
+        if mode.slowing.shape[0]:
+            corotated.turn_frames(s, factored, workspace, rotation)
+        add_rate_forces(s, w.rates, mode.slowing, workspace, c, multipliers[1], right)
+    workspace.keeps[0], w.anew[number] = 1 - w.anew[number], 0
+    good = corotated.solve(s, factored, workspace, drives, rotation, dz, lam, right, closing[0], c * c, dq, multipliers[0])
+    workspace.keeps[0] = 0
     recover(workspace.elimination, w.u, dq)
     return DONE if good else SINGULAR
 
@@ -399,7 +381,9 @@ class SceneStages:
             "h": np.zeros(1),
             "still": np.zeros(nodes),
             "r": np.zeros(nodes),
-            "anew": np.ones(2, np.int64),
+            "rates": rate_multipliers(model),
+            "tied": tied,
+            "anew": np.ones(3, np.int64),
             "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
@@ -415,7 +399,7 @@ class SceneStages:
     def begin(self, engine, state, control, ends):
         """Prepare a stretch: the loads and motors of equal steps are evaluated before it, those of adaptive ones in each step."""
         if self.work is None and not self.single:
-            solvers = [empty_solver(self.model, mode, self.tied) for mode in self.tableau.modes]
+            solvers = [empty_solver(self.model, mode) for mode in self.tableau.modes]
             self.entries = self.entries | FACTOR_FUNCTIONS
             self.set_solvers(*[None] * (2 - len(solvers)), *solvers)
             engine.counts.backend = corotated.SceneStepMatrix.backend
@@ -457,7 +441,7 @@ class SceneStages:
             return
         known = self.slots.get(slot)
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
-            known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
+            known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at)
         counts.backend = known.backend
         self.set_solvers(known.real, known.pair)
 
@@ -499,20 +483,12 @@ class SceneStages:
 class SceneMatrices:
     """The co-rotated factors of both modes for steps of h, made at t, q, v, a and lam in one array; real, pair: their Solver, or None."""
 
-    def __init__(self, model, modes, h, made_at, tied):
+    def __init__(self, model, modes, h, made_at):
         self.h, self.made_at, self.real = h, made_at, None
         at = (float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3)))
         parts = symmetric_parts(model, *at[1:3])
         for mode in modes:
             c, step = mode.value / h, model.step_matrix()
             step.factor(*at, c * c, c, parts)
-            self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.workspace, *_border(model, step, c, at, tied))
+            self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.workspace, slowing(model, *at[:2]))
             self.real, self.pair = (self.real, solver) if mode.paired else (solver, None)
-
-
-def _border(model, step, c, at, tied):
-    if not tied:
-        return None, None
-    t, q, v = at[:3]
-    damping = model.force_v(t, q, np.zeros_like(v)) / c if model.damped else None
-    return mass_columns(model, step.corotated, damping), stabilised_workspace(model, type(c))

@@ -10,7 +10,6 @@ from numba import carray
 
 from polyida import system as of
 from polyida.assembly import compact, corotated
-from polyida.assembly.stabilised_border import StabilisedWorkspace, momenta, stabilised_workspace
 from polyida.errors import DONE, SINGULAR
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer
@@ -22,22 +21,20 @@ KINDS = {False: (np.float32, float), True: (np.complex64, complex)}  # of the fa
 
 @pack
 class Solver(NamedTuple):
-    """Factor and workspace of a mode for kernels; c (1,): c of the mode; mass_columns, border: of the border with mu, or None."""
+    """Factor and workspace of a mode for kernels; c (1,): c of the mode; slowing: C A^T, see RateMultipliers."""
 
     c: np.ndarray
     factored: corotated.Corotated
     workspace: corotated.SolveWorkspace
-    mass_columns: corotated.Corotated | None
-    border: StabilisedWorkspace | None
+    slowing: np.ndarray
 
 
 @pack
 class StoredFactors(NamedTuple):
-    """Factors of a mode in each slot, (slots, .) each: panels, columns, mass columns and frames. blocks, numbers, x: scratch of their types."""
+    """Factors of a mode in each slot, (slots, .) each: panels, columns and frames. blocks, numbers, x: scratch of their types."""
 
     panels: np.ndarray
     columns: np.ndarray
-    mass_columns: np.ndarray
     frames: np.ndarray
     blocks: np.ndarray
     numbers: np.ndarray
@@ -48,7 +45,7 @@ class StoredFactors(NamedTuple):
 class SceneFactors(NamedTuple):
     """Factors that compiled code makes and stores, of scenes without full plates, forces and damping; of other scenes all sizes are zero.
 
-    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads, momenta: unit forces at the points and M times them. places: scratch.
+    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads: unit forces at the points. places: scratch.
     """
 
     real: StoredFactors
@@ -57,7 +54,6 @@ class SceneFactors(NamedTuple):
     K: np.ndarray
     M: np.ndarray
     loads: np.ndarray
-    momenta: np.ndarray
     places: np.ndarray
 
 
@@ -74,15 +70,11 @@ def matrices(w, instant, q, v, a, lam, slot, c):
     return DONE if good and factored(x, x.pair, w.pair, complex(values[1], values[2]), w.turn[0], slot) else SINGULAR
 
 
-@part
+@shared
 def factored(x, stored, mode, c, rotation, slot):
     """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
-    return True if mode is None else factored_mode(x, stored, mode, mode.mass_columns, c, rotation, slot)
-
-
-@shared
-def factored_mode(x, stored, mode, mass, c, rotation, slot):
-    """The same with a mode; mass: its mass columns, or None without mu."""
+    if mode is None:
+        return True
     s = mode.factored
     for k in range(x.K.shape[0]):
         for i in range(2):
@@ -92,21 +84,16 @@ def factored_mode(x, stored, mode, mass, c, rotation, slot):
     if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
         return False
     corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
-    if mass is not None:
-        corotated.fill_compliance_columns(s, mass.compliance_columns, s.frame[:0], x.momenta, stored.x)
-    exchange(stored, mode, mass, slot, True)
+    exchange(stored, s, slot, True)
     return True
 
 
 @part
-def exchange(stored, mode, mass, slot, store):
+def exchange(stored, s, slot, store):
     """Copy the factors of a mode to a slot, or from it."""
-    s = mode.factored
     copy(s.panels, stored.panels[slot], store)
     copy(s.compliance_columns.reshape(-1), stored.columns[slot], store)
     copy(s.frame.reshape(-1), stored.frames[slot], store)
-    if mass is not None:
-        copy(mass.compliance_columns.reshape(-1), stored.mass_columns[slot], store)
 
 
 @part
@@ -124,7 +111,7 @@ def restored(stored, mode, c, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
         mode.c[0] = c
-        exchange(stored, mode, mode.mass_columns, slot, False)
+        exchange(stored, mode.factored, slot, False)
 
 
 @entry
@@ -149,15 +136,15 @@ def makes_factors(model):
 def scene_factors(model, used):
     """The SceneFactors of a scene. used: False if compiled code makes none."""
     panels = columns = size = blocks = numbers = places = 0
-    loads = np.empty((2, 0, 0, 2))
+    loads = np.empty((0, 0, 2))
     if used:
         empty, size, blocks = corotated.empty_corotated(model, float), 2 * model.n_factored, len(model.pattern[1])
         fronts, panels, columns = empty.fronts, empty.panels.size, empty.compliance_columns.size
         numbers, places = fronts.size**2 + fronts.depth, len(fronts.nodes) + len(fronts.children)
-        loads = model.once(corotated.unit_loads, of_shape=True), model.once(momenta)
+        loads = model.once(corotated.unit_loads, of_shape=True)
     modes = [
         StoredFactors(
-            *(np.empty((FACTORS, count), kind) for count in (panels, columns, columns)),
+            *(np.empty((FACTORS, count), kind) for count in (panels, columns)),
             np.empty((FACTORS, size)),
             np.empty((blocks, 2, 2), wide),
             np.empty(numbers, wide),
@@ -165,13 +152,10 @@ def scene_factors(model, used):
         )
         for kind, wide in KINDS.values()
     ]
-    return SceneFactors(*modes, np.full(1, -1), *np.empty((2, blocks, 2, 2)), *loads, np.empty(places, np.int32))
+    return SceneFactors(*modes, np.full(1, -1), *np.empty((2, blocks, 2, 2)), loads, np.empty(places, np.int32))
 
 
-def empty_solver(model, mode, tied):
+def empty_solver(model, mode):
     """A Solver of a mode for factors that compiled code makes."""
-    c = np.array([mode.value])
     factors = corotated.empty_corotated(model, KINDS[mode.paired][0])
-    mass = factors._replace(compliance_columns=np.zeros_like(factors.compliance_columns)) if tied else None
-    border = stabilised_workspace(model, c.dtype.type) if tied else None
-    return Solver(c, factors, corotated.solve_workspace(model, factors), mass, border)
+    return Solver(np.array([mode.value]), factors, corotated.solve_workspace(model, factors), np.zeros((0, 2, 2)))

@@ -1,0 +1,151 @@
+"""The multipliers mu of the rates of phi (GGL stabilisation) in the corrections by a scene's step matrix.
+
+Points of the bodies are z = A q; B = Bz A is phi_q, and v = q' + B^T mu. For a real or complex number c the corrections solve
+
+    S dq + B^T dlam + (c M + C) B^T dmu = -r,    B dq = -r3,    c B dq + B B^T dmu = -r4
+
+Newton's matrix also has d(B v + phi_t)/dq in the last row. It is left out: beside c B it is of the size of the angle by which bodies turn in a
+step, as are the differences of B between the stages, and Newton's method takes as many iterations without it. The rest falls into
+`B B^T dmu = c r3 - r4`, with one factor for all c, and a system with lam alone (corotated.py).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly import joints
+from polyida.assembly.border import Border, BorderWorkspace, body_blocks, border_workspace, solve_border, solve_border_again
+from polyida.assembly.projection import border_of_rows
+from polyida.jit import pack, part
+
+
+@pack
+class RateMultipliers(NamedTuple):
+    """The system of mu, and the pairs of q on which (c M + C) B^T mu acts.
+
+    border, workspace: of `B B^T`, with mu as the only unknowns. start, pairs: numbers of the pairs on which M A^T and C A^T of point f
+    act, from start[f] on; mass (., 2): M A^T there, complex.
+    """
+
+    border: Border
+    workspace: BorderWorkspace
+    start: np.ndarray
+    pairs: np.ndarray
+    mass: np.ndarray
+
+
+def rate_multipliers(model):
+    """The RateMultipliers of a scene."""
+    pattern, (start, pairs, mass) = model.once(border_of_rows, of_shape=True), model.once(_point_masses)
+    workspace = border_workspace(model, pattern)
+    workspace.blocks[:] = model.once(_overlaps, of_shape=True)
+    return RateMultipliers(pattern, workspace, start, pairs, mass)
+
+
+def _overlaps(model):
+    """The blocks A A^T of the bodies."""
+    weights = model.point_weights
+    return body_blocks(model.once(border_of_rows, of_shape=True), weights, weights.conj().T.tocsc())
+
+
+def _point_masses(model):
+    """start, pairs and mass of RateMultipliers."""
+    from scipy.sparse import csr_array
+
+    indptr, indices = model.pattern
+    near, M = csr_array((np.ones(len(indices)), indices, indptr)), model.mass(np.zeros(model.n)).tocsr()
+    forces = model.point_weights[:, : model.n_factored].conj().T.tocsc()
+    touched = (near @ abs(forces)).tocsc()
+    touched.sort_indices()
+    end = 2 * model.n_factored
+    columns = ((M[0:end:2, 0:end:2] + 1j * M[1:end:2, 0:end:2]) @ forces).tocsr()
+    points = np.repeat(np.arange(model.n_points), np.diff(touched.indptr))
+    values = np.asarray(columns[touched.indices, points]).reshape(-1)
+    return touched.indptr.astype(np.int64), touched.indices.astype(np.int64), values.view(float).reshape(-1, 2)
+
+
+def slowing(model, t, q):
+    """C A^T of the points at (t, q) on the pairs of RateMultipliers, (., 2, 2); (0, 2, 2) without damping."""
+    if not model.damped:
+        return np.zeros((0, 2, 2))
+    from scipy.sparse import kron
+
+    start, pairs, _ = model.once(_point_masses)
+    weights, points = model.point_weights.T, np.repeat(np.arange(model.n_points), np.diff(start))
+    forces = (
+        model.force_v(t, q, np.zeros(model.n)) @ (kron(weights.real, np.eye(2)) + kron(weights.imag, [[0.0, 1.0], [-1.0, 0.0]]))
+    ).tocsr()
+    row, column = np.broadcast_arrays((2 * pairs[:, None] + np.arange(2))[:, :, None], (2 * points[:, None] + np.arange(2))[:, None, :])
+    return np.asarray(forces[row.ravel(), column.ravel()]).reshape(row.shape)
+
+
+@part
+def factor_rates(s, x, drives, dz):
+    """Factor B B^T at places dz of the points. False if it is singular."""
+    joints.joint_jacobian(s, drives, dz, x.workspace.slopes)
+    for k in range(x.workspace.right.shape[0]):
+        x.workspace.right[k] = 0.0
+    return solve_border(x.border, x.workspace)
+
+
+@part
+def solve_rates(x, right, mu):
+    """mu = (B B^T)^-1 right, (m,) real or complex, with the factor of `factor_rates`. False if the system is singular."""
+    w, m, numbers, out = x.workspace, right.shape[0], right.view(np.float64), mu.view(np.float64)
+    parts = numbers.shape[0] // max(m, 1)
+    for p in range(parts):
+        size = 0.0
+        for k in range(m):
+            w.right[k] = numbers[parts * k + p]
+            size += abs(w.right[k])
+        if size != 0.0 and not solve_border_again(x.border, w):
+            return False
+        for k in range(m):
+            out[parts * k + p] = w.x[k] if size != 0.0 else 0.0
+    return True
+
+
+@part
+def add_rate_forces(s, x, slowing, w, c, mu, r):
+    """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; w: SolveWorkspace with the frames of the nodes and points."""
+    forces = w.point_forces
+    for i in range(forces.shape[0]):
+        forces[i] = 0.0
+    for k in range(mu.shape[0]):
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            forces[s.row_columns[e]] += x.workspace.slopes[e] * mu[k]
+    for f in range(forces.shape[0] // 2):
+        px, py = forces[2 * f], forces[2 * f + 1]
+        if px == 0.0 and py == 0.0:
+            continue
+        for e in range(x.start[f], x.start[f + 1]):
+            i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
+            r[i, 0] += c * (a * px - b * py)
+            r[i, 1] += c * (a * py + b * px)
+        if slowing.shape[0]:
+            co, si = w.spin[f, 0], w.spin[f, 1]
+            p, q = co * px + si * py, co * py - si * px
+            for e in range(x.start[f], x.start[f + 1]):
+                i = x.pairs[e]
+                gx, gy = slowing[e, 0, 0] * p + slowing[e, 0, 1] * q, slowing[e, 1, 0] * p + slowing[e, 1, 1] * q
+                r[i, 0] += w.turn[i, 0] * gx - w.turn[i, 1] * gy
+                r[i, 1] += w.turn[i, 1] * gx + w.turn[i, 0] * gy
+
+
+@part
+def rate_values(s, x, slowing, w, c, dw, values):
+    """values (points, 2) = A (c M + C)^T dw."""
+    for f in range(values.shape[0]):
+        px, py, qx, qy = 0.0 * c, 0.0 * c, 0.0 * c, 0.0 * c
+        for e in range(x.start[f], x.start[f + 1]):
+            i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
+            px += c * (a * dw[i, 0] + b * dw[i, 1])
+            py += c * (a * dw[i, 1] - b * dw[i, 0])
+            if slowing.shape[0]:
+                gx = w.turn[i, 0] * dw[i, 0] + w.turn[i, 1] * dw[i, 1]
+                gy = w.turn[i, 0] * dw[i, 1] - w.turn[i, 1] * dw[i, 0]
+                qx += slowing[e, 0, 0] * gx + slowing[e, 1, 0] * gy
+                qy += slowing[e, 0, 1] * gx + slowing[e, 1, 1] * gy
+        if slowing.shape[0]:
+            px, py = px + w.spin[f, 0] * qx - w.spin[f, 1] * qy, py + w.spin[f, 1] * qx + w.spin[f, 0] * qy
+        values[f, 0], values[f, 1] = px, py
