@@ -4,9 +4,9 @@ Points of the bodies are z = A q; B = Bz A is phi_q, and v = q' + B^T mu. For a 
 
     S dq + B^T dlam + (c M + C) B^T dmu = -r,    B dq = -r3,    c B dq + B B^T dmu = -r4
 
-Newton's matrix also has d(B v + phi_t)/dq in the last row. It is left out: beside c B it is of the size of the angle by which bodies turn in a
-step, as are the differences of B between the stages, and Newton's method takes as many iterations without it. The rest falls into
-`B B^T dmu = c r3 - r4`, with one factor for all c, and a system with lam alone (corotated.py).
+Newton's matrix also has `H = d(B v + phi_t)/dq` in the last row. Beside c B it is of the size of the angle by which bodies turn in a step, as are
+the differences of B between the stages. One sweep over the rows therefore takes as many Newton iterations as the whole matrix: dmu from
+`B B^T dmu = c r3 - r4`, whose factor is real and the same for all c, then dq and dlam (corotated.py), then dmu again with H dq in its right side.
 """
 
 from typing import NamedTuple
@@ -23,12 +23,13 @@ from polyida.jit import pack, part
 class RateMultipliers(NamedTuple):
     """The system of mu, and the pairs of q on which (c M + C) B^T mu acts.
 
-    border, workspace: of `B B^T`, with mu as the only unknowns. start, pairs: numbers of the pairs on which M A^T and C A^T of point f
+    border, workspace: of `B B^T`, with mu as the only unknowns. rates: slopes of B v + phi_t. start, pairs: numbers of the pairs on which M A^T and C A^T of point f
     act, from start[f] on; mass (., 2): M A^T there, complex.
     """
 
     border: Border
     workspace: BorderWorkspace
+    rates: np.ndarray
     start: np.ndarray
     pairs: np.ndarray
     mass: np.ndarray
@@ -39,7 +40,7 @@ def rate_multipliers(model):
     pattern, (start, pairs, mass) = model.once(border_of_rows, of_shape=True), model.once(_point_masses)
     workspace = border_workspace(model, pattern)
     workspace.blocks[:] = model.once(_overlaps, of_shape=True)
-    return RateMultipliers(pattern, workspace, start, pairs, mass)
+    return RateMultipliers(pattern, workspace, np.zeros_like(workspace.slopes), start, pairs, mass)
 
 
 def _overlaps(model):
@@ -60,7 +61,7 @@ def _point_masses(model):
     end = 2 * model.n_factored
     columns = ((M[0:end:2, 0:end:2] + 1j * M[1:end:2, 0:end:2]) @ forces).tocsr()
     points = np.repeat(np.arange(model.n_points), np.diff(touched.indptr))
-    values = np.asarray(columns[touched.indices, points]).reshape(-1)
+    values = _entries(columns, touched.indices, points)
     return touched.indptr.astype(np.int64), touched.indices.astype(np.int64), values.view(float).reshape(-1, 2)
 
 
@@ -72,11 +73,19 @@ def slowing(model, t, q):
 
     start, pairs, _ = model.once(_point_masses)
     weights, points = model.point_weights.T, np.repeat(np.arange(model.n_points), np.diff(start))
-    forces = (
-        model.force_v(t, q, np.zeros(model.n)) @ (kron(weights.real, np.eye(2)) + kron(weights.imag, [[0.0, 1.0], [-1.0, 0.0]]))
-    ).tocsr()
-    row, column = np.broadcast_arrays((2 * pairs[:, None] + np.arange(2))[:, :, None], (2 * points[:, None] + np.arange(2))[:, None, :])
-    return np.asarray(forces[row.ravel(), column.ravel()]).reshape(row.shape)
+    forces = model.force_v(t, q, np.zeros(model.n)) @ (kron(weights.real, np.eye(2)) + kron(weights.imag, [[0.0, 1.0], [-1.0, 0.0]]))
+    rows, columns = 2 * pairs[:, None, None] + np.arange(2)[:, None], 2 * points[:, None, None] + np.arange(2)
+    return _entries(forces, *np.broadcast_arrays(rows, columns))
+
+
+def _entries(matrix, rows, columns):
+    """The entries of a sparse matrix at rows and columns, arrays of one shape."""
+    values = matrix.tocsc()
+    values.sum_duplicates()
+    own = values.indices + matrix.shape[0] * np.repeat(np.arange(matrix.shape[1]), np.diff(values.indptr))
+    wanted = rows + matrix.shape[0] * columns
+    at = np.minimum(np.searchsorted(own, wanted), max(0, len(own) - 1))
+    return np.where(own[at] == wanted, values.data[at], 0.0) if len(own) else np.zeros(wanted.shape, matrix.dtype)
 
 
 @part
@@ -103,6 +112,13 @@ def solve_rates(x, right, mu):
         for k in range(m):
             out[parts * k + p] = w.x[k] if size != 0.0 else 0.0
     return True
+
+
+@part
+def subtract_rates(s, x, z, right):
+    """right -= H dq. z: dq at the points, (points, 2)."""
+    for k in range(right.shape[0]):
+        right[k] -= joints.along(s, x.rates, k, z)
 
 
 @part

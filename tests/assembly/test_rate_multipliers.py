@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polyida.assembly import corotated
-from polyida.assembly.corotated import SceneStepMatrix, solve_workspace
+from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, rate_multipliers, rate_values, slowing, solve_rates
 from polyida.jit import entry
 

@@ -19,7 +19,15 @@ from polyida.assembly.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, PARTS, RELAXING, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection
 from polyida.assembly.projection import project as project_rows
-from polyida.assembly.rate_multipliers import RateMultipliers, add_rate_forces, factor_rates, rate_multipliers, slowing, solve_rates
+from polyida.assembly.rate_multipliers import (
+    RateMultipliers,
+    add_rate_forces,
+    factor_rates,
+    rate_multipliers,
+    slowing,
+    solve_rates,
+    subtract_rates,
+)
 from polyida.assembly.relaxation import eliminate, recover
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
@@ -237,6 +245,7 @@ def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
     if w.tied:
         if w.anew[TIED]:
             w.anew[TIED] = 0
+            joints.joint_rate_jacobian(s, drives, dz, w.vz, w.rates.rates)
             if not factor_rates(s, w.rates, drives, dz):
                 return SINGULAR
         for e in range(closing.shape[1]):
@@ -249,6 +258,10 @@ def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
     workspace.keeps[0], w.anew[number] = 1 - w.anew[number], 0
     good = corotated.solve(s, factored, workspace, drives, rotation, dz, lam, right, closing[0], c * c, dq, multipliers[0])
     workspace.keeps[0] = 0
+    if w.tied:
+        joints.point_values(s, dq, workspace.moved)
+        subtract_rates(s, w.rates, workspace.moved, closing[1])
+        good = solve_rates(w.rates, closing[1], multipliers[1]) and good
     recover(workspace.elimination, w.u, dq)
     return DONE if good else SINGULAR
 
