@@ -8,6 +8,10 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+os.environ.update(
+    OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1"
+)  # small matrices in two threads, beside another worker, take 100 times as long
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
