@@ -88,9 +88,15 @@ def test_slopes_of_densities_sizes_and_built_models():
     problem = pi.design.Problem(objective, [pi.objective.Limit(one, 1.0) for one in limits], variables, case)
     sharp, x = pi.design.Sharpness(8.0, 4.0), np.clip(problem.start + 0.01 * np.arange(len(problem.start)), 0.0, 1.0)
     found, step = problem.evaluate(x, sharp), 2e-4
+
+    def values(x):
+        run = case.ran(problem.setting(x, sharp).model(case))
+        return np.array([one(run) for one in (objective, *limits)])
+
+    assert found.values == pytest.approx(values(x), rel=1e-12)
     for k in (0, 1, 2, 3, 4, 7, 10):
         way = np.eye(len(x))[k] * step
-        near, far = ((problem.evaluate(x + s * way, sharp).values - problem.evaluate(x - s * way, sharp).values) for s in (1, 2))
+        near, far = (values(x + s * way) - values(x - s * way) for s in (1, 2))
         difference = (8 * near - far) / (12 * step)
         assert np.allclose(found.slopes[:, k], difference, rtol=1e-6, atol=1e-6 * np.abs(found.slopes).max(axis=1)), k
     assert found.largest[1] == pi.objective.PeakTorque("motor").largest(case.ran(problem.setting(x, sharp).model(case)))
