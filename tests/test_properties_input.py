@@ -499,7 +499,7 @@ NOT_FOR_RUBBISH = [
 ]
 
 
-@settings(max_examples=100, phases=(Phase.generate,))
+@settings(max_examples=60, phases=(Phase.generate,))
 @given(place=st.sampled_from(NOT_FOR_RUBBISH), value=RUBBISH)
 def test_random_wrong_values_get_clear_messages(place, value):
     assert complaint(*place, value, None) is None

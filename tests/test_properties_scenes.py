@@ -13,8 +13,8 @@ from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.placement import gravity_at
 from polyida.results.motion import unbalanced
 
-PROFILE = settings(max_examples=15, phases=(Phase.generate,))
-THOROUGH = settings(PROFILE, max_examples=40)
+PROFILE = settings(max_examples=10, phases=(Phase.generate,))
+THOROUGH = settings(PROFILE, max_examples=25)
 
 
 @st.composite
@@ -162,7 +162,7 @@ def test_masses_are_those_of_the_body(plate):
     assert np.linalg.eigvalsh(model._even_mass.toarray()).min() > 0
 
 
-@settings(PROFILE, max_examples=10)
+@PROFILE
 @given(scene=scenes(damped=True), seed=st.integers(0, 99))
 def test_cells_scale_by_factors_of_their_own(scene, seed):
     """`w . r` grows by the works of the cells times their factors less one; what belongs to the scaled scene agrees with differences."""

@@ -105,7 +105,7 @@ def test_a_motor_whose_speed_jumps_beside_a_path_that_bends(integrator):
     scene.add(pi.AngleMotor(pi.ground.at((-0.5, 0.0)), crank.at("hub"), angle=angle, name="motor"))
     scene.add(pi.Revolute(crank.at("knee"), rod.at("knee"), name="joint"))
     scene.add(pi.TorsionSpring(crank.at("knee"), rod.at("knee"), stiffness=20.0, damping=0.05, name="spring"))
-    run = pi.solve(scene.build(), 0.5, integrator)
+    run = pi.solve(scene.build(), 0.35, integrator)
     bent = pi.objective.Deviation(rod.at("tip"), lambda t: (np.cos(angle.at(t)[0]), np.sin(angle.at(t)[0])))
     at = int(np.argmin(np.abs(run.t - 0.3)))
     near = np.zeros((len(run), 1))
