@@ -60,7 +60,7 @@ def three_steps(scene):
     return run.q[-1], model.residual(0.1, q, v, a, random.standard_normal(model.m))
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.data(), st.sampled_from(("wachspress", "virtual")))
 def test_every_kind_of_number_gives_the_run_of_its_float(data, element):
     whole = {name: data.draw(st.sampled_from(VALUES.get(name, (value,))), name) for name, value in WHOLE.items()}

@@ -39,12 +39,12 @@ def momenta(run, about=(0.0, 0.0)):
 @pytest.fixture(scope="module")
 def by_alpha(scenes):
     """Function (kind, level) -> run of a jointed scene by generalized-alpha, made once."""
-    return cache(lambda kind, level="full": pi.solve(scenes.jointed(kind, level=level).build(), 0.06, INTEGRATORS["alpha"]))
+    return cache(lambda kind, level="full": pi.solve(scenes.jointed(kind, level=level).build(), 0.04, INTEGRATORS["alpha"]))
 
 
 def require_balance(other, integrator, kind=""):
     """Joints hold, the energy is accounted for, and the motion is that of another run."""
-    run = pi.solve(other.model, 0.06, integrator)
+    run = pi.solve(other.model, 0.04, integrator)
     loose = getattr(integrator, "linear", None) == "whole" and kind.startswith(("prismatic", "slot"))
     held = integrator.atol if loose else 1e-10  # where Newton's method stops on rows that are not linear
     assert run.success, run.message
