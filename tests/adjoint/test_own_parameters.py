@@ -15,7 +15,8 @@ from polyida.problems.andrews import Q0, Andrews
 from polyida.problems.car_axis import CarAxis
 from polyida.problems.pendulum import Pendulum
 
-MODELS = [Pendulum(), CarAxis(), Andrews(), pi.compiled(type("CompiledCarAxis", (CarAxis,), {}))()]
+BY_DIFFERENCES = {name: getattr(pi.Model, name) for name in ("residual_p", "phi_p")}
+MODELS = [Pendulum(), CarAxis(), Andrews(), pi.compiled(type("CompiledPendulum", (Pendulum,), BY_DIFFERENCES))()]
 
 
 def work_of(model, t=(0.1, 0.3)):
