@@ -138,6 +138,13 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
             "plane": CHOICE,
             "viscosity": NUMBER + [-1.0, True],
             "mass_damping": NOT_NEGATIVE,
+            "prony": [
+                "fast",
+                None,
+                [0.5, 0.1],
+                [(0.5, 0.1), (0.5, 1.0)],
+                *([(g, tau)] for g, tau in ((0.0, 0.1), (-0.1, 0.1), (0.5, 0.0), (0.5, np.nan))),
+            ],
         },
     ),
     "Plate": (
@@ -208,6 +215,41 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
             "radius": without(POSITIVE, type(None)),
             "name": TEXT,
         },
+    ),
+    "Contact": (
+        made(pi.Contact, a=RIGHT, b=pi.ground.at((0.0, 0.0), (1.0, 0.0))),
+        {
+            "a": SIDE + [pi.ground, PLACE],
+            "b": SIDE + [pi.ground, OTHER.node(0)],
+            "restitution": NUMBER + [1.1, -0.1],
+            "friction": NOT_NEGATIVE,
+            "radius": without(POSITIVE, type(None)),
+            "contact_mass": NUMBER + [0.0, 1.5],
+            "name": TEXT,
+        },
+    ),
+    "RollingDisc": (
+        made(pi.RollingDisc, a=pi.ground.at((0.0, 0.0), (1.0, 0.0)), b=RIGHT, radius=1.0),
+        {
+            "a": SIDE + [pi.ground],
+            "b": SIDE + [BOARD.node(0)],
+            "radius": POSITIVE,
+            "circle": without(NUMBER, type(None)) + [-1.0],
+            "name": TEXT,
+        },
+    ),
+    "Skate": (made(pi.Skate, at=RIGHT), {"at": SIDE + [pi.ground, BOARD.node(0)], "angle": PROFILE, "name": TEXT}),
+    "PID": (
+        made(pi.PID, at=RIGHT, kp=1.0),
+        {"kp ki kd": NUMBER, "filter": NOT_NEGATIVE, "limit": POSITIVE, "target": PROFILE, "at": SIDE + [BOARD.node(0)], "name": TEXT},
+    ),
+    "DCMotor": (
+        made(pi.DCMotor, at=RIGHT, volts=1.0, k=1.0, L=1.0, R=1.0),
+        {"k gear": NUMBER, "L R": NOT_NEGATIVE, "volts": PROFILE, "at": SIDE + [BOARD.node(0)], "name": TEXT},
+    ),
+    "Maxwell": (
+        made(pi.Maxwell, a=PLACE, b=RIGHT, stiffness=1.0, damping=1.0),
+        {"a b": BODY_SIDE, "stiffness damping": POSITIVE, "length": without(NUMBER, type(None)) + [-1.0], "name": TEXT},
     ),
     "PointMass": (made(pi.PointMass, at=LEFT, mass=1.0), {"at": BODY_SIDE, "mass": POSITIVE, "name": TEXT}),
     "PointLoad": (made(pi.PointLoad, at=LEFT, force=(1.0, 0.0)), {"at": BODY_SIDE, "force": PAIR, "profile": PROFILE, "name": TEXT}),

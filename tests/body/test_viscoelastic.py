@@ -150,14 +150,6 @@ def test_runs_are_saved_and_resumed(tmp_path):
     assert np.array_equal(rest.q[-1], whole.q[-1])
 
 
-@pytest.mark.parametrize(
-    "prony", [[(0.5, 0.1), (0.5, 1.0)], [(0.0, 0.1)], [(-0.1, 0.1)], [(0.5, 0.0)], [(0.5, np.nan)], [0.5, 0.1], "fast", None]
-)
-def test_wrong_series_are_refused_by_name(prony):
-    with pytest.raises(pi.InputError, match="prony"):
-        pi.Material(E=E, nu=0.3, rho=RHO, prony=prony)
-
-
 def test_what_knows_no_relaxation_refuses_it():
     model = bar().build()
     run = pi.solve(model, 0.02, pi.GeneralizedAlpha(h=1e-3))

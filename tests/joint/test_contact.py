@@ -148,23 +148,9 @@ def test_functions_of_equations_refuse_laws():
             call()
 
 
-@pytest.mark.parametrize(
-    "wrong, message",
-    [
-        ({"restitution": 1.1}, "restitution = 1.1"),
-        ({"restitution": -0.1}, "restitution = -0.1"),
-        ({"friction": -0.3}, "friction = -0.3"),
-        ({"radius": 0.0}, "radius = 0"),
-        ({"contact_mass": 0.0}, "contact_mass = 0.0 must be in"),
-        ({"contact_mass": 0.1}, "not of a full plate"),
-        ({"b": pi.ground}, "no place"),
-        ({"b": pi.Plate(pi.mesh.quads(1.0, 0.5, 2, 1), pi.Material(1e7, 0.3, 1e3), 0.01, name="plate").node(0)}, "has no direction"),
-    ],
-)
-def test_wrong_arguments(wrong, message):
-    arguments = {"a": body("ball", (0.0, 1.0)).at("c"), "b": EAST} | wrong
-    with pytest.raises(pi.InputError, match=message):
-        pi.Contact(**arguments)
+def test_rigid_bodies_have_no_contact_mass():
+    with pytest.raises(pi.InputError, match="not of a full plate"):
+        pi.Contact(body("ball", (0.0, 1.0)).at("c"), EAST, contact_mass=0.1)
 
 
 def test_files_keep_contacts_and_read_the_former_name_of_penalty_contacts():
