@@ -9,6 +9,7 @@ import pytest
 from matplotlib import pyplot
 
 import polyida as pi
+from polyida.problems.pendulum import Pendulum
 
 VOID = {"br", "img", "path", "meta"}
 NASTY = '<script>alert(1)</script> & "it\'s" $x$'
@@ -36,22 +37,6 @@ class Parser(HTMLParser):
 
     def handle_data(self, data):
         self.text += data
-
-
-class Pendulum(pi.Model):
-    n, m = 2, 1
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        return np.array([0.0, 9.81])
-
-    def phi(self, t, q):
-        return np.array([q @ q - 1.0])
-
-    def phi_q(self, t, q):
-        return 2.0 * q[None]
 
 
 @pytest.fixture

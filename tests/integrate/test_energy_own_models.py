@@ -4,30 +4,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.problems.pendulum import Pendulum
 
 G = 9.81
-
-
-class Pendulum(pi.Model):
-    """A point on a rod of 1 m in Cartesian coordinates."""
-
-    n, m = 2, 1
-    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        return np.array([0.0, G])
-
-    def potential(self, q):
-        return G * q[1]
-
-    def phi(self, t, q):
-        return np.array([q @ q - 1.0])
-
-    def phi_q(self, t, q):
-        return 2.0 * q[None]
 
 
 class Chain(pi.Model):

@@ -9,32 +9,11 @@ from scipy.linalg import expm
 
 import polyida as pi
 from polyida.errors import InputError, StepFailure
+from polyida.problems.pendulum import Pendulum
 from polyida.study.comparison import compare
 from polyida.study.ivp import InitialValueProblem
 
 STEPS = (1e-2, 5e-3, 2.5e-3)
-
-
-class Swing(pi.Model):
-    """A pendulum of 1 kg and 1 m."""
-
-    n, m = 2, 1
-    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        return np.array([0.0, 9.81])
-
-    def phi(self, t, q):
-        return np.array([q @ q - 1.0])
-
-    def phi_q(self, t, q):
-        return 2.0 * q[None]
-
-    def potential(self, q):
-        return 9.81 * q[1]
 
 
 @dataclass(frozen=True)
@@ -76,7 +55,7 @@ def study():
         "alpha": [pi.GeneralizedAlpha(h=h) for h in STEPS],
         "radau": [pi.RadauIIA(rtol=r) for r in (1e-4, 1e-6)],
     }
-    return pi.study.work_precision(Swing(), 0.5, **start(), integrators=members)
+    return pi.study.work_precision(Pendulum(), 0.5, **start(), integrators=members)
 
 
 def test_rows_say_what_ran_and_what_it_came_to(study):
@@ -102,12 +81,12 @@ def test_the_reference_is_right_as_far_as_it_is_known(study):
     """The pendulum's speed follows from its height: v^2 = -2 g y; its multiplier from both."""
     q, v, lam = (study.reference[part] for part in ("q", "v", "lam"))
     assert v @ v == pytest.approx(-2 * 9.81 * q[1], abs=50 * study.known_to["v"])
-    assert 2 * lam[0] == pytest.approx(v @ v - 9.81 * q[1], abs=100 * study.known_to["v"])
+    assert lam[0] == pytest.approx(v @ v - 9.81 * q[1], abs=100 * study.known_to["v"])
 
 
 def test_a_run_is_a_reference_of_unknown_precision():
-    run = pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())
-    study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"alpha": pi.GeneralizedAlpha(h=1e-2)}, reference=run)
+    run = pi.solve(Pendulum(), 0.5, pi.RadauIIA(rtol=1e-10), **start())
+    study = pi.study.work_precision(Pendulum(), 0.5, **start(), integrators={"alpha": pi.GeneralizedAlpha(h=1e-2)}, reference=run)
     assert study.rows[0]["error_q"] > 1e-6 and np.isnan(study.known_to["q"]) and "its accuracy is unknown" in str(study)
 
 
@@ -120,7 +99,7 @@ def test_problems_by_name_have_their_own_start_end_and_digits():
 
 
 def test_a_run_that_stops_is_a_row_without_errors():
-    study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"stops": Stops(), "alpha": pi.GeneralizedAlpha(h=1e-2)})
+    study = pi.study.work_precision(Pendulum(), 0.5, **start(), integrators={"stops": Stops(), "alpha": pi.GeneralizedAlpha(h=1e-2)})
     assert study.rows[0]["status"] == "newton" and np.isnan(study.rows[0]["error_q"]) and study.rows[1]["error_q"] > 0
     assert any("stops" in note and "does not converge" in note for note in study.notes) and len(study.plot().lines) >= 1
 
@@ -169,7 +148,7 @@ class Euler:
 
 
 def test_condition_numbers_fall_as_theory_says():
-    model = Swing()
+    model = Pendulum()
     state = pi.consistent_state(model, 0.0, [1.0, 0.0])
     members = {
         "raw": lambda h: pi.GeneralizedAlpha(h=h, scaling="none"),
@@ -187,12 +166,12 @@ def test_condition_numbers_fall_as_theory_says():
 
 def test_energy_and_drift_follow_whole_runs(tmp_path):
     members = {"alpha": pi.GeneralizedAlpha(h=1e-2), "energy-momentum": pi.EnergyMomentum(h=1e-2)}
-    kept = pi.study.energy(Swing(), 2.0, **start(), integrators=members, frames=50)
+    kept = pi.study.energy(Pendulum(), 2.0, **start(), integrators=members, frames=50)
     by_label = {row["integrator"]: row for row in kept.rows}
     assert by_label["energy-momentum"]["energy_drift"] < 1e-7 < by_label["alpha"]["energy_drift"]
     data = kept.to_xarray()
     assert data["unbalanced"].dims == ("run", "frame") and data.sizes == {"run": 2, "frame": 50} and float(data["t"].max()) == 2.0
-    off = pi.study.drift(Swing(), 2.0, **start(), integrators=members | {"IDA": pi.IDA(rtol=1e-4)})
+    off = pi.study.drift(Pendulum(), 2.0, **start(), integrators=members | {"IDA": pi.IDA(rtol=1e-4)})
     assert all(row["drift"] < 1e-6 for row in off.rows) and off.plot("velocity_drift").get_yscale() == "log"
     assert np.isnan(off.to_xarray()["drift"].sel(run="IDA").values).sum() == 201 - off.rows[2]["steps"] - 1
     assert (kept.report(tmp_path / "kept") / "unbalanced.csv").exists() and (off.report(tmp_path / "off") / "drift.csv").exists()
@@ -241,13 +220,13 @@ def test_errors_of_a_quantity_without_a_reference():
 
     place, start = pi.objective.UserObjective(lambda run: float(run.q[-1, 0]), slopes), {"q0": [1.0, 0.0]}
     integrators = {"alpha": [pi.GeneralizedAlpha(h=h, tolerance=1e-10) for h in (1e-2, 2.5e-3)], "Radau IIA": [pi.RadauIIA(rtol=1e-5)]}
-    result = pi.study.work_precision(Swing(), 0.5, **start, integrators=integrators, reference=False, objective=place)
+    result = pi.study.work_precision(Pendulum(), 0.5, **start, integrators=integrators, reference=False, objective=place)
     coarse, fine, radau = result.rows
-    exact = place(pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-11), **start))
-    measured = abs(place(pi.solve(Swing(), 0.5, integrators["alpha"][0], **start)) - exact)
+    exact = place(pi.solve(Pendulum(), 0.5, pi.RadauIIA(rtol=1e-11), **start))
+    measured = abs(place(pi.solve(Pendulum(), 0.5, integrators["alpha"][0], **start)) - exact)
     assert coarse["error_J"] == pytest.approx(measured, rel=0.01) and coarse["estimated_J"] == pytest.approx(measured, rel=0.05)
     assert abs(result.reference["J"] - exact) <= result.known_to["J"] and np.isnan(coarse["error_q"])
     assert fine["estimated_J"] > radau["estimated_J"] > 0.0
     assert "error-J" in result.pictures() and "error in J, estimated" in str(result.shown_columns())
     with pytest.raises(pi.InputError, match="give an objective"):
-        pi.study.work_precision(Swing(), 0.5, **start, integrators=integrators, reference=False)
+        pi.study.work_precision(Pendulum(), 0.5, **start, integrators=integrators, reference=False)
