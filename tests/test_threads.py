@@ -158,6 +158,16 @@ def test_blas_threads_are_given_back_where_one_run_is_within_another():
         assert blas() == before and set(inside[0]) == {1}
 
 
+def test_condition_numbers_take_one_blas_thread(monkeypatch):
+    inside, inverse = [], np.linalg.inv
+    monkeypatch.setattr(np.linalg, "inv", lambda matrix: inside.append(blas()) or inverse(matrix))
+    model = pi.problems.get("pendulum").model
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = blas()
+        pi.condition_number(model, METHODS["alpha"], pi.consistent_state(model, 0.0, [-1.0, 0.0]))
+        assert blas() == before and inside == [[1] * len(before)]
+
+
 def test_libraries_are_looked_for_when_modules_have_been_imported(monkeypatch):
     """And not in every run: that takes longer than a short one."""
     import sys
