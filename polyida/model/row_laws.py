@@ -246,16 +246,34 @@ class Slips(WithRows):
             columns = columns + sign * law.mu * shares[self.kept][:, None] * B[law.row]
         return columns
 
-    def uniqueness(self, t, q, lam):
-        """Determinant of the matrix of the friction, 1 where friction is small, if rows press in the direction of lam; its force is not unique at 0."""
-        return float(np.linalg.det(SlippingMasses(self, t, q).slope(lam)))
+    def uniqueness(self, state, lam):
+        """What is positive while the friction has a unique force at a state if rows press in the direction of lam, 1 where friction is small.
+
+        It is the determinant of its matrix. Rows of equations may also press in the other direction. If their force has no solution there, it
+        ends where they do not press any more, and the share of lam that presses without friction may be the smaller number.
+        """
+        masses = SlippingMasses(self, state.t, state.q)
+        least = float(np.linalg.det(masses.slope(lam)))
+        if all(self.on_contact) or np.linalg.det(masses.slope(-lam)) > 0.0:
+            return least
+        return min([least, *self._along(self._consistent(state, masses.system), lam)])
+
+    def _consistent(self, state, masses):
+        """Consistent multipliers at a state, of a system of masses with or without friction."""
+        return masses.solve(self.whole.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v))[1]
+
+    def _along(self, lam, other):
+        """The parts of lam along others, for each of the rows that press."""
+        on = [np.isin(self.kept, law.on) for law, _ in self.slips]
+        return [float(lam[rows] @ other[rows] / (other[rows] @ other[rows])) for rows in on if other[rows].any()]
+
+    def agrees(self, state):
+        """True if the rows that press do so in the direction of the consistent forces at a state."""
+        return min(self._along(self._consistent(state, self.mass_system(state.t, state.q)), state.lam), default=1.0) > 0.0
 
     def pressed(self, state, lam):
         """True if all rows that press do so in the direction of lam at a state, too, or would if friction were small."""
-        force, bias = self.whole.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v)
-        free = super().mass_system(state.t, state.q).solve(force, bias)[1]
-        on = [np.isin(self.kept, law.on) for law, _ in self.slips]
-        return all(lam[rows] @ free[rows] > 0.0 for rows in on if rows.any())
+        return min(self._along(self._consistent(state, super().mass_system(state.t, state.q)), lam), default=1.0) > 0.0
 
     def singular(self):
         """The SingularSystem of friction without a unique force."""

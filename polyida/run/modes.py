@@ -28,8 +28,7 @@ LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
 AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
-AT_BOUND = 1e-4  # of the largest force: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
-NEAR = 1e-2  # determinant of friction that slips below which errors of the state, enlarged by its inverse, decide whether a contact opens
+AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
 
@@ -91,31 +90,60 @@ class Modes(Happenings):
         return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
 
     def _motion(self, before, t_end, counts):
-        self.at = before
+        self.at, self.step = before, self.method.fixed_step()
         try:
-            if self._uniqueness(before, before) <= 0.0:
+            if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
             yield from super()._motion(before, t_end, counts)
-        except SingularSystem as error:
+        except (StepFailure, SingularSystem) as error:  # a step across the end of a unique force may have no solution
+            ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slips) and self.step else None
+            self.at, error = (ahead, self.mode.singular()) if ahead else (self.at, error)
+            if not isinstance(error, SingularSystem):
+                raise
             raise StepFailure("singular", str(error), self.at.t) from None
 
     def _uniqueness(self, before, state):
-        """The determinant of friction that slips, positive while its force is unique; rows press in the directions that they had before."""
-        return self.mode.uniqueness(state.t, state.q, before.lam) if isinstance(self.mode, Slips) else 1.0
+        """What is positive while friction that slips has a unique force; rows press in the directions that they had before."""
+        return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slips) else 1.0
 
     def _first(self, before, after):
         """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
         hit = super()._first(before, after)
-        if self._uniqueness(before, after) <= 0.0:
-            from scipy.optimize import brentq
-
-            t = brentq(lambda t: self._uniqueness(before, between(before, after, t)), before.t, after.t)
-            ahead = _ahead(before, t)  # the step's own end is that of forces behind the singular matrix, where contacts pull
-            if hit is None or hit[0] >= t or all(self._lasts(k, before, ahead) for k in hit[1]):
-                self.at = between(before, after, t)
-                raise self.mode.singular()
-        self.at = after
+        ahead = self._singular(before, after) if isinstance(self.mode, Slips) else None
+        if ahead and (ahead.t > after.t or (hit and hit[0] < ahead.t)):
+            rows = hit[1] if hit else np.flatnonzero(self.status >= SLIPS_UP)
+            ahead = ahead if all(self._lasts(k, before, ahead) for k in rows) else None
+        if ahead:
+            self.at, self.step = ahead, 0.0
+            raise self.mode.singular()
+        self.at, self.step = after, after.t - before.t
         return hit
+
+    def _singular(self, before, after):
+        """The State of a step, or shortly behind it, at which the friction has no unique force, or None.
+
+        A step that comes near it may end at another solution, whose forces are not the consistent ones: the motion is then that before it.
+        """
+        from scipy.optimize import brentq
+
+        crossed = not self._uniqueness(before, after) > 0.0
+        ahead = self._singular_ahead(before, after.t - before.t) if crossed or not self.mode.agrees(after) else None
+        if ahead is None and crossed:
+            ahead = between(before, after, brentq(lambda t: self._uniqueness(before, between(before, after, t)), before.t, after.t))
+        return ahead
+
+    def _singular_ahead(self, state, h, most=2.0):
+        """The same, up to `most` steps of h ahead, by the accelerations of a state.
+
+        They grow as `|t - t_s|^(-1/3)`, so that the error is of order 5/3 in h.
+        """
+        from scipy.optimize import brentq
+
+        def at(t):
+            return self._uniqueness(state, _ahead(state, t))
+
+        ends = state.t + h * np.array([0.0, 1.0, 2.0, most])
+        return next((_ahead(state, brentq(at, *pair)) for pair in zip(ends, ends[1:]) if at(pair[1]) <= 0.0), None)
 
     def _lasts(self, number, before, ahead):
         """True if a row has the status that it had before at a state ahead, too; that of a closed contact follows from its force without friction."""
@@ -194,6 +222,9 @@ class Modes(Happenings):
         return State(t, q, v, a, contacts.all(lam, p), restart=False)
 
     def _change(self, state, fired):
+        if not self._uniqueness(state, state) > 0.0:  # the event is of forces within round-off of that point
+            self.at, self.step = state, 0.0
+            raise self.mode.singular()
         contacts, t, q = self.contacts, state.t, state.q
         gaps, rates = contacts.gaps(t, q), self.whole.phi_rate(t, q, state.v)[contacts.rows]
         old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
@@ -234,12 +265,9 @@ class Modes(Happenings):
         """Directions in which rows that reached their bounds slip; opens the contacts without pressure. At a bound the laws allow both statuses."""
         begins, lam = np.zeros(len(self.events)), self._all_forces(state)
         for k in fired:
-            if self.value(self.events[k], state) > AT_BOUND * np.abs(lam).max(initial=0.0):
+            if self.value(self.events[k], state) > AT_BOUND * max(np.abs(lam).max(initial=0.0), self.sizes[k]):
                 continue
             if self.contacts.contact[k]:
-                if self.status[k] == CLOSED and self._uniqueness(state, state) < NEAR:
-                    self.at = state
-                    raise self.mode.singular()
                 closed[k] &= self.status[k] != CLOSED
             elif self.status[k] == STICKS:
                 begins[k] = np.sign(lam[self.whole.row_laws[k].row])

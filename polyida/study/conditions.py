@@ -128,7 +128,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
         raise InputError(f"condition_number: h = None must be a positive step in s: {name} has none of its own")
     if of_stages:  # form "ggl" with mu also if a run leaves mu out because phi is linear in q
         tied = integrator.form == "ggl"
-        rows = Rows(model, t, q, v, lift(model, weights(model, q)) if tied else None)
+        rows = Rows(model, t, q, v, lam, lift(model, weights(model, q)) if tied else None)
         c = radau(integrator.stages).modes[-1 if mode == "complex" else 0].value / integrator.h
         slope = c * model.mass(q) + model.force_v(t, q, v) if model.needs.velocity_forces else c * model.mass(q)
         matrix, s = of_radau.whole_matrix(c, model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), slope, rows)

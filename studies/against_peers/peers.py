@@ -213,7 +213,7 @@ class FirstOrder:
         K, bent, slope = model.force_q(t, q, v), None, None
         if model.needs.driven:
             K, bent = K + model.reaction_q(t, q, lam), model.reaction_q(t, q, mu)
-            slope = csc_array(FormRows(self.system, 0.0, t, q, v, a).on_q[m:])
+            slope = csc_array(FormRows(self.system, 0.0, t, q, v, a, lam).on_q[m:])
         wide, square = csc_array((n, m)), csc_array((m, m))
         in_y = [[bent, -unit, wide, wide], [K, None, None, None], [B, None, square, None], [slope, B, None, square]]
         in_yp = [[unit, None, None, B.T], [None, model.mass(), B.T, None], [wide.T, None, square, None], [None, wide.T, None, square]]

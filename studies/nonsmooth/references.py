@@ -120,3 +120,34 @@ def crank_angle(mu, t_end):
 
 def place_of_slider(angle):
     return CRANK * np.cos(angle) + np.sqrt(ROD**2 - (CRANK * np.sin(angle)) ** 2)
+
+
+def slips_of_rod(angle, spin, speed, mu=5 / 3):
+    """({what ends a slip of the sliding rod: time, s}, run of the last slip): "slips" to the other side, "opens", or "singular".
+
+    DOP853 on angle, rate, slip and t over `dt = D d tau`, in which the motion is smooth: the force of the contact is N / D. The ground holds
+    the tip in both directions until N = 0.
+    """
+    ends, y, tight = {}, [angle, spin, speed, 0.0], {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14, "dense_output": True}
+    while True:
+        sign = np.sign(speed)
+
+        def forces(y, sign=sign):
+            """(D, N, spin' D / N)."""
+            s, c = np.sin(y[0]), np.cos(y[0])
+            turn = -3.0 * (c + sign * mu * s)
+            return 1.0 - c * turn, 10.0 - s * y[1] ** 2, turn
+
+        def slope(tau, y, sign=sign, forces=forces):
+            D, N, turn = forces(y)
+            s, c = np.sin(y[0]), np.cos(y[0])
+            return [y[1] * D, turn * N, (s * turn - sign * mu) * N + c * y[1] ** 2 * D, D]
+
+        reverses, opens, singular = (lambda tau, y: y[2]), (lambda tau, y, f=forces: f(y)[1]), (lambda tau, y, f=forces: f(y)[0] - 1e-9)
+        reverses.terminal = opens.terminal = singular.terminal = True
+        run = solve_ivp(slope, (0.0, 1e3), y, events=[reverses, opens, singular], **tight)
+        what = ("slips", "opens", "singular")[[len(times) for times in run.t_events].index(1)]
+        ends[what], speed, y = float(run.y[3, -1]), -speed, run.y[:, -1] * [1.0, 1.0, 0.0, 1.0]
+        if what != "slips":
+            return ends, run
+        y[2] = -1e-12 * sign

@@ -135,17 +135,17 @@ def slider_crank(mu=0.2):
     return scene
 
 
-def sliding_rod(angle=0.5, spin=0.5, speed=-20.0, mu=5 / 3):
+def sliding_rod(angle=0.5, spin=0.5, speed=-20.0, mu=5 / 3, held=False):
     """A rod of 1 kg and 2 m leans with an angle over rough ground, its lower tip slides to the left at `speed`, m/s, g = 10 m/s^2.
 
     The force of its contact "tip" is no longer unique at the angle where `1 + 3 cos^2 - 3 mu sin cos = 0`, pi/4 for mu = 5/3. Motions that
-    arrive there do so with `spin^2 sin = g`.
+    arrive there do so with `spin^2 sin = g`. held: the tip slides in a slot, which also pulls.
     """
     scene, (x, y) = pi.Scene(gravity=(0.0, -10.0)), (np.cos(angle), np.sin(angle))
     velocity = (speed - spin * y, spin * x)
     points = {"low": (-x, -y), "c": (0.0, 0.0)}
     rod = scene.add(pi.RigidBody(mass=1.0, inertia=1 / 3, points=points, origin=(x, y), velocity=velocity, spin=spin, name="rod"))
-    scene.add(Kerb(FLOOR, rod.at("low"), mu=mu, name="tip"))
+    scene.add(pi.Slot(FLOOR, rod.at("low"), friction=mu, name="tip") if held else Kerb(FLOOR, rod.at("low"), mu=mu, name="tip"))
     return scene
 
 

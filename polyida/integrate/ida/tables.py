@@ -50,10 +50,10 @@ EULER = Tableau(ONE, ONE[None], ONE[None], (Mode(1.0, ONE, ONE),), -ONE)
 class FormRows:
     """The rows of a System at a state, like radau/matrices.py's Rows: on_q = P, on_v = Q, both = P + cj Q; B: phi_q if it is known."""
 
-    def __init__(self, system, cj, t, q, v, a, B=None):
+    def __init__(self, system, cj, t, q, v, a, lam, B=None):
         model, self.tied = system.model, system.form.stabilised
         self.B = B = dense(model.phi_q(t, q)) if B is None else B
-        self.G, m = B if self.tied else B[:0], len(B)
+        self.columns, self.G, m = matrices.columns_at(model, t, q, lam, B), B if self.tied else B[:0], len(B)
         H = N = np.zeros_like(B)
         if (model.needs.phi_q_varies or model.needs.driven) and system.levels[:, 1:].any():
             H, N = bend(lambda s: dense(model.phi_q(t + s, q + s * v + s * s / 2 * a)), B, reach_along(q, v))
@@ -91,8 +91,8 @@ def whole_matrix(system, t, y, yp, cj):
     if model.needs.velocity_forces:
         D = D + model.force_v(t, q, v)
     K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
-    rows, unit = FormRows(system, cj, t, q, v, a), cj if system.form.integrated else 1.0
-    rows.B, rows.G = unit * rows.B, unit * rows.G
+    rows, unit = FormRows(system, cj, t, q, v, a, lam), cj if system.form.integrated else 1.0
+    rows.columns, rows.G = unit * rows.columns, unit * rows.G
     return matrices.whole_matrix(cj, K, D, rows)
 
 
@@ -129,7 +129,8 @@ class PythonForm(PythonStages):
 
     def _made_rows(self, t, q, v, a):
         B = self.B[0] if self.system.levels[:, 1:].any() else None
-        return FormRows(self.system, self.factored.c[0], t, q, v, self._array(a, self.model.n).copy(), B)
+        at = t, q, v, self._array(a, self.model.n).copy(), self.factored.lam
+        return FormRows(self.system, self.factored.c[0], *at, B)
 
 
 @entry

@@ -35,15 +35,22 @@ def lift(model, shares):
     return np.ones_like(shares) if model.uniform_units else masses
 
 
-class Rows:
-    """The constraint rows at (t, q, v): B (m, n), and H and G (m, n) if there is mu.
+def columns_at(model, t, q, lam, B):
+    """`(dr/dlam)^T`, (m, n), which is B without forces that grow with lam."""
+    columns = model.columns_of_forces(t, q, lam)
+    return B if columns is None else columns
 
-    lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors of dq and dv in the rows; both: factor of dq with dv = c dq, the
+
+class Rows:
+    """The constraint rows at (t, q, v): B (m, n), columns (m, n) of their forces, and H and G (m, n) if there is mu.
+
+    columns: B itself, or with the forces that grow with lam (friction). lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors of dq and dv in the rows; both: factor of dq with dv = c dq, the
     second block reduced by c times the first.
     """
 
-    def __init__(self, model, t, q, v, lift):
+    def __init__(self, model, t, q, v, lam, lift):
         self.B, self.tied = dense(model.phi_q(t, q)), lift is not None
+        self.columns = columns_at(model, t, q, lam, self.B)
         level = np.zeros_like(self.B)
         self.G = self.B * lift if self.tied else self.B[:0]
         self.H = bend(lambda s: dense(model.phi_q(t + s, q + s * v)), self.B, reach_along(q, v))[0] if self.tied else level[:0]
@@ -110,28 +117,33 @@ class Matrices:
         self.slopes = [c * self.M if self.C is None else c * self.M + self.C for c in self.c]
         return at
 
-    def _hold(self, B, R):
-        """Factor S + s B^T R, R the first block of rows, for a singular S: only constraints hold the coordinates without mass.
+    def _hold(self, C, R):
+        """Factor S + s C^T R, C the columns and R the first block of rows, for a singular S: only constraints hold coordinates without mass.
 
         With `R dq = -r3` only dlam changes, by s r3; R is therefore the rows themselves.
         """
         size = float(np.abs(self.bare[0].diagonal()).max(initial=0.0))
-        largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (B, R))
+        largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (C, R))
         self.added = size / np.prod(list(largest)) if self.model.m else 0.0
-        BB = self.added * (B.T @ R)
-        self.factors = [Held(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)) for S in self.bare]
+        held = self.added * (C.T @ R)
+        self.factors = [Held(S + (type(S)(held) if hasattr(S, "tocsc") else held)) for S in self.bare]
+
+    @property
+    def lam(self):
+        """lam of `made_at`."""
+        return self.made_at[1 + 3 * self.model.n :]
 
     def surround(self, rows, q, counts):
         """Set the constraint rows at q and solve for the columns of the border."""
         self.q = q
         if self.bare:
             counts.factorizations += len(self.bare)
-            self._hold(rows.B, rows.both[: self.model.m])
+            self._hold(rows.columns, rows.both[: self.model.m])
         counts.solves += len(self.modes) * len(rows.both)
         self.last = (None,)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):
-            X = self.factors[k].columns(q, rows.B)
+            X = self.factors[k].columns(q, rows.columns)
             self.borders.append(Border(np.hstack([X, self._free(k, slope @ rows.G.T)]) if rows.tied else X))
 
     def inertia(self, v, a):
@@ -154,7 +166,7 @@ class Matrices:
 def whole_matrix(c, K, slope, rows):
     """(the matrix, typical size s of S) of K, slope = c M + C and the constraints' Rows: CSC where K is sparse, else dense."""
     mu = rows.G.T if rows.tied else None
-    return first_order_matrix(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), typical(K + c * slope)
+    return first_order_matrix(c, K, slope, rows.columns.T, mu, rows.on_q, rows.on_v), typical(K + c * slope)
 
 
 def sizes(scaling, c, s, n, m, tied):

@@ -129,7 +129,7 @@ class PythonStages(Stages, PythonTable):
         return DONE
 
     def _made_rows(self, t, q, v, a):
-        return Rows(self.model, t, q, v, self.lift if self.tied else None)
+        return Rows(self.model, t, q, v, self.factored.lam, self.lift if self.tied else None)
 
     def _tried(self, act):
         try:
