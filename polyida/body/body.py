@@ -238,6 +238,7 @@ class BodyPoint(Attachment):
     """A point of a Body: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 at rest."""
 
     turns_only = True
+    has_edges = False
     advice = "let its class give x_axis(), or the attachment a direction of its own"
 
     @property

@@ -108,13 +108,36 @@ class Attachment:
 
     @property
     def has_edges(self) -> bool:
-        """True if it is a section of a full plate or the edges of another body, not a point: contact then takes it as edges."""
-        return not self.body.few and len(self.nodes) > 1
+        """True if it is a section of a plate or the edges of another body, not a point: contact then takes it as edges."""
+        return len(self.nodes) > 1 and (not self.body.few or self.body.plate is not None)
+
+    @property
+    def depth(self) -> float:
+        """Length of the largest cell edge in a section of a rigid plate, whose own edges are longer, m; else 0."""
+        x = self.body.points[edges_within(self.body.mesh, self.nodes)] if self.has_edges and self.turns_only else np.zeros((0, 2, 2))
+        return float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).max(initial=0.0))
+
+    def _outline(self):
+        """(nodes, edges (k, 2) between them, with the body on their left); of a rigid plate without the nodes within straight lines."""
+        edges, x = edges_within(self.body.mesh, self.nodes), self.body.points
+        ahead, behind, within = dict(edges.tolist()), dict(edges[:, ::-1].tolist()), []
+        if not self.turns_only or len(ahead) < len(edges):
+            return self.nodes, edges
+        for node in edges[:, 0].tolist():
+            if node in behind and behind[node] != ahead[node]:
+                a, b = behind[node], ahead[node]
+                (ux, uy), (vx, vy) = x[node] - x[a], x[b] - x[node]
+                if abs(ux * vy - uy * vx) <= ROUND * (ux * vx + uy * vy):
+                    within.append(node)
+                    ahead[a], behind[b] = b, a
+                    del ahead[node], behind[node]
+        return self.nodes[~np.isin(self.nodes, within)], np.array(list(ahead.items()))
 
     def edge_ends(self) -> np.ndarray:
         """Return the numbers (k, 2) within `each()` of the ends of its edges, with the body on their left."""
-        order = np.argsort(self.nodes)
-        return order[np.searchsorted(self.nodes, edges_within(self.body.mesh, self.nodes), sorter=order)]
+        nodes, edges = self._outline()
+        order = np.argsort(nodes)
+        return order[np.searchsorted(nodes, edges, sorter=order)]
 
     @property
     def x(self) -> Vector:
@@ -132,8 +155,8 @@ class Attachment:
         return np.outer(self.weights, np.asarray(force, float))
 
     def each(self) -> list["Attachment"]:
-        """Return one attachment for each node."""
-        return [of_node(self.body, int(node)) for node in self.nodes]
+        """Return one attachment for each node; of a rigid plate none within straight edges."""
+        return [of_node(self.body, int(node)) for node in self._outline()[0]]
 
     def __repr__(self):
         return f"{self.body.label} {self.name}"

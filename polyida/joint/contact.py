@@ -28,7 +28,7 @@ class Contact(Joint):
     friction also the slip `psi` of each point, m/s, with `|nu| <= mu |lam|` (Coulomb): `psi = (d_B . (x_A - x_B))'` on the line, on the
     circle `psi = w x w' / R - R w_B`, w_B the angular velocity of b. The line or circle moves with its body.
 
-    If b has edges, a section of a full plate or `body.edges(...)`, a point has its distance from each edge that it faces, and a node of such a
+    If b has edges, a section of a plate or `body.edges(...)`, a point has its distance from each edge that it faces, and a node of such a
     side a the mean `phi = int N gap ds / int N ds` over what faces b, N its hat function (mortar); slips likewise. Mean gaps are for sides that
     lie along each other: a corner that may touch a side is a point of its own, `plate.node(...)` or `body.at(...)`. Such models need
     `NonsmoothAlpha` or `MoreauJean`.
@@ -38,10 +38,10 @@ class Contact(Joint):
     Parameters
     ----------
     a : Attachment or Ground
-        The point; of a section of a full plate and of `body.edges(...)`, every node.
+        The point; of a section of a plate and of `body.edges(...)`, every node; of `Rigid` plates without the nodes within straight lines.
     b : Attachment or Ground
         Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
-        centre of the circle. A section of a full plate, or `body.edges(...)`: its edges.
+        centre of the circle. A section of a plate, full, `Reduced` or `Rigid`, or `body.edges(...)`: its edges.
     restitution : float
         e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
     friction : float

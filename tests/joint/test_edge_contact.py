@@ -220,3 +220,65 @@ def test_assemble_opens_penetrated_edges():
     gaps = model.phi(0.0, np.zeros(model.n))[[law.row for law in model.row_laws if law.is_contact]]
     assert gaps.min() > -1e-9 and np.sort(gaps)[1] < 1e-6
     assert pi.solve(model, 0.01, pi.NonsmoothAlpha(h=1e-3)).success
+
+
+THIN = pi.Material(E=2e6, nu=0.3, rho=1000.0, viscosity=3e-2)
+
+
+@pytest.mark.parametrize("of_plate_first", [True, False])
+def test_sections_of_a_rigid_plate_are_edges_of_a_body(of_plate_first):
+    """A box that falls turned on another and slides there moves as the rigid body with the edges of the plate."""
+    ways, start = [], {"origin": (-0.25, 0.21), "velocity": (0.5, -0.4), "spin": 0.2}
+    for of_plate in (True, False):
+        scene, mesh = pi.Scene(gravity=(0.0, -10.0)), pi.mesh.quads(0.6, 0.2, 6, 2)
+        low = scene.add(box("low", (0.0, 0.0)))
+        if of_plate:
+            high = scene.add(pi.Rigid(pi.Plate(mesh, THIN, 0.01, name="high", **start)))
+            side = high.section("bottom")
+            assert len(side.each()) == 2 and side.depth == pytest.approx(0.1)
+        else:
+            high = scene.add(pi.RigidBody.from_mesh(mesh, THIN, 0.01, points={"a": (0.0, -0.1), "b": (0.6, -0.1)}, name="high", **start))
+            side = high.edges("a", "b")
+        sides = side, low.edges("c", "d")
+        scene.add(pi.Contact(*sides[:: 1 if of_plate_first else -1], friction=0.3, name="hit"))
+        scene.add(pi.Clamp(low.at("a"), name="held"))
+        run = pi.solve(scene.build(), 0.3, pi.NonsmoothAlpha(h=1e-3))
+        assert run.success and {one.name for one in run.events} == {"hit"}, run.message
+        ways.append(run.position(high.at("center")))
+        rows = run.model.rows["hit"]
+        assert min(run.model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-9
+    assert np.ptp(ways[0][:, 0]) > 0.02 and np.abs(ways[0] - ways[1]).max() < 1e-9
+
+
+@pytest.mark.filterwarnings("ignore:.*leave much out")
+@pytest.mark.parametrize("kind", [pi.Rigid, pi.Reduced])
+def test_a_rigid_or_reduced_plate_hits_a_plate(kind):
+    """Nothing acts from outside: momenta stay, energy does not grow, and no mean gap is negative."""
+    scene = pi.Scene()
+    low = scene.add(plate(1.0, 5, 0.0, "low", viscosity=3e-2, velocity=(0.0, 0.5)))
+    high = plate(0.5, 4, 0.41, "high", 0.2, viscosity=3e-2, velocity=(0.2, -0.5))
+    high = scene.add(pi.Rigid(high) if kind is pi.Rigid else pi.Reduced(high, modes=12))
+    scene.add(pi.Contact(high.section("bottom"), low.section("top"), friction=0.3, name="hit"))
+    model = scene.build()
+    run = pi.solve(model, 0.06, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5, tolerance=1e-8))
+    assert run.success and run.events, run.message
+    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-6 * np.abs(run.momentum[0]).max()
+    assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
+    rows = model.rows["hit"]
+    assert min(model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-11
+    parts, _ = from_data(*to_data(model)[:2])
+    assert parts["hit"].edges.edges.shape == (1 if kind is pi.Rigid else 4, 2)
+
+
+def test_a_rigid_plate_falls_on_the_ground_by_events():
+    """Its two corners touch; the section's mean alone would let it turn through the ground."""
+    scene = pi.Scene(gravity=(0.0, -10.0))
+    slab = scene.add(pi.Rigid(pi.Plate(pi.mesh.quads(0.6, 0.2, 6, 2), THIN, 0.01, origin=(0.0, 0.2), angle=0.1, name="slab")))
+    scene.add(pi.Contact(slab.section("bottom"), pi.ground.at((0.0, 0.0)), friction=0.5, name="ground"))
+    model = scene.build()
+    assert len(model.row_laws) == 4
+    for integrator in (pi.RadauIIA(rtol=1e-8), pi.NonsmoothAlpha(h=1e-3)):
+        run = pi.solve(model, 1.0, integrator)
+        assert run.success, run.message
+        assert min(run.position(node)[:, 1].min() for node in slab.section("bottom").each()) > -1e-6
+        assert run.reaction("ground")[-1, 1] == pytest.approx(-0.6 * 0.2 * 0.01 * 1000.0 * 10.0, rel=1e-6)
