@@ -98,6 +98,7 @@ class Relaxation(NamedTuple):
     time: np.ndarray  # tau, s
     mass: float
     unit: float  # strain of a unit velocity, s/m
+    condensed: np.ndarray  # (2,) addresses of a Condensation and of `condensed_force`; 0 if the velocities are the strains
 
 
 @pack

@@ -414,7 +414,7 @@ def relaxation_of(bodies, strains, pairs):
     mass, unit = next(((one.mass, float(one.units[0])) for one in strains.values()), (1.0, 1.0))
     share, time = np.array([term for one in terms for term in one], float).reshape(-1, 2).T
     sizes = [range(one.padded * len(one.terms) if one else 0) for one in each]
-    return Relaxation(pairs, starts(sizes), starts(terms), share.copy(), time.copy(), mass, unit)
+    return Relaxation(pairs, starts(sizes), starts(terms), share.copy(), time.copy(), mass, unit, np.zeros(2, np.int64))
 
 
 def compact_of(few, first, block):

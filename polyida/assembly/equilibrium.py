@@ -8,6 +8,7 @@ from polyida.assembly.joints import joint_forces, point_values, spread
 from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, two_field
 from polyida.jit import entry, leaf, part, shared
+from polyida.jit.intrinsics import address, call, float_of
 from polyida.linear.dense import clear
 
 
@@ -25,20 +26,24 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     rotation: area-weighted sums of (F11 + F22, F21 - F12), in the direction of the nodal rotation, or the vector of a body's frame; pass
     (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); det F is nan if u is not finite.
     """
-    s, links = scene.plates, scene.links
+    s, links, x = scene.plates, scene.links, scene.relaxation
+    condensed = x.condensed[0] != 0
     for i in range(r.shape[0]):
         r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
     clear(rotation)
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
-        det = kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
+        if condensed and x.terms[b] < x.terms[b + 1]:
+            det = float_of(call(x.condensed[1], x.condensed[0], b, address(u), address(r), address(rotation), 0, 0, 0))
+        else:
+            det = kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
         least = compact.lesser(least, det)
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
             kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
     least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
-    hold_strains(scene.relaxation, a, r, rotation)
+    hold_strains(x, a, r, rotation)
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):

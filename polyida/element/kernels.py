@@ -29,6 +29,7 @@ from polyida.element.material import (
     moduli_times,
     negative,
     relaxed_moduli,
+    relaxing_piola,
     scaled,
     symmetric,
     transposed,
@@ -131,6 +132,18 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
     Add to rotation (N, 2), unless it is (0, 2), at every node the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F: the
     angle of this vector is the node's rotation.
     """
+    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, None, 1.0, f, rotation)
+
+
+@entry
+def relaxed_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation):
+    """The same with the stress D : (kappa E - pull); pull as in relaxation.py."""
+    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation)
+
+
+@part
+def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation):
+    """Add the force of `internal_force`, or of `relaxed_force` if pull is not None; return the least det F."""
     work = _workspace(layout, 4, 0)
     least = spread(np.inf), spread(0.0)
     for b in range(layout.shape[0]):
@@ -144,7 +157,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
             g, w = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
             h = _gradient(gradients, g, work, m)
             least, turn = watch(least, h), add_rotation(turn, w, h)
-            stress = first_piola(h, w, c1 * nu, c1 * (1.0 - nu))
+            stress = _stress(pull, kappa, h, w, layout[b, 4] + p * LANES, c1 * nu, c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
         balance = zeros2()  # inlined: calls of the functions above make this most frequent kernel slower
@@ -157,6 +170,14 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
             for k in range(first, first + (m + 1) * LANES, LANES):
                 scatter_add(rotation, corners, k, node_offset, turn)
     return _least(least)
+
+
+@part
+def _stress(pull, kappa, h, w, at, spherical, deviatoric):
+    """w P of a point. Its own function: numba drops a branch only if an argument is None."""
+    if pull is None:
+        return first_piola(h, w, spherical, deviatoric)
+    return relaxing_piola(h, load3(pull, 3 * at), kappa, w, spherical, deviatoric)
 
 
 @entry

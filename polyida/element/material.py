@@ -65,6 +65,12 @@ def first_piola(h, w, spherical, deviatoric):
     return carried(h, second_piola(strain(h), spherical * w, deviatoric * w))
 
 
+@traced(4)
+def relaxing_piola(h, pull, kappa, w, spherical, deviatoric):
+    """The same with the strain kappa E - pull in S."""
+    return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), pull)), spherical * w, deviatoric * w))
+
+
 def carried(h, s):
     """F S."""
     s11, s12, s22 = s

@@ -100,6 +100,18 @@ def _strain(half, h, gradients, start, directions, m):
 
 
 @entry
+def strain_at_points(layout, corners, gradients, node_offset, u, out):
+    """Store the strain at u in out."""
+    work = _workspace(layout, 2, 0)
+    for b in range(layout.shape[0]):
+        m = layout[b, 0] - 1
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
+        for p in range(layout[b, 1]):
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
+            store(out, 3 * (layout[b, 4] + p * LANES), strain_of(h))
+
+
+@entry
 def change_of_strain(layout, corners, gradients, node_offset, u, w, out):
     """Store the change of the strain at u along w (N, 2) in out."""
     work = _workspace(layout, 4, 0)

@@ -33,6 +33,7 @@ class PythonTable:
 
     def __init__(self, model, incremental):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
+        self.unknowns = model.n
         self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}
         self._fill()
 

@@ -10,6 +10,7 @@ from numba import carray, int64, typeof
 from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
+from polyida.assembly.condensation import Condensation, condensation
 from polyida.assembly.increments import drive_table, gain_table
 from polyida.assembly.optional import (
     DAMPING,
@@ -33,7 +34,7 @@ from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, STRAINS
 
 SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
@@ -70,6 +71,7 @@ class SceneWork(NamedTuple):
     numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
     level: np.ndarray  # (m,)
     solid: Solid  # with empty arrays if no function reads it
+    condensed: Condensation  # the pairs are then those without strains
 
 
 @part
@@ -109,6 +111,8 @@ def residual(w, instant, q, v, a, lam, r, phi):
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
     add_forces(w, drives, u, pairs(w, v), out)
+    if w.condensed.calls[0] != 0:
+        call(w.condensed.calls[2], w.condensed.calls[0], q, r, 0, 0, 0, 0, 0)
     return DONE
 
 
@@ -157,12 +161,14 @@ def constraints(w, instant, q, dd, dv, phi, rate, f):
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
     s, drives, out, strains = w.scene.links, w.drives[instant + 1], (pairs(w, dq), rows(w, dlam)), w.workspace.elimination
-    right = eliminate(strains, pairs(w, q), pairs(w, r))
+    condensed = w.condensed.calls[0] != 0
+    right = pairs(w, r) if condensed else eliminate(strains, pairs(w, q), pairs(w, r))
     state = rows(w, lam), right, rows(w, phi)
     regular = corotated.solve(
         s, w.factored, w.workspace, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
     )
-    recover(strains, pairs(w, q), out[0])
+    if not condensed:
+        recover(strains, pairs(w, q), out[0])
     return DONE if regular else SINGULAR
 
 
@@ -192,6 +198,15 @@ def project(w, instant, right, x, from_zero, d, e, f):
 
 
 @entry
+def strains(w, instant, past, now, state, numbers, e, f):
+    """Begin a step of the strains, or end it."""
+    calls = w.condensed.calls
+    if state == 0:
+        return call(calls[3], calls[0], past, numbers, 0, 0, 0, 0, 0)
+    return call(calls[4], calls[0], now, past, state, numbers, 0, 0, 0)
+
+
+@entry
 def idle(w, instant, b, c, d, e, f, g):
     """Do nothing: takes the place of a function that a scene does not need."""
     return DONE
@@ -218,33 +233,38 @@ def addresses(kind, entries):
 class SceneTable:
     """The table of a scene without Python, with the methods of PythonTable.
 
-    Several threads share the solves of more than SHARED coordinates, if the user allows them.
+    Several threads share the solves of more than SHARED coordinates, if the user allows them. condensed: True if the table serves steps of
+    generalized-alpha, whose unknowns are the coordinates without strains.
     """
 
     longest = INSTANTS
     entries = FUNCTIONS
     optional: tuple[int, ...] = LAW_FORCES, LAW_SLOPES, RELAXING, DAMPING
 
-    def __init__(self, model, tied, incremental):
-        self.model, links = model, model.arrays.links
+    def __init__(self, model, tied, incremental, condensed=False):
+        self.model, links, condensed = model, model.arrays.links, condensed and bool(model.strains)
+        self.unknowns = 2 * model.n_factored if condensed else model.n
         self.helpers = Helpers(threads()) if 2 * model.n_factored >= SHARED and threads() > 1 else None
-        profiles, nodes = len(model.profiles), (model.n_nodes, 2)
+        profiles, nodes, parts = len(model.profiles), (model.n_nodes, 2), condensation(model, condensed)
         self.w = {
-            "scene": model.arrays,
+            "scene": model.arrays._replace(relaxation=model.arrays.relaxation._replace(condensed=parts.calls[:2].copy())),
             "projection": constraint_projection(model),
             "damp": np.zeros(nodes if model.damped else (0, 2)),
-            "optional": optional_kernels(model, *self.optional),
+            "optional": optional_kernels(model, *(number for number in self.optional if not (condensed and number == RELAXING))),
             "drives": np.zeros((INSTANTS + 1, profiles, 3)),
             "gains": np.zeros((INSTANTS, profiles, 3)),
-            "rotation": np.zeros(nodes),
+            "rotation": np.zeros((self.unknowns // 2, 2)),
             "points": np.zeros((6, model.n_points, 2)),
             "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
             "level": np.zeros(len(links.row_constant)),
             "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
+            "condensed": parts,
         }
         self.functions = self.work = None
         if not tied:
             self.entries = self.entries | {RATE: idle, PROJECT: idle}
+        if condensed:
+            self.entries = self.entries | {STRAINS: strains}
 
     def system(self, settings):
         return settings.step_matrix(self.model)

@@ -44,7 +44,8 @@ class Method(NamedTuple):
     least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over to_a. extent: of the
     coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
     steps), of which atol + rtol |q| is allowed; grow: the error below which h may grow; before: weight of the change of q'' in the step
-    before, over that in this step, in the error. velocity_rows: their numbers among the rows.
+    before, over that in this step, in the error. velocity_rows: their numbers among the rows. unknowns: coordinates that Newton's method
+    moves; those behind are relaxed strains, which the model computes at the end of a step.
     """
 
     h: float
@@ -66,6 +67,7 @@ class Method(NamedTuple):
     grow: float
     before: float
     velocity_rows: np.ndarray
+    unknowns: int
 
 
 @pack
@@ -98,7 +100,7 @@ def empty(n, m):
 def predict(p, y, w):
     """Fill the trial state: q'' by the combination of earlier changes that fits the last step best, lam constant."""
     past, now, ahead, behind = y.past, w.now, y.marks[AHEAD], y.marks[BEHIND]
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         a0, a_alg = past[A, i], past[A_ALG, i]
         a = a0 + ahead * past[CHANGE, i] + behind * past[EARLIER, i]
         a1 = ((1.0 - p.alpha_f) * a + p.alpha_f * a0 - p.alpha_m * a_alg) / (1.0 - p.alpha_m)
@@ -116,7 +118,7 @@ def correct(p, y, w, first, last):
     """Add dq and dlam to the trial state. Returns what `convergence` returns; last: |dq| of the iteration before, or 0."""
     past, now = y.past, w.now
     moved = length = size = accel = change = 0.0
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         d, share = now[DQ, i], past[SHARES, i]
         now[DD, i] += d
         now[Q, i] += d
@@ -153,21 +155,27 @@ def convergence(p, marks, first, last, moved, length, size, accel, change):
 
 
 @part
-def end_step(p, y, w, q, v, a, lam):
+def end_step(f, w, k, p, c, y, x, q, v, a, lam):
     """Accept the trial state, unless its local error is too large, and copy it into a frame (n,), (m,). Returns how the step ended."""
     y.marks[AGE] += 1.0
     y.marks[ACCEL], y.marks[ACCEL_CHANGE] = y.marks[NEW_ACCEL], y.marks[NEW_ACCEL_CHANGE]
     if p.control > 0.0:
-        error = local_error(p, y, w)
+        error = local_error(p, y, x)
         y.marks[ERROR] = max(y.marks[ERROR], error)
         if not error <= 1.0:
             return ERROR_LARGE
-    remember(p, y, w)
+    remember(p, y, x)
+    if p.unknowns < q.shape[0]:
+        call(f[table.STRAINS], w, k, address(y.past), address(x.now), address(y.past), address(c), 0, 0)
     y.marks[MOVED] = 0.0
     for i in range(q.shape[0]):
-        q[i], v[i], a[i] = y.past[Q, i], y.past[V, i], y.past[A, i]
-    for k in range(lam.shape[0]):
-        lam[k] = y.rows[LAM, k]
+        q[i] = y.past[Q, i]
+    for i in range(q.shape[0]):
+        v[i] = y.past[V, i]
+    for i in range(q.shape[0]):
+        a[i] = y.past[A, i]
+    for i in range(lam.shape[0]):
+        lam[i] = y.rows[LAM, i]
     if p.control > 0.0:
         y.marks[SINCE] += 1.0
         if y.marks[SINCE] >= PATIENCE:
@@ -195,7 +203,7 @@ def remember(p, y, w):
     """Move the trial state into memory, with the algorithmic acceleration and the factors of the next prediction."""
     past, now = y.past, w.now
     aa = ab = bb = ad = bd = 0.0
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         a, a0 = now[A, i], past[A, i]
         change, before, earlier = a - a0, past[CHANGE, i], past[EARLIER, i]
         aa += before * before
@@ -225,7 +233,7 @@ def nearest(aa, ab, bb, ad, bd):
 def constraints(f, w, k, p, y, x):
     """(how it ended, the largest |phi|); fills phi and rate at the trial state."""
     now, rows = x.now, x.rows
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         a1 = (now[DD, i] / (p.h * p.h) - (0.5 - p.beta) * y.past[A_ALG, i]) / p.beta
         now[DV, i] = p.h * ((1.0 - p.gamma) * y.past[A_ALG, i] + p.gamma * a1)
     for i in range(rows.shape[1]):
@@ -266,10 +274,10 @@ def add_velocity_rows(f, w, k, p, x):
 def correct_ggl(f, w, k, p, y, x):
     """Compute the GGL correction anew, and q with it."""
     now, past = x.now, y.past
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         now[DD, i] -= now[GGL, i]
     ended = call(f[table.PROJECT], w, k, address(x.rows[BIAS]), address(now[GGL]), 1, 0, 0, 0)
-    for i in range(now.shape[1]):
+    for i in range(p.unknowns):
         now[DD, i] += now[GGL, i]
         now[Q, i] = past[Q, i] + (p.h * past[V, i] + now[DD, i])
     return ended
@@ -301,7 +309,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         y.marks[ACCEL_CHANGE] *= 0.9
     call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
     if stabilised and last == 0.0:
-        for i in range(now.shape[1]):
+        for i in range(p.unknowns):
             now[GGL, i] = 0.0
     state = address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM])
     r, phi, dq, dlam = address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
@@ -339,13 +347,18 @@ def newton(f, w, k, p, stabilised, y, x, counts):
 def stretch(f, w, first, p, c, stabilised, y, x, counts, qs, vs, accelerations, lams):
     """Take steps until the frames are full, a factor is needed or h is to change: (steps, how it ended, last |dq|).
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end; c (2,):
-    p.to_a and p.to_v; counts (3,): of residuals, solves and matrices made. Frames are written to qs, vs, accelerations (steps, n) and lams
-    (steps, m).
+    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end; c (10,):
+    numbers of a step, for the model; counts (3,): of residuals, solves and matrices made. Frames are written to qs, vs, accelerations
+    (steps, n) and lams (steps, m).
     """
     moved = 0.0
+    strains = p.unknowns < x.now.shape[1]
     for k in range(lams.shape[0]):
+        if strains:
+            call(f[table.STRAINS], w, first + k, address(y.past), 0, 0, address(c), 0, 0)
         end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
+        if strains and (end != DONE or p.control > 0.0):
+            call(f[table.STRAINS], w, first + k, address(y.past), address(x.now), address(x.now), address(c), 0, 0)
         if f[table.FACTOR] and (end in (REFACTOR, NOT_FINITE)):
             y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
             predict(p, y, x)
@@ -357,7 +370,7 @@ def stretch(f, w, first, p, c, stabilised, y, x, counts, qs, vs, accelerations, 
                 end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
         if end != DONE:
             return k, end, moved
-        end = end_step(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
+        end = end_step(f, w, first + k, p, c, y, x, qs[k], vs[k], accelerations[k], lams[k])
         if end != DONE:
             return (k if end == ERROR_LARGE else k + 1), end, moved
     return lams.shape[0], DONE, moved

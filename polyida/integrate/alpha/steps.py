@@ -31,14 +31,14 @@ class Steps:
     (count, m)], or None.
     """
 
-    chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
+    chunk_bytes = 16_000_000  # of frames that one compiled stretch fills
 
     def __init__(self, settings, model, counts, control=None):
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
-        self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments)
-        self.caution = self.table.system(settings).caution
+        self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments, True)
+        self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
         self.system = self.spare = self.resize = self.recorder = self.factored_for = None
         self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
 
@@ -56,7 +56,7 @@ class Steps:
         numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
         held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
         incremental = s.incremental_phi and model.has_constraint_increments
-        self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows)
+        self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows, self.unknowns)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         if control and control.before and not at_kink(model, state.t):  # for the error of the first step
             y.past[step.CHANGE] = state.memory.get("change", 0.0)
@@ -76,6 +76,8 @@ class Steps:
     def _weigh(self, masses):
         past = self.memory.past
         past[step.MASSES], past[step.SHARES], past[step.PLACES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses, masses
+        if self.unknowns < self.model.n:
+            past[step.SHARES] /= past[step.SHARES, : self.unknowns].sum()
         past[step.PLACES, self.model.hidden] = 0.0
 
     def _set_system(self, system):
@@ -147,7 +149,7 @@ class Steps:
         while not steps and self.resize is None:
             first, fresh = self.first, self.system is None
             if fresh:
-                step.predict(self.method, self.memory, self.trial)
+                step.predict(self.method._replace(unknowns=self.model.n), self.memory, self.trial)
                 self._factor_here(first)
             steps, ended, moved = self._steps(self.method, first, self.count, self.frames)
             if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
@@ -172,7 +174,7 @@ class Steps:
 
     def _steps(self, method, first, end, frames):
         """Take the steps from `first` to before `end` with the present factor: (steps, how it ended, last |dq|)."""
-        counts, c, frames = np.zeros(3, np.int64), np.array([method.to_a, method.to_v]), [frame[first:end] for frame in frames]
+        counts, c, frames = np.zeros(3, np.int64), _numbers(method), [frame[first:end] for frame in frames]
         with self.table.at_work(self.system) as (functions, workspace):
             result = step.stretch(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, *frames)
         self.counts.add(*counts)
@@ -195,7 +197,7 @@ class Steps:
         """One step with a matrix made anew in every iteration."""
         y, method = self.memory, self.method._replace(max_iterations=1)
         y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
-        step.predict(method, y, self.trial)
+        step.predict(method._replace(unknowns=self.model.n), y, self.trial)
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
@@ -251,15 +253,25 @@ class Steps:
         return memory if grid is None else memory | {"grid": grid}
 
 
-def table_of(settings, model, incremental):
-    """The table of a model for steps with these settings."""
+def table_of(settings, model, incremental, condensed=False):
+    """The table of a model for steps with these settings; condensed: without relaxed strains among the unknowns, if it has such."""
     if settings.linear == "kkt":
         return PythonTable(model, incremental)
     if not model.compiled:
         return small_table(model, incremental) or PythonTable(model, incremental)
     from polyida.system.scene import SceneTable
 
-    return SceneTable(model, (settings.form == "stabilised" and model.m > 0) or model.velocity_rows.size > 0, incremental)
+    return SceneTable(model, (settings.form == "stabilised" and model.m > 0) or model.velocity_rows.size > 0, incremental, condensed)
+
+
+def _numbers(p):
+    """Numbers of a step: dq''/dq, dv/dq, h, then factors.
+
+    They are those of q'' and a_alg at its beginning in v, q - h v and a_alg at its end if q'' is zero there, and that of q'' in a_alg.
+    """
+    of_a, of_alg, of_end = np.array([p.alpha_f, -p.alpha_m, 1.0 - p.alpha_f]) / (1 - p.alpha_m)
+    v = p.h * p.gamma * of_a, p.h * (1 - p.gamma + p.gamma * of_alg)
+    return np.array([p.to_a, p.to_v, p.h, *v, p.h**2 * p.beta * of_a, p.h**2 * (0.5 - p.beta + p.beta * of_alg), of_a, of_alg, of_end])
 
 
 def _no_rows(count):
