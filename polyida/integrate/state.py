@@ -114,8 +114,8 @@ class Stretch:
         return Stretch(self.t[at], self.q[at], self.v[at], self.a[at], self.lam[at], self.last if whole else None)
 
     def finite(self):
-        """True if lam, and q and v of the last state are finite: the next state is computed from q and v, so that a number that is not stays."""
-        return math.isfinite(np.vdot(self.q[-1], self.v[-1])) and math.isfinite(np.vdot(self.lam, self.lam))
+        """True if q, v and lam are finite."""
+        return math.isfinite(np.vdot(self.q, self.v)) and math.isfinite(np.vdot(self.lam, self.lam))
 
 
 class Alone(Stretch):
