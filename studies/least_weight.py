@@ -6,7 +6,6 @@ from designed_in_motion.pictures import draw_densities, draw_meshes
 from least_weight import arm, bracket, rod
 from polyida.cli.study import main
 from polyida.design import threshold
-from polyida.mesh import MeshWarning
 from polyida.show.style import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import last, pick, value
@@ -98,12 +97,9 @@ def notes(rows):
     return lines
 
 
-def _solid(row, mesh, keep):
+def _solid(row, mesh):
     """The mesh of a row's solid design."""
-    import warnings
-
-    with warnings.catch_warnings(action="ignore", category=MeshWarning):
-        return threshold(mesh, row["rho"], at=row["at"], keep=keep, hanging="leave out")
+    return threshold(mesh, np.isin(np.arange(mesh.n_cells), row["solid"]).astype(float))
 
 
 @study_figure
@@ -114,7 +110,7 @@ def designs_figure(rows):
     fig, axes = panels(2 * len(shown), width=8.0, height=1.3, columns=2)
     for row, (left, right) in zip(shown, np.reshape(axes, (-1, 2))):
         draw_densities(left, [arm.ARM.mesh(row["cells"])], row["rho"])
-        draw_meshes(right, [_solid(row, arm.ARM.mesh(row["cells"]), arm.KEPT)], arm.ARM.height)
+        draw_meshes(right, [_solid(row, arm.ARM.mesh(row["cells"]))], arm.ARM.height)
         left.set_title(f"{row['cells']} polygons, {row['way']}", loc="left")
         right.set_title(f"{row['mass_solid']:.3f} kg, limits exceeded by {100 * max(row['excess'], 0.0):.2g} %", loc="left")
     return picture(fig, "least-weight-designs")
@@ -128,7 +124,7 @@ def bracket_figure(rows):
     for row, (left, right) in zip(shown, np.reshape(axes, (-1, 2))):
         mesh = bracket.mesh_of(row["cells"])
         draw_densities(left, [mesh], row["rho"])
-        draw_meshes(right, [_solid(row, mesh, ("top", "tip"))], 0.0)
+        draw_meshes(right, [_solid(row, mesh)], 0.0)
         right.set_title(f"{100 * row['share']:.3g} % of the mass", loc="left")
     return picture(fig, "least-weight-bracket")
 

@@ -8,7 +8,8 @@ slopes to any other optimiser. `ramp`, `simp` and `mass` map densities to the fa
 from polyida.design.interpolation import mass, project, ramp, simp
 from polyida.design.minimise import Design, Stage, minimise
 from polyida.design.problem import Case, Evaluation, Problem
-from polyida.design.solid import SolidDesign, solid, threshold
+from polyida.design.solid import SolidDesign, solid
+from polyida.design.threshold import threshold
 from polyida.design.variables import Densities, Sharpness, Size
 
 __all__ = [

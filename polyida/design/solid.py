@@ -1,26 +1,36 @@
-"""From densities to meshes of what is solid, and the design on them, run again beside the optimiser's."""
+"""The design on meshes of what is solid, run again beside the optimiser's, and the search that moves its edges to its limits.
+
+Densities and solid cells differ: grey cells are softer than their mass, and edges lie between cells. The search is a sequence of linear integer programs:
+slopes of the solid design predict what each cell at its edge changes; the cells that promise most, few at a time, are removed or added; the run decides.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from polyida.design.problem import FailedRun
-from polyida.design.variables import BuiltSizeMap, DensityMap, cells_along
+from polyida.design.minimise import MET
+from polyida.design.problem import Case, FailedRun, Problem
+from polyida.design.threshold import neighbours, threshold
+from polyida.design.variables import BuiltSizeMap, Densities, DensityMap, Sharpness
 from polyida.errors import InputError
-from polyida.mesh import MeshWarning, PolygonMesh, topology
-from polyida.validation import floats, is_number, is_one_of, named_keywords
+from polyida.mesh import MeshWarning, PolygonMesh, density_filter
+from polyida.objective.peak_stress import PeakStress
+from polyida.validation import is_whole, named_keywords
 
 if TYPE_CHECKING:
     import pandas as pd
 
 LEVELS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1)
 KEPT = 0.03  # relative excess of a limit that a solid design may have
+FIRST, LEAST = (0.04, 1.6)  # share of the solid area that may change in one step, at first; number of cells that always may
+PRICE = 10.0  # of an excess of 1 of a limit, in units of the objective of the first solid design
+HOLE = Sharpness(2.0)  # triples the slopes of stiffness: in plane stress, a small hole costs about three times the energy of its material
+TRUST = (0.25, 8.0)  # range of the factors of predicted changes of the limits, measured in the steps before
 
 
 @named_keywords
@@ -31,7 +41,7 @@ class SolidDesign:
     Parameters
     ----------
     at : float
-        Density from which a cell is solid.
+        Density from which a cell is solid before edges move.
     meshes : dict of str to PolygonMesh
     models : dict of str to Model
         Of each case.
@@ -61,8 +71,11 @@ def solid(
     build: Callable[..., Any] | Mapping[str, Callable[..., Any]],
     levels: Sequence[float] = LEVELS,
     others: Mapping[str, Callable[[Any], Any]] | None = None,
+    changes: int = 0,
 ) -> SolidDesign:
     """Return the design on meshes of its solid cells: the lightest, by the objective, of those that keep the limits within 3 %.
+
+    With `changes` a search begins there: cells at the edges are removed and added until the limits, within half a per cent, forbid a lighter design.
 
     Parameters
     ----------
@@ -75,6 +88,8 @@ def solid(
         Densities from which a cell is solid, of which one is chosen.
     others : dict of str to function f(model) -> run, optional
         More runs of the result, by other integrators or with smaller steps.
+    changes : int
+        At most this many steps of the search, each a run and a backward sweep of every case.
 
     Returns
     -------
@@ -83,38 +98,38 @@ def solid(
     Raises
     ------
     InputError
-        If no level gives plates in one piece with the sections that the densities keep, and a run that succeeds.
+        If no level gives plates in one piece with the sections that the densities keep, and a run that succeeds; for wrong `changes`.
+
+    Notes
+    -----
+    Sequence of linear integer programs: Sivapuram, Picelli, Finite Elem. Anal. Des. 139 (2018). A cell is removed only if its solid neighbours hang
+    together without it.
     """
     from pandas import DataFrame
 
+    if not is_whole(changes, 0):
+        raise InputError(f"solid: changes = {changes!r:.40} must be a whole number of at least 0")
     problem, values = design.problem, design.values
     maps = [one for one in problem.maps if isinstance(one, DensityMap)]
-    sizes = {one.name: values[one.name] for one in problem.maps if isinstance(one, BuiltSizeMap)}
-    setting, tried, reasons = problem.setting(design.x, design.sharp), [], []
-
-    def made(case, meshes):
-        function = build[case.name] if isinstance(build, Mapping) else build
-        model = function(**meshes, **{name: value for name, value in sizes.items() if name in case.arguments})
-        for one, x in zip(problem.maps, setting.parts):
-            model = model if isinstance(one, DensityMap) else one.applied(model, x, setting.sharp)
-        return model
-
+    solids, tried, reasons = _Solids(design, build, maps), [], []
     for at in levels:
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", MeshWarning)
-                meshes = {one.name: threshold(one.mesh, values[one.name], at, one.variable.keep, hanging="leave out") for one in maps}
-            models = {case.name: made(case, meshes) for case in problem.cases}
-            runs = {case.name: case.ran(models[case.name]) for case in problem.cases}
+            meshes = {one.name: _solid_mesh(one, values[one.name], at) for one in maps}
+            models, runs = solids.ran(meshes)
         except (InputError, FailedRun) as error:
             reasons.append(f"{at:g}: {error}")
             continue
         found = _judged(problem, runs)
-        tried.append((_excess(found, problem), float(found[0]), at, meshes, models, runs, found))
+        tried.append((_excess(found[1:], problem), float(found[0]), at, meshes, models, runs, found))
     if not tried:
         raise InputError(f"solid: no level gives a design that runs; {'; '.join(reasons)}")
     kept = [one for one in tried if one[0] <= KEPT]
     excess, _, at, meshes, models, runs, found = min(kept, key=lambda one: one[1]) if kept else min(tried, key=lambda one: one[0])
+    if changes and maps:
+        meshes = _searched(solids, meshes, changes)
+        models, runs = solids.ran(meshes)
+        found = _judged(problem, runs)
+        excess = _excess(found[1:], problem)
     optimiser = [design.objective, *(value for value, _ in design.limits.values())]
     uppers = [np.nan, *(limit.upper for limit, _ in problem.held)]
     columns = {"upper": uppers, "optimiser": optimiser, "solid": found}
@@ -124,6 +139,182 @@ def solid(
     return SolidDesign(at, meshes, models, runs, table, excess)
 
 
+class _Solids:
+    """Models of a design on meshes of solid cells, {plate: mesh}, and their runs."""
+
+    def __init__(self, design, build, maps):
+        self.problem, self.build, self.maps = design.problem, build, maps
+        self.setting = self.problem.setting(design.x, design.sharp)
+        self.sizes = {one.name: design.values[one.name] for one in self.problem.maps if isinstance(one, BuiltSizeMap)}
+
+    def model(self, case, meshes):
+        """The model of a case."""
+        function = self.build[case.name] if isinstance(self.build, Mapping) else self.build
+        model = function(**meshes, **{name: value for name, value in self.sizes.items() if name in case.arguments})
+        for one, x in zip(self.problem.maps, self.setting.parts):
+            model = model if isinstance(one, DensityMap) else one.applied(model, x, self.setting.sharp)
+        return model
+
+    def ran(self, meshes):
+        """({case: model}, {case: run})."""
+        models = {case.name: self.model(case, meshes) for case in self.problem.cases}
+        return models, {case.name: case.ran(models[case.name]) for case in self.problem.cases}
+
+    def evaluated(self, meshes):
+        """The Evaluation with slopes by the cells of these meshes, one after the other."""
+        problem = self.problem
+        alone = {name: 1e-3 * np.sqrt(mesh.cell_areas.min()) for name, mesh in meshes.items()}  # a radius that no other cell is in
+        cells = [Densities(name, radius, start=1.0) for name, radius in alone.items()]
+        cases = [Case(self.model(case, meshes), case.run, case.name) for case in problem.cases]
+        limits = [replace(limit, objective=_by_strain(limit.objective)) for limit in problem.limits]
+        solid = Problem(problem.objective, limits, cells, cases, problem.executor)
+        return solid.evaluate(solid.start, HOLE)
+
+
+def _by_strain(objective):
+    """The objective with the stress at the cell's strain: its value is the same, but removing the cell with the largest stress does not lower it."""
+    return replace(objective, power=0.0) if isinstance(objective, PeakStress) else objective
+
+
+def _searched(solids, meshes, changes):
+    """{plate: mesh} after at most this many steps of removing and adding cells."""
+    uppers = np.array([limit.upper for limit, _ in solids.problem.held])
+    edges, found = [_Edges(one) for one in solids.maps], solids.evaluated(meshes)
+    best = [one.cells(meshes[one.name]) for one in edges]
+    first, share, trust = abs(float(found.values[0])) or 1.0, FIRST, np.ones(len(uppers))
+    least = LEAST * max(one.areas.mean() for one in edges) / sum(one.areas[cells].sum() for one, cells in zip(edges, best))
+    spoiled = [np.zeros(len(one.areas), bool) for one in edges]  # cells whose change alone was no gain
+
+    def merit(found):
+        """Limits first: no gain of the objective makes up for an excess."""
+        return max(0.0, _excess(found.largest[1:], solids.problem) - MET), float(found.values[0])
+
+    for _ in range(changes):
+        step = _step(edges, best, found, spoiled, share, trust, uppers, first)
+        if step is None:
+            if not (trust > TRUST[0]).any():
+                break
+            trust = np.maximum(0.5 * trust, TRUST[0])
+            continue
+        flips, predicted = step
+        try:
+            meshes_there = {one.name: _solid_mesh(one.map, one.mask(cells) ^ flip, 0.5) for one, cells, flip in zip(edges, best, flips)}
+            there = solids.evaluated(meshes_there)
+        except InputError:  # a kept section would hang
+            there = None
+        if there is not None and not there.error:
+            real = (there.largest - found.largest)[1:] / np.abs(uppers)
+            ratio = np.divide(real, predicted, out=np.ones_like(real), where=np.abs(predicted) > 1e-3)
+            trust = np.clip(trust * np.clip(ratio, 0.5, 2.0), *TRUST)
+            if merit(there) < merit(found):
+                meshes, found, share = meshes_there, there, min(1.3 * share, FIRST)
+                best = [one.cells(meshes[one.name]) for one in edges]
+                spoiled = [np.zeros_like(one) for one in spoiled]
+                continue
+        share = max(0.6 * share, least)
+        if sum(flip.sum() for flip in flips) <= 2:
+            spoiled = [old | flip for old, flip in zip(spoiled, flips)]
+    return meshes
+
+
+def _step(edges, best, found, spoiled, share, trust, uppers, first):
+    """(cells to remove or add, a mask for each plate, predicted relative changes of the limits), or None if no step promises a gain."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    scale = np.divide(found.largest, found.values, out=np.ones_like(found.values), where=found.values != 0)
+    by_plate = np.split(
+        found.slopes * (scale / np.append(first, np.abs(uppers)))[:, None], np.cumsum([len(cells) for cells in best])[:-1], axis=1
+    )
+    may = [one.movable(one.mask(cells)) & ~no for one, cells, no in zip(edges, best, spoiled)]
+    parts = [one.changes(cells, slopes)[:, free] for one, cells, slopes, free in zip(edges, best, by_plate, may)]
+    slopes, areas = np.concatenate(parts, axis=1), np.concatenate([one.areas[free] for one, free in zip(edges, may)])
+    n, rows = len(areas), trust[:, None] * slopes[1:]
+    limits = np.column_stack([rows, -np.ones(len(rows))]), -np.inf, np.sign(uppers) - found.largest[1:] / np.abs(uppers)
+    budget = np.append(areas, 0.0)[None], -np.inf, share * sum(one.areas[cells].sum() for one, cells in zip(edges, best))
+    chosen = milp(
+        np.append(slopes[0], PRICE),  # the last unknown is the largest excess of a limit
+        integrality=np.append(np.ones(n), 0),
+        bounds=Bounds(0.0, np.append(np.ones(n), np.inf)),
+        constraints=[LinearConstraint(*one) for one in (limits, budget, (_pairs(edges, best, may), -np.inf, 1.0)) if one[0].shape[0]],
+        options={"mip_rel_gap": 1e-3, "node_limit": 2000},
+    )
+    flips = np.zeros(0, bool) if chosen.x is None else chosen.x[:n] > 0.5
+    if not flips.any():
+        return None
+    result = [np.zeros(len(free), bool) for free in may]
+    for one, free, flip in zip(result, may, np.split(flips, np.cumsum([free.sum() for free in may])[:-1])):
+        one[free] = flip
+    return result, rows @ flips
+
+
+def _pairs(edges, best, may):
+    """Rows of the pairs of neighbours that must not both be removed in one step: a member of two cells would be cut."""
+    from scipy.sparse import coo_array
+
+    count = sum(int(free.sum()) for free in may)
+    ends, begin = [], 0
+    for one, cells, free in zip(edges, best, may):
+        number, (a, b) = begin + np.cumsum(free) - 1, one.pairs
+        both = (free & one.mask(cells))[[a, b]].all(axis=0)
+        ends.append(number[[a[both], b[both]]])
+        begin += int(free.sum())
+    columns = np.concatenate(ends, axis=1)
+    rows = np.tile(np.arange(columns.shape[1]), 2)
+    return coo_array((np.ones(len(rows)), (rows, columns.ravel())), shape=(columns.shape[1], count + 1)).tocsr()
+
+
+class _Edges:
+    """The cells of a plate, those with a density, of which some are solid."""
+
+    def __init__(self, one):
+        from scipy.sparse import coo_array
+
+        self.map, self.name, self.areas, self.pairs = one, one.name, one.mesh.cell_areas, neighbours(one.mesh)
+        a, b = (np.concatenate(ends) for ends in (self.pairs, self.pairs[::-1]))
+        self.near = coo_array((np.ones(len(a)), (a, b)), shape=(len(self.areas), len(self.areas))).tocsr()
+        self.blur = density_filter(one.mesh, max(one.variable.radius, 2.0 * float(np.sqrt(self.areas.mean()))))  # over neighbours at least
+        self.outer = np.bincount(a, minlength=len(self.areas)) < np.diff(one.mesh.offsets)
+
+    def cells(self, solid):
+        """The cells of a solid mesh, in its order."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.map.mesh.cell_centroids).query(solid.cell_centroids)[1]
+
+    def mask(self, cells):
+        """True for these cells."""
+        result = np.zeros(len(self.areas), bool)
+        result[cells] = True
+        return result
+
+    def movable(self, solid):
+        """Mask of the free cells at edges; of solid ones if their solid neighbours are connected without them."""
+        from scipy.sparse.csgraph import connected_components
+
+        a, b = self.pairs
+        beside, result = solid[a] != solid[b], self.outer & solid
+        result[a[beside]] = result[b[beside]] = True
+        result &= self.map.free
+        for k in np.flatnonzero(result & solid):
+            around = self.near.indices[slice(*self.near.indptr[k : k + 2])]
+            around = around[solid[around]]
+            result[k] = len(around) > 0 and connected_components(self.near[around][:, around], directed=False)[0] == 1
+        return result
+
+    def changes(self, cells, slopes):
+        """Predicted changes (rows, all cells) by flipping each cell, from slopes (rows, solid cells); of cells that are not solid by their neighbours'."""
+        solid, dense = self.mask(cells), np.zeros((len(slopes), len(self.areas)))
+        dense[:, cells] = slopes / self.areas[cells]
+        smooth = (self.blur @ dense.T).T / np.maximum(self.blur @ solid.astype(float), 1e-9)
+        return np.where(solid, -0.5 * (dense + smooth), smooth) * self.areas
+
+
+def _solid_mesh(one, rho, at):
+    """The mesh of the cells of a DensityMap with a density of at least `at`."""
+    with warnings.catch_warnings(action="ignore", category=MeshWarning):
+        return threshold(one.mesh, np.asarray(rho, float), at, one.variable.keep, hanging="leave out")
+
+
 def _judged(problem, runs):
     """The objective and the values of the limits of runs by the cases' names."""
     return np.array(
@@ -131,91 +322,6 @@ def _judged(problem, runs):
     )
 
 
-def _excess(found, problem):
-    return max([(value - limit.upper) / abs(limit.upper) for value, (limit, _) in zip(found[1:], problem.held)], default=0.0)
-
-
-@named_keywords
-def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable[str] = (), hanging: str = "raise") -> PolygonMesh:
-    """Return the mesh of the cells with a density of at least `at`, to analyse the design.
-
-    Sections, supports and loads keep their names and the nodes that remain. Nodes and cells are renumbered.
-
-    Parameters
-    ----------
-    mesh : PolygonMesh
-    rho : (n_cells,) float
-    at : float
-    keep : str or iterable of str
-        Sections whose cells remain whatever their density, so that these sections do not change.
-    hanging : "raise" or "leave out"
-        For pieces that share no edge with the largest piece: raise an InputError that lists them, or leave them out with a MeshWarning.
-
-    Returns
-    -------
-    PolygonMesh
-        The solid cells.
-
-    Raises
-    ------
-    InputError
-        For wrong values, an unknown section, no solid cell, hanging pieces, or a section of `keep` on a hanging piece.
-    """
-    if not isinstance(mesh, PolygonMesh):
-        raise InputError(f"threshold: mesh is {type(mesh).__name__}, a polyida mesh is needed")
-    density = floats(rho)
-    if density is None or density.shape != (mesh.n_cells,):
-        raise InputError(f"threshold: rho is {repr(rho)[:80]}; it must be {mesh.n_cells} finite numbers, one a cell")
-    if not is_number(at):
-        raise InputError(f"threshold: at = {at!r} must be a finite number")
-    if not is_one_of(hanging, ("raise", "leave out")):
-        raise InputError(f"threshold: hanging = {hanging!r} must be 'raise' or 'leave out'")
-    cell, cells_of_section = topology.corner_cells(mesh.offsets), cells_along("threshold", mesh, keep)
-    solid = density >= at
-    for cells in cells_of_section.values():
-        solid[cells] = True
-    if not solid.any():
-        raise InputError(f"threshold: no cell has a density of at least {at:g}; the largest is {density.max():.6g}")
-    solid = _main_piece(mesh, solid, cells_of_section, hanging)
-    used, nodes = np.unique(mesh.nodes[solid[cell]], return_inverse=True)
-    offsets = np.concatenate([[0], np.cumsum(np.diff(mesh.offsets)[solid])])
-    points, nodes, offsets, number = topology.renumber(mesh.points[used], nodes, offsets)
-    new = np.full(mesh.n_nodes, -1)
-    new[used] = number
-    named = {name: np.sort(rest) for name, old in mesh.sections.items() if (rest := new[old][new[old] >= 0]).size}
-    at_nodes = [{int(new[node]): pair for node, pair in pairs.items() if new[node] >= 0} for pairs in (mesh.supports, mesh.loads)]
-    return PolygonMesh(points, nodes, offsets, named, *at_nodes)
-
-
-def _main_piece(mesh, solid, cells_of_section, hanging, most=5):
-    """Mask of the solid cells of the largest piece connected by edges; InputError or a MeshWarning lists at most `most` other pieces."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    pairs = np.sort(topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64), axis=1) @ [mesh.n_nodes, 1]
-    cell = topology.corner_cells(mesh.offsets)[order := np.argsort(pairs, kind="stable")]
-    shared = np.flatnonzero(np.diff(pairs[order]) == 0)
-    a, b = cell[shared], cell[shared + 1]
-    both = solid[a] & solid[b]
-    graph = coo_array((np.ones(both.sum()), (a[both], b[both])), shape=(mesh.n_cells, mesh.n_cells))
-    label = connected_components(graph, directed=False)[1]
-    piece = np.full(mesh.n_cells, -1)  # number of the piece of each solid cell
-    piece[solid] = np.unique(label[solid], return_inverse=True)[1]
-    area = np.bincount(piece[solid], weights=mesh.cell_areas[solid])
-    main = int(np.argmax(area))
-    if len(area) == 1:
-        return solid
-    for name, cells in cells_of_section.items():
-        if (piece[cells] != main).any():
-            raise InputError(f"threshold: section {name!r}, which is to be kept, is not connected to the largest piece")
-    others, words = [k for k in np.argsort(-area) if k != main], []
-    for k in others[:most]:
-        cells = np.flatnonzero(piece == k)
-        x, y = np.average(mesh.cell_centroids[cells], axis=0, weights=mesh.cell_areas[cells])
-        words.append(f"{len(cells)} cell{'s' * (len(cells) > 1)} around ({x:.4g}, {y:.4g})")
-    more = f" and {len(others) - most} more" if len(others) > most else ""
-    listed = f"{len(others)} hanging piece{'s' * (len(others) > 1)}, {'; '.join(words)}{more}"
-    if hanging == "raise":
-        raise InputError(f"threshold: {listed}; a lower `at` may join them, hanging='leave out' leaves them out")
-    warnings.warn(f"threshold: left out: {listed}", MeshWarning, stacklevel=4)
-    return piece == main
+def _excess(values, problem):
+    """Largest relative excess of the limits, negative if all are kept."""
+    return max([(value - limit.upper) / abs(limit.upper) for value, (limit, _) in zip(values, problem.held)], default=0.0)

@@ -5,14 +5,17 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import polyida as pi
 from designed_in_motion.machines import KEPT, MACHINES
+from polyida.design.solid import KEPT as KEPT_SOLID
 
 ARM = replace(MACHINES["arm"], radius=0.05)  # of the filter, m, the same for all meshes
 UPPER = {"Deviation tip": 4e-5, "PeakTorque arm motor": 80.0, "PeakStress arm": 1e6}  # m2, N m, Pa
 LOADS = {"tip load": ((0.0, -1.0), (0.0, 0.0)), "tip load and weight": ((0.0, -1.0), (0.0, -1.0))}  # N, m/s2
-VOLUMES = (0.4, 0.45, 0.5, 0.55, 0.6)  # of static designs
+VOLUMES = (0.4, 0.45, 0.475, 0.5, 0.525, 0.55, 0.6)  # of static designs
+CHANGES = {"full": 150, "short": 20}  # of solid designs, at most
 STAGE = pi.design.Stage
 REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0), STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))
 HARDER = (STAGE(16, 20.0, 32.0),)  # of static designs that are not moved
@@ -65,6 +68,24 @@ def quietly(*arguments):
         return pi.design.minimise(*arguments)
 
 
+def judged(design, effort="short", changes=0, mesh=None):
+    """The SolidDesign by the limits of the motion: of a level, or on a mesh."""
+    others = OTHERS if effort == "full" else {"smaller steps": OTHERS["smaller steps"]}
+    solid = pi.design.solid(
+        design,
+        lambda arm: ARM.scene([arm if mesh is None else mesh]).build(),
+        others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
+        changes=changes,
+        **({} if mesh is None else {"levels": [0.0]}),
+    )
+    return solid if mesh is None else replace(solid, meshes={"arm": mesh})
+
+
+def nearest(mesh, solid):
+    """The numbers of the cells of a solid mesh in the mesh that it was taken from."""
+    return cKDTree(mesh.cell_centroids).query(solid.cell_centroids)[1].tolist()
+
+
 def row(cells, way, effort, load="tip load and weight", volume=0.5):
     """One row: a design in motion that begins with the static one of a load and volume, or that static design itself."""
     mesh, begun = ARM.mesh(cells), (time.perf_counter(), time.process_time())
@@ -88,13 +109,14 @@ def row(cells, way, effort, load="tip load and weight", volume=0.5):
         found = moving.evaluate(rest.x, rest.sharp)
         kept = {label: (float(value), limit.upper) for label, value, (limit, _) in zip(moving.labels, found.largest[1:], moving.held)}
         design, excesses = replace(rest, problem=moving, objective=float(found.values[0]), limits=kept), []
+    if way == "in motion":
+        solid = judged(design, effort, changes=CHANGES[effort])
+    else:  # by a density, or moved on by cells to less compliance at its mass
+        force, gravity = LOADS[load]
+        still = pi.design.solid(rest, lambda arm: ARM.scene([arm], gravity=gravity, load=force).build(), changes=CHANGES[effort])
+        both = judged(design), judged(design, mesh=still.meshes["arm"])
+        solid = min(both, key=lambda one: (max(one.excess, KEPT_SOLID), one.table.loc["objective", "solid"]))
     spent = time.perf_counter() - begun[0], time.process_time() - begun[1]
-    others = OTHERS if effort == "full" and way == "in motion" else {"smaller steps": OTHERS["smaller steps"]}
-    solid = pi.design.solid(
-        design,
-        lambda arm: ARM.scene([arm]).build(),
-        others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
-    )
     names = dict(zip(solid.table.index, ("mass", "deviation", "torque", "stress")))
     rho = np.asarray(design.values["arm"])
     return {
@@ -107,6 +129,7 @@ def row(cells, way, effort, load="tip load and weight", volume=0.5):
         "excesses": excesses,
         "stages": stages[:-1],
         "rho": rho.tolist(),
+        "solid": nearest(mesh, solid.meshes["arm"]),
         "wall_s": spent[0],
         "cpu_s": spent[1],
         "message": design.message,

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 import polyida as pi
+from least_weight.arm import nearest
 
 SIZE, ARM, TIP = 1.0, 0.4, 0.08  # m: of the bracket, width of its arms, length of the edge that carries the load
 LOAD, RADIUS = 1e3, 0.05  # N, m
@@ -46,7 +47,7 @@ def row(cells, effort):
     variable = pi.design.Densities("bracket", RADIUS, ("top", "tip"), 0.9, void=1e-4)
     case, limit = pi.design.Case(build(mesh), at_rest), pi.objective.Limit(stress, UPPER)
     design = pi.design.minimise(pi.objective.Mass(), [limit], [variable], case, SHORT if effort == "short" else STAGES)
-    solid = pi.design.solid(design, build)
+    solid = pi.design.solid(design, build, changes=10 if effort == "short" else 100)
     whole = pi.objective.Mass()(at_rest(build(mesh)))
     return {
         "start_stress": stress.largest(at_rest(build(mesh))),
@@ -55,6 +56,7 @@ def row(cells, effort):
         "excess": solid.excess,
         "at": solid.at,
         "rho": design.values["bracket"].tolist(),
+        "solid": nearest(mesh, solid.meshes["bracket"]),
         "history": design.history["objective"].tolist(),
         "excesses": design.history["excess"].tolist(),
         "message": design.message,

@@ -213,3 +213,31 @@ def test_a_solid_design_is_run_again():
     assert str(again.at) in repr(again)
     with pytest.raises(pi.InputError, match="no level gives a design that runs"):
         pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), levels=[2.0])
+
+
+def test_a_solid_design_moves_its_edges_to_its_limits():
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=120, seed=1)
+    limit = pi.objective.Limit(pi.objective.PeakStress("arm", p=12), 8.0 * pi.objective.PeakStress("arm").largest(at_rest(arm())))
+    limits = [pi.objective.Limit(COMPLIANCE, 2.0 * START), limit]
+    densities = pi.design.Densities("arm", 0.05, keep=("left", "right"), start=0.9)
+    case, stages = pi.design.Case(arm(mesh=mesh), at_rest), [pi.design.Stage(10, q=3.0), pi.design.Stage(6, q=6.0, beta=8.0)]
+    design = pi.design.minimise(MASS, limits, [densities], case, stages)
+    by_level, moved = (pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=n) for n in (0, 60))
+    slack = np.array([one.table["solid"] / one.table["upper"] for one in (by_level, moved)])[:, 1:]
+    assert slack[0].max() < 0.97 and 0.97 < slack[1].max() <= 1.005  # levels leave some of the limits, the search uses it
+    assert moved.table.loc["objective", "solid"] < 0.95 * by_level.table.loc["objective", "solid"]
+    assert moved.meshes["arm"].quality().pieces == 1 and moved.meshes["arm"].section("right").length == pytest.approx(0.25)
+    assert moved.table.loc["Compliance", "solid"] == pytest.approx(COMPLIANCE(moved.runs["run"]), rel=1e-12)
+    with pytest.raises(pi.InputError, match="changes = -1 must be a whole number of at least 0"):
+        pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=-1)
+
+
+def test_a_solid_design_that_exceeds_its_limits_is_mended():
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=120, seed=1)
+    x, y = mesh.cell_centroids.T
+    hole = (np.abs(y) < 0.08) & (x > 0.1) & (x < 0.7)
+    limits, densities = [pi.objective.Limit(COMPLIANCE, 1.3 * START)], pi.design.Densities("arm", 1e-3, keep=("left", "right"))
+    problem = pi.design.Problem(MASS, limits, [densities], pi.design.Case(arm(mesh=mesh), at_rest))
+    design = pi.design.Design(problem, 1.0 - hole, pi.design.Sharpness(), 0.0, {"Compliance": (0.0, 1.3 * START)}, True, "", None)
+    by_level, mended = (pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=n) for n in (0, 150))
+    assert by_level.excess > 0.1 and mended.excess <= 0.005

@@ -171,6 +171,7 @@ def weighed(task):
         "history": [1.0, 0.9],
         "stages": [],
         "rho": np.minimum(rho, 1.0).tolist(),
+        "solid": list(range(len(rho))),
     }
     found |= {"share": 0.5, "start_stress": 1.0}
     return costs | values | found
