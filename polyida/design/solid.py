@@ -75,7 +75,8 @@ def solid(
 ) -> SolidDesign:
     """Return the design on meshes of its solid cells: the lightest, by the objective, of those that keep the limits within 3 %.
 
-    With `changes` a search begins there: cells at the edges are removed and added until the limits, within half a per cent, forbid a lighter design.
+    With `changes` a search begins there: cells at the edges are removed and added, limits first (within half a per cent), until no small
+    change that it tries is better. The result is a local optimum.
 
     Parameters
     ----------
