@@ -29,9 +29,9 @@ class Border(NamedTuple):
     """The pattern of a system.
 
     active: components with an unknown w. points: of body n from point_start[n] on. block: index at which the matrix of each body begins; it is
-    square, of 2 components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and
-    column_start[n] on; their entries begin at row_entry and column_entry and have components within the body and slots. into: where the values of each pair of row and column of a body are, from
-    into_start on.
+    square, of 2 components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and column_start[n] on; their
+    entries begin at row_entry and column_entry and have components within the body and slots. into: where the values of each pair of row
+    and column of a body are, from into_start on.
     """
 
     elimination: Elimination

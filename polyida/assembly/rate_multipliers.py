@@ -4,9 +4,10 @@ Points of the bodies are z = A q; B = Bz A is phi_q, and v = q' + B^T mu. For a 
 
     S dq + B^T dlam + (c M + C) B^T dmu = -r,    B dq = -r3,    c B dq + B B^T dmu = -r4
 
-Newton's matrix also has `H = d(B v + phi_t)/dq` in the last row. Beside c B it is of the size of the angle by which bodies turn in a step, as are
-the differences of B between the stages. One sweep over the rows therefore takes as many Newton iterations as the whole matrix: dmu from
-`B B^T dmu = c r3 - r4`, whose factor is real and the same for all c, then dq and dlam (corotated.py), then dmu again with H dq in its right side.
+Newton's matrix also has `H = d(B v + phi_t)/dq` in the last row. Beside c B it is of the size of the angle by which bodies turn in a step,
+as are the differences of B between the stages, which Newton's method neglects too. One sweep over the rows is therefore enough: dmu from
+`B B^T dmu = c r3 - r4`, whose factor is real and the same for all c, then dq and dlam (corotated.py), then dmu again with H dq in its
+right side.
 """
 
 from typing import NamedTuple
@@ -23,8 +24,8 @@ from polyida.jit import pack, part
 class RateMultipliers(NamedTuple):
     """The system of mu, and the pairs of q on which (c M + C) B^T mu acts.
 
-    border, workspace: of `B B^T`, with mu as the only unknowns. rates: slopes of B v + phi_t. start, pairs: numbers of the pairs on which M A^T and C A^T of point f
-    act, from start[f] on; mass (., 2): M A^T there, complex.
+    border, workspace: of `B B^T`, with mu as the only unknowns. rates: slopes of B v + phi_t. start, pairs: numbers of the pairs on which
+    M A^T and C A^T of point f act, from start[f] on; mass (., 2): M A^T there, complex.
     """
 
     border: Border

@@ -93,7 +93,7 @@ def condition_number(
 
     Higham, Tisseur, SIAM J. Matrix Anal. Appl. 21 (2000) 1185-1201, for the estimate.
     """
-    with one_blas_thread():  # two threads take 20 times as long for 100 unknowns
+    with one_blas_thread():  # a second thread costs more than it saves in small matrices
         return condition(iteration_matrix(model, integrator, state, scaling, unknown, h, mode), exact)
 
 

@@ -168,6 +168,16 @@ def test_a_point_slides_off_a_tilted_box():
     assert np.abs(ways[0] - ways[1])[on].max() < 1e-9 and ways[0][-1, 1] < ways[1][-1, 1] - 0.1
 
 
+def require_clean_hit(model):
+    """Nothing acts from outside: momenta stay, energy does not grow, and no mean gap is negative."""
+    run = pi.solve(model, 0.06, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5, tolerance=1e-8))
+    assert run.success and run.events, run.message
+    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-6 * np.abs(run.momentum[0]).max()
+    assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
+    rows = model.rows["hit"]
+    assert min(model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-11
+
+
 @pytest.mark.parametrize("rigid_first", [True, False])
 def test_a_plate_hits_a_rigid_box(rigid_first):
     """Either may be the first side: momentum stays, no gap is negative at its nodes, and energy does not grow."""
@@ -176,12 +186,7 @@ def test_a_plate_hits_a_rigid_box(rigid_first):
     sides = high.edges("a", "b"), low.section("top")
     scene.add(pi.Contact(*sides[:: 1 if rigid_first else -1], friction=0.3, name="hit"))
     model = scene.build()
-    run = pi.solve(model, 0.06, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5, tolerance=1e-8))
-    assert run.success and run.events, run.message
-    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-6 * np.abs(run.momentum[0]).max()
-    assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
-    rows = model.rows["hit"]
-    assert min(model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-11
+    require_clean_hit(model)
 
 
 def test_edges_of_bodies_in_files_and_wrong_ones():
@@ -260,12 +265,7 @@ def test_a_rigid_or_reduced_plate_hits_a_plate(kind):
     high = scene.add(pi.Rigid(high) if kind is pi.Rigid else pi.Reduced(high, modes=12))
     scene.add(pi.Contact(high.section("bottom"), low.section("top"), friction=0.3, name="hit"))
     model = scene.build()
-    run = pi.solve(model, 0.06, pi.NonsmoothAlpha(h=5e-4, rho_inf=0.5, tolerance=1e-8))
-    assert run.success and run.events, run.message
-    assert np.abs(run.momentum - run.momentum[0]).max() < 1e-6 * np.abs(run.momentum[0]).max()
-    assert np.diff(run.energy.total).max() < 2e-4 * run.energy.total[0]
-    rows = model.rows["hit"]
-    assert min(model.phi(t, q)[rows][::2].min() for t, q in zip(run.t, run.q)) > -1e-11
+    require_clean_hit(model)
     parts, _ = from_data(*to_data(model)[:2])
     assert parts["hit"].edges.edges.shape == (1 if kind is pi.Rigid else 4, 2)
 
