@@ -6,9 +6,9 @@ that keep a body rigid do not enter the norm.
 
 **Proof.** B are the rows of phi_q with unit length, columns in units of the coordinates' sizes, G = B B^T, s the least singular value of B:
 `s >= tr(G^-1)^(-1/2)`. If B changes by D, no singular value changes by more than the spectral norm |D|. With the bound s_0 at a reference state,
-rows are independent while `|B - B_0| < s_0 / 2`. Beyond this the state becomes the reference, if s_0 + s_1 exceeds the distance, or if
+rows are independent while `|B - B_0| < s_0`. Beyond this the state becomes the reference, if s_0 + s_1 exceeds the distance, or if
 `det(B_0 B_1^T)` shows that the row space has not returned reversed. With rows in an order of small bandwidth k (Cuthill, McKee 1969) factors
-cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (Takahashi 1973).
+cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (Takahashi 1973). If G - c^2 I has positive pivots, s > c.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,8 @@ UNIQUE = 1e-8  # coefficients of a dependence that count as zero
 ROUNDS = 20  # Newton steps back onto the independent rows
 NAMED = 6  # rows that a message names
 CLOSE = 1e-5  # least singular value that proves independence
-SHARE = 0.5  # of the bound of the least singular value: change of the rows that needs no new bound
+SHARE = 0.9  # of the bound: change of the rows that needs no new one; ZERO of a singular position is at most (1 - SHARE) CLOSE
+RISE = 1.02  # factor of the bound, by which it approaches the least singular value from state to state
 REVERSED = 0.5  # least cosine between the row spaces of two states
 
 
@@ -147,10 +148,8 @@ class ProofWorkspace(NamedTuple):
     points: np.ndarray  # (points, 2)
     row: np.ndarray  # (n,)
     band: np.ndarray  # (m, 2 k + 1) products of rows with those up to k before and after
-    lower: np.ndarray  # (m, k + 1) factors of G
     inverse: np.ndarray  # (m, k + 1) entries of G^-1
     least: np.ndarray  # (1,) bound of the least singular value at the reference state
-    volume: np.ndarray  # (1,) half of log det G there
     past: np.ndarray  # (2, 1 + n) t and q of the reference state, and of the one before
 
 
@@ -221,13 +220,13 @@ def fill_rows(u, links, drives, times, at, q, w):
 
 
 @part
-def fill_band(u, x, y, w):
-    """The products of unit rows x with rows y within the band."""
+def fill_band(u, x, y, below, w):
+    """The products of unit rows x with rows y within the band, for each row of x with as many rows before it as `below`."""
     m, k = w.band.shape[0], w.band.shape[1] // 2
     for i in range(m):
         for e in range(u.start[i], u.start[i + 1]):
             w.row[u.columns[e]] = x[e]
-        for j in range(max(0, i - k), min(m, i + k + 1)):
+        for j in range(max(0, i - below), min(m, i + k + 1)):
             product = 0.0
             for e in range(u.start[j], u.start[j + 1]):
                 product += w.row[u.columns[e]] * y[e]
@@ -237,47 +236,63 @@ def fill_band(u, x, y, w):
 
 
 @part
-def bound(u, w):
-    """(lower bound of the least singular value of the rows examined, half of log det G); (0, -inf) if G is not positive definite."""
-    fill_band(u, w.rows[1], w.rows[1], w)
-    m, k, low, inverse = w.band.shape[0], w.band.shape[1] // 2, w.lower, w.inverse
-    volume = 0.0
-    for i in range(m):  # G = L D L^T: low[i, i - j] is L_ij, low[i, 0] is D_i
-        for j in range(max(0, i - k), i + 1):
-            value = w.band[i, j - i + k]
-            for e in range(max(0, i - k, j - k), j):
-                value -= low[i, i - e] * low[e, 0] * low[j, j - e]
-            low[i, i - j] = value / low[j, 0] if j < i else value
-        if not low[i, 0] > 0.0:
-            return 0.0, -np.inf
-        volume += 0.5 * np.log(low[i, 0])
-    trace = 0.0
-    for i in range(m - 1, -1, -1):  # inverse[i, j - i] is (G^-1)_ij, j >= i
-        last = min(m - 1, i + k)
-        for j in range(last, i - 1, -1):
-            value = 1.0 / low[i, 0] if j == i else 0.0
-            for e in range(i + 1, last + 1):
-                value -= low[e, e - i] * inverse[min(e, j), abs(e - j)]
-            inverse[i, j - i] = value
-        trace += inverse[i, 0]
-    return 1.0 / np.sqrt(trace), volume
+def eliminate(w, symmetric, shift):
+    """Eliminate w.band - shift I without pivoting, its upper half if it is symmetric; False if a pivot is not positive."""
+    m, k = w.band.shape[0], w.band.shape[1] // 2
+    for i in range(m):
+        w.band[i, k] -= shift
+        if not w.band[i, k] > CLOSE * CLOSE:
+            return False
+        last = min(m, i + k + 1)
+        for j in range(i + 1, last):
+            share = (w.band[i, j - i + k] if symmetric else w.band[j, i - j + k]) / w.band[i, k]
+            for e in range(j if symmetric else i + 1, last):
+                w.band[j, e - j + k] -= share * w.band[i, e - i + k]
+    return True
 
 
 @part
-def same_side(u, w, volume):
-    """True if elimination without pivoting proves that the row space has not turned far."""
-    fill_band(u, w.rows[0], w.rows[1], w)
-    m, k, turned = w.band.shape[0], w.band.shape[1] // 2, -w.volume[0] - volume
-    for i in range(m):
-        pivot = w.band[i, k]
-        if not pivot > CLOSE * CLOSE:
-            return False
-        turned += np.log(pivot)
-        for j in range(i + 1, min(m, i + k + 1)):
-            share = w.band[j, i - j + k] / pivot
-            for e in range(i + 1, min(m, i + k + 1)):
-                w.band[j, e - j + k] -= share * w.band[i, e - i + k]
-    return turned >= np.log(REVERSED)
+def exceeds(u, size, w):
+    """True if the least singular value of the rows examined is larger than `size`: G - size^2 I is positive definite."""
+    fill_band(u, w.rows[1], w.rows[1], 0, w)
+    return eliminate(w, True, size * size)
+
+
+@part
+def bound(u, w):
+    """A lower bound of the least singular value of the rows examined, 0 if G is not positive definite."""
+    if not exceeds(u, 0.0, w):
+        return 0.0
+    m, k, inverse, trace = w.band.shape[0], w.band.shape[1] // 2, w.inverse, 0.0
+    for i in range(m - 1, -1, -1):  # inverse[i, j - i] is (G^-1)_ij, j >= i
+        last, pivot = min(m - 1, i + k), w.band[i, k]
+        for j in range(last, i - 1, -1):
+            value = 1.0 if j == i else 0.0
+            for e in range(i + 1, last + 1):
+                value -= w.band[i, e - i + k] * inverse[min(e, j), abs(e - j)]
+            inverse[i, j - i] = value / pivot
+        trace += inverse[i, 0]
+    return 1.0 / np.sqrt(trace)
+
+
+@part
+def log_determinant(u, x, y, w):
+    """log det of the products of unit rows x with rows y; -inf if elimination without pivoting has a pivot that is not positive."""
+    k, total = w.band.shape[1] // 2, 0.0
+    fill_band(u, x, y, k, w)
+    if not eliminate(w, False, 0.0):
+        return -np.inf
+    for i in range(w.band.shape[0]):
+        total += np.log(w.band[i, k])
+    return total
+
+
+@part
+def same_side(u, w):
+    """True if elimination without pivoting proves that the row space has not turned far since the reference state."""
+    before, after = w.rows[0], w.rows[1]
+    volumes = 0.5 * (log_determinant(u, before, before, w) + log_determinant(u, after, after, w))
+    return log_determinant(u, before, after, w) - volumes >= np.log(REVERSED)
 
 
 @part
@@ -300,36 +315,40 @@ def distance(u, w):
 
 
 @part
-def refer(t, q, size, volume, w):
-    """Make the state examined the reference."""
-    w.least[0], w.volume[0] = size, volume
-    w.rows[0] = w.rows[1]
-    w.past[1] = w.past[0]
-    w.past[0, 0] = t
-    w.past[0, 1:] = q
+def refer(t, q, size, w):
+    """Make the state examined the reference, with this bound of its least singular value."""
+    w.least[0] = size
+    for e in range(w.rows.shape[1]):
+        w.rows[0, e] = w.rows[1, e]
+    for i in range(w.past.shape[1]):
+        w.past[1, i] = w.past[0, i]
+        w.past[0, i] = q[i - 1] if i else t
 
 
 @entry
 def begin(u, links, drives, times, q, w):
     """Make a state at the only one of the times the reference; return True if its rows are proven independent."""
     fill_rows(u, links, drives, times, 0, q, w)
-    size, volume = bound(u, w)
-    refer(times[0], q, size, volume, w)
-    return size > CLOSE
+    refer(times[0], q, bound(u, w), w)
+    return w.least[0] > CLOSE
 
 
 @entry
 def unproven(u, links, drives, times, qs, first, w):
-    """The first of the states (count,), from number `first` on, without proof; their number if there is none."""
+    """The first of the states (count,), from number `first` on, without proof; their number if there is none.
+
+    Factors alone show that the least singular value exceeds the reference's bound, and make the bound larger; the trace costs more.
+    """
     for k in range(first, qs.shape[0]):
         fill_rows(u, links, drives, times, k, qs[k], w)
-        way = distance(u, w)
+        way, size = distance(u, w), RISE * w.least[0]
         if way < SHARE * w.least[0]:
             continue
-        size, volume = bound(u, w)
-        if not (size > CLOSE and (way < w.least[0] + size or same_side(u, w, volume))):
-            return k
-        refer(times[k], qs[k], size, volume, w)
+        if not (way < w.least[0] + size and exceeds(u, size, w)):
+            size = bound(u, w)
+            if not (size > CLOSE and (way < w.least[0] + size or same_side(u, w))):
+                return k
+        refer(times[k], qs[k], size, w)
     return qs.shape[0]
 
 
@@ -345,7 +364,7 @@ class UnitRows:
             self.sizes = coordinate_sizes(model, state.q)
             self.pattern, k, slopes, self.links, points = dense_pattern(model, self.sizes), m - 1, m * n, None, 0
             self.drives = np.array([compiled.addresses["phi_q"], compiled.data])
-        shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 1, 1, (2, 1 + n)
+        shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), 1, (2, 1 + n)
         self.workspace = ProofWorkspace(*map(np.zeros, shapes))
         self.workspace.past[:] = state.t, *state.q
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.independence import UnitRows
+from polyida.assembly.independence import SHARE, UnitRows
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
@@ -69,8 +69,10 @@ def test_a_state_keeps_the_reference_only_if_the_spectral_norm_of_the_change_all
         rows = rows_of(model.phi_q(1.0, q), sizes)
         change = dense(rows.phi_q) / rows.lengths[:, None] - dense(first.phi_q) / first.lengths[:, None]
         if proof.workspace.past[0, 0] == 0.0:
-            limit = 0.5 * proof.workspace.least[0]
+            limit = SHARE * proof.workspace.least[0]
             assert np.linalg.norm(change, 2) < limit
             kept["all"] += 1
             kept["by the spectral norm alone"] += np.linalg.norm(change) > limit
+        else:
+            assert 0.0 < proof.workspace.least[0] <= least(rows) * (1 + 1e-6)
     assert kept["by the spectral norm alone"] > 0 and kept["all"] < 30
