@@ -174,22 +174,34 @@ def _from_first(body, nodes):
 
 
 def of_section(body, section, name):
-    """Return the mean of a section by its weights w, with `w'_i = w_i (eta_i - mean) / sum w (eta - mean)^2`, eta along its main axis.
+    """Return the mean of a section, `sum w_i x_i`, and its direction: `int eta x ds / int eta^2 ds` of the field that is linear along its edges.
 
-    The main axis is that of the largest second moment, towards growing x or y; the x axis if both moments are equal up to round-off.
+    eta is the distance from the mean along the main axis: that of the largest second moment, towards growing x or y; the x axis if both moments are
+    equal up to round-off. Sums over nodes in place of the integrals would weigh the warping of a section with an error of its edges' length squared.
     """
     nodes, weights = np.asarray(section.nodes, np.int32), np.asarray(section.weights, float)
     if len(nodes) == 1:
         return of_node(body, int(nodes[0]))
-    offset = _from_first(body, nodes)
-    offset = offset - weights @ offset
-    sizes, axes = np.linalg.eigh((weights[:, None] * offset).T @ offset)
+    offset, edges = _from_first(body, nodes), edges_within(body.mesh, nodes)
+    offset, order = offset - weights @ offset, np.argsort(nodes)
+    ends = order[np.searchsorted(nodes, edges, sorter=order)]
+    sixth = np.linalg.norm(offset[ends[:, 1]] - offset[ends[:, 0]], axis=1)[:, None] / 6.0
+
+    def integrals(x):
+        """Of the nodes' shape functions times x."""
+        return (
+            np.bincount(ends.ravel(), (sixth * (x[ends] + x[ends].sum(axis=1, keepdims=True))).ravel(), len(x))
+            if len(ends)
+            else weights * x
+        )
+
+    moments = offset.T @ np.stack([integrals(x) for x in offset.T], axis=1)
+    sizes, axes = np.linalg.eigh(0.5 * (moments + moments.T))
     axis = axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
     eta = offset @ (np.array([1.0, 0.0]) if sizes[0] > (1.0 - ROUND) * sizes[1] else axis)
-    eta = eta - weights @ eta
-    moment = weights @ eta**2
-    turn = weights * eta / moment if moment > 0 else None
-    return Attachment(body, nodes, weights, None if turn is None else turn - turn.mean(), section.length, name)
+    turn = integrals(eta - weights @ eta)
+    turn, moment = turn - weights * turn.sum(), turn @ eta
+    return Attachment(body, nodes, weights, turn / moment if moment > 0 else None, section.length, name)
 
 
 def labelled(kind, name):

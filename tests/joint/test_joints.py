@@ -153,6 +153,20 @@ def test_hole_rims(scenes):
         assert np.allclose(pi.RigidBody.from_mesh(link.mesh, link.material, 0.01).at(f"hole {hole}").point, place, atol=1e-15)
 
 
+def test_directions_are_integrals_of_the_linear_field_along_the_edges(scenes):
+    """By three points of Gauss for each edge, of any field, on edges of unequal lengths; sums over nodes differ in the second digit."""
+    place, weight = np.polynomial.legendre.leggauss(3)
+    plate = scenes.plate("plate", mesh=pi.mesh.polygonize(pi.mesh.Rectangle(1.0, 0.4), cells=30, seed=4), angle=0.7)
+    for name in ("left", "top"):
+        side = plate.section(name)
+        s = (plate.placed.points[side.nodes] - side.point) @ side.direction
+        u, order = np.random.default_rng(5).standard_normal(len(s)), np.argsort(s)
+        s, ends = s[order], u[order]
+        at = 0.5 * (s[1:] + s[:-1])[:, None] + 0.5 * np.diff(s)[:, None] * place
+        ds, field = 0.5 * np.diff(s)[:, None] * weight, np.interp(at, s, ends)
+        assert np.ptp(np.diff(s)) > 1e-3 and side.turn_weights @ u == pytest.approx((ds * at * field).sum() / (ds * at**2).sum(), rel=1e-12)
+
+
 def test_a_loop_of_links_that_is_drawn_exactly_closes(scenes):
     """The pin of each link is where its hole is, so a rhombus needs no `assemble`; a constant traction on a rim pulls at all of it evenly."""
     mesh, scene = pi.mesh.polygonize(pi.mesh.Link(1.0, 0.2, 0.05), cells=60, seed=2), pi.Scene()
