@@ -63,6 +63,7 @@ class Links(NamedTuple):
     point_nodes: np.ndarray
     point_weights: np.ndarray  # (., 2) complex weights of pairs of q
     point_mass: np.ndarray  # kg
+    point_turns: np.ndarray  # True for directions: slopes of force elements on them turn with the body
     gravity: np.ndarray  # (2,) steady gravity, m/s^2
     row_constant: np.ndarray
     row_start: np.ndarray  # starts of the rows in row_columns and row_slopes

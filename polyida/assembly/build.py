@@ -156,7 +156,7 @@ class Points:
 
     def __init__(self, places):
         self._places, self._numbers = places, {}
-        self.nodes, self.weights, self.mass = [], [], []
+        self.nodes, self.weights, self.mass, self.turns = [], [], [], []
 
     def add(self, attachment, part="point"):
         """Number of the point ("point") or direction ("direction") of an attachment."""
@@ -169,6 +169,7 @@ class Points:
             self.nodes.append(pairs)
             self.weights.append(weights)
             self.mass.append(0.0)
+            self.turns.append(part == "direction")
         return self._numbers[key]
 
 
@@ -369,6 +370,7 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
         point_nodes=concatenated(points.nodes, np.int32),
         point_weights=pairs_of(concatenated(points.weights, complex)),
         point_mass=np.array(points.mass, float),
+        point_turns=np.array(points.turns, bool),
         gravity=np.array(steady(gravity)),
         **table.arrays(),
     )

@@ -62,7 +62,7 @@ class SolveWorkspace(NamedTuple):
     moved: np.ndarray  # (points, 2)
     border: BorderWorkspace
     point_forces: np.ndarray  # (2 points,) forces at the points
-    own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements, as old as the factor; (0, 2, 2) without
+    own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements in the factor's frames; (0, 2, 2) without
     keeps: np.ndarray  # (1,) 1 if the border of the last solve is used again
     team: Team | None = None  # of threads that share the solves
     elimination: Elimination | None = None  # of relaxed strains
@@ -288,10 +288,12 @@ def points_matrix(s, c, w):
 @part
 def fill_curvature(s, w, curvature, drives, lam, c_m):
     """Blocks of the coupling = C: curvature of the rows, c_m times the masses at points, derivatives of force elements."""
-    for k in range(curvature.shape[0]):
-        for i in range(2):
-            for j in range(2):
-                curvature[k, i, j] = w.own[k, i, j] if w.own.shape[0] else 0.0
+    if w.own.shape[0]:
+        for f in range(w.spin.shape[0]):
+            for k in range(s.coupling.start[f], s.coupling.start[f + 1]):
+                turn_block(s, w, f, s.coupling.columns[k], 1.0, w.own[k], curvature[k])
+    else:
+        curvature[:] = 0.0
     joints.joint_curvature(s, drives, lam, curvature)
     add_masses(s, c_m, curvature)
 
@@ -371,6 +373,26 @@ def settle_states(s, c, curvature, y, dq):
                 ds[0] += block[0, 0] * p + block[0, 1] * q
                 ds[1] += block[1, 0] * p + block[1, 1] * q
         number += wide - others
+
+
+@part
+def turn_back(s, c, w, rotation):
+    """Turn derivatives of the force elements, w.own, from the frames `rotation` into those of the factor."""
+    turn_frames(s, c, w, rotation)
+    for f in range(w.spin.shape[0]):
+        for k in range(s.coupling.start[f], s.coupling.start[f + 1]):
+            turn_block(s, w, f, s.coupling.columns[k], -1.0, w.own[k], w.own[k])
+
+
+@part
+def turn_block(s, w, f, h, sense, block, out):
+    """out = R_f block R_h^T of points f and h, R the rotation of a direction since the factor, 1 of other points; sense -1: backwards."""
+    c, n = (w.spin[f, 0], sense * w.spin[f, 1]) if s.point_turns[f] else (1.0, 0.0)
+    for j in range(2):
+        out[0, j], out[1, j] = c * block[0, j] - n * block[1, j], n * block[0, j] + c * block[1, j]
+    c, n = (w.spin[h, 0], sense * w.spin[h, 1]) if s.point_turns[h] else (1.0, 0.0)
+    for i in range(2):
+        out[i, 0], out[i, 1] = c * out[i, 0] - n * out[i, 1], n * out[i, 0] + c * out[i, 1]
 
 
 @part
@@ -477,6 +499,15 @@ class SceneStepMatrix(StepMatrix):
             coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
             condense_states(coupling, self.corotated, self.workspace.own)
+
+    @property
+    def slopes(self):
+        """Derivatives of the force elements as they were last renewed, as numbers."""
+        return self.workspace.own.ravel().copy() if self.model.bodies else np.zeros(0)
+
+    @slopes.setter
+    def slopes(self, slopes):
+        self.workspace.own[...] = slopes.reshape(self.workspace.own.shape)
 
     def beside(self, c_m, c_v, change):
         """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""

@@ -17,19 +17,19 @@ POLYNOMIAL, SINE, MOVE = range(3)
 
 
 def drive_table(model, times, ends):
-    """Values and two derivatives of each profile at the times, (times, profiles, 3).
+    """Values of each profile, and two derivatives of those that drive rows, at the times, (times, profiles, 3); else 0.
 
     ends: the first and the last time, or times beside them inside the steps at a kink: loads and all derivatives are one-sided. Values that
     drive phi are continuous.
     """
-    table = np.empty((len(times), len(model.profiles), 3))
+    table = np.zeros((len(times), len(model.profiles), 3))
     if not table.size:
         return table
     driving = _driving(model)
     inner = np.array(times)
     inner[[0, -1]] = ends
     for k, profile in enumerate(model.profiles):
-        for order, at in enumerate((times if driving[k] else inner, inner, inner)):
+        for order, at in enumerate((times, inner, inner) if driving[k] else (inner,)):
             table[:, k, order] = profile.over(at, order)
     return table
 

@@ -41,7 +41,7 @@ SHARED = 20_000  # coordinates above which several threads share the solves
 DZ, FORCES, START, VX, DX, DV = range(
     6
 )  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
-H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
+H, TO_A, COSINE, INCREMENTAL, TO_V, SLOW = range(6)  # of SceneWork.numbers
 
 
 @pack
@@ -68,7 +68,9 @@ class SceneWork(NamedTuple):
     gains: np.ndarray  # (instants, profiles, 3)
     rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
     points: np.ndarray  # (6, points, 2)
-    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
+    # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v, 1 if the next residual
+    # renews slopes
+    numbers: np.ndarray
     level: np.ndarray  # (m,)
     solid: Solid  # with empty arrays if no function reads it
     condensed: Condensation  # the pairs are then those without strains
@@ -111,23 +113,27 @@ def residual(w, instant, q, v, a, lam, r, phi):
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
     add_forces(w, drives, u, pairs(w, v), out)
+    if w.numbers[SLOW] != 0.0:
+        w.numbers[SLOW] = 0.0
+        joints.point_values(w.scene.links, pairs(w, v), w.points[DV])
+        renew_slopes(w, drives, w.points[DZ], w.points[DV])
     if w.condensed.calls[0] != 0:
         call(w.condensed.calls[2], w.condensed.calls[0], q, r, 0, 0, 0, 0, 0)
     return DONE
 
 
 @entry
-def begin(w, instant, q, v, c, d, e, f):
-    """Store the points at a step's start, and renew the slopes of force elements on plates there: those of the factor turn with the bodies."""
+def begin(w, instant, q, v, times, slow, e, f):
+    """Store the points at a step's start."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
-    renew_slopes(w, w.drives[instant + 1], w.points[START], w.points[VX])
+    w.numbers[SLOW] = slow
     return DONE
 
 
 @part
 def renew_slopes(w, drives, dz, vz):
-    """The same for points at dz with velocities vz."""
+    """Renew the slopes of force elements on plates at the state of the last residual: points at dz with velocities vz."""
     if w.optional[RENEW] != 0:
         call(w.optional[RENEW], address(w), address(drives), address(dz), address(vz), 0, 0, 0, 0)
 
@@ -139,6 +145,7 @@ def new_slopes(w, drives, dz, vz, d, e, f, g):
     own[:] = 0.0
     call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(w.numbers[TO_V:]), address(own), 0, 0)
     corotated.condense_states(w.scene.links.coupling, w.factored, own)
+    corotated.turn_back(w.scene.links, w.factored, w.workspace, w.rotation)
     return DONE
 
 
@@ -255,7 +262,7 @@ class SceneTable:
             "gains": np.zeros((INSTANTS, profiles, 3)),
             "rotation": np.zeros((self.unknowns // 2, 2)),
             "points": np.zeros((6, model.n_points, 2)),
-            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
+            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0, 0.0]),
             "level": np.zeros(len(links.row_constant)),
             "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
             "condensed": parts,

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 from scipy.signal import StateSpace
 
 import polyida as pi
+from polyida.problems.plates import double_plate
 
 INERTIA, END = 0.5, 1.0
 DRIVE = {"volts": 12.0, "k": 0.8, "L": 0.05, "R": 1.5, "gear": 2.0}
@@ -227,18 +228,46 @@ def test_newton_does_not_slow_down_where_a_plate_turns_with_an_element(integrato
     assert run.counts.newton_iterations <= most * run.steps and run.counts.factorizations <= 2
 
 
-@pytest.mark.parametrize("transposed", [False, True])
-@pytest.mark.parametrize("c", [2e3, (1.0 + 2.0j) * 1e3])
-def test_eliminated_states_solve_the_whole_matrix(c, transposed):
+def controlled_bars():
+    """A motor and a PID on a double pendulum."""
     first, second = pi.RigidBody.bar(1.0, 1.0, name="first"), pi.RigidBody.bar(1.0, 1.0, (1.0, 0.0), name="second")
-    scene = pi.Scene()
+    scene = pi.Scene(gravity=(0.0, -9.81))
     for part in (
         *(first, second, pi.Revolute(pi.ground, first.at("left")), pi.Revolute(first.at("right"), second.at("left"))),
-        pi.DCMotor(first.at("left"), **DRIVE),
+        pi.DCMotor(first.at("right"), pi.profile.sine(6.0, 1.0), k=0.05, L=1e-3, R=1.0, gear=20.0),
         pi.PID(second.at("left"), kp=5.0, ki=2.0, kd=0.2, target=0.3, against=first.at("right"), filter=0.01),
     ):
         scene.add(part)
-    model, random = scene.build(), np.random.default_rng(1)
+    return scene.build()
+
+
+def test_slopes_of_a_controller_turn_with_rigid_bodies():
+    assert pi.solve(controlled_bars(), 1.2, pi.GeneralizedAlpha(h=1e-3)).counts.factorizations == 1
+
+
+def plates(cells):
+    """Two soft plates whose controller sets in with a jump."""
+    scene = double_plate(cells)
+    elbow = scene.parts["elbow"]
+    scene.add(pi.PID(elbow.b, kp=5.0, ki=2.0, kd=0.2, target=0.3, against=elbow.a, filter=0.01))
+    return scene.build()
+
+
+def test_a_jump_of_a_controller_takes_few_factors():
+    run = pi.solve(plates(160), 0.004, pi.GeneralizedAlpha(h=1e-3))
+    assert run.success and run.counts.rejected == 0 and run.counts.factorizations <= 8
+
+
+def test_a_run_with_renewed_slopes_goes_on_to_the_last_bit():
+    model, integrator = plates(40), pi.GeneralizedAlpha(h=1e-3)
+    whole, first = pi.solve(model, 0.06, integrator), pi.solve(model, 0.03, integrator)
+    assert np.array_equal(pi.solve(model, 0.06, integrator, state=first.state).q[-1], whole.q[-1])
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+@pytest.mark.parametrize("c", [2e3, (1.0 + 2.0j) * 1e3])
+def test_eliminated_states_solve_the_whole_matrix(c, transposed):
+    model, random = controlled_bars(), np.random.default_rng(1)
     q, zero, right = pi.consistent_state(model).q, np.zeros(model.m), random.normal(size=model.n)
     v = np.zeros(model.n)
     v[model.state_columns] = random.normal(size=model.k)

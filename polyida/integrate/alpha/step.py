@@ -20,6 +20,7 @@ from polyida.jit.intrinsics import address, call
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
+AGED = 0.02  # contraction above which slopes of force elements are renewed: they take a tenth of an iteration at 1e3 coordinates
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 # rows of Memory.past; the first three are those of Trial.now too
@@ -32,7 +33,7 @@ ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(
     2, 6
 )  # norms of q'' and of its change in a step: largest so far, of this iteration
 AHEAD, BEHIND = range(6, 8)  # factors of CHANGE and EARLIER in the prediction
-MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, 0 in a new step
+MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, nan from a given trial state, 0 in a new step
 ERROR, SINCE = range(9, 11)  # largest local error of the last SINCE steps
 MARKS = 11
 
@@ -307,7 +308,8 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         predict(p, y, x)
         y.marks[ACCEL] *= 0.9
         y.marks[ACCEL_CHANGE] *= 0.9
-    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
+    slow = 1 if y.marks[CONTRACTION] > AGED else 0
+    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, slow, 0, 0)
     if stabilised and last == 0.0:
         for i in range(p.unknowns):
             now[GGL, i] = 0.0
