@@ -353,11 +353,15 @@ def _resolved(settings, model, state, h, a, third, system=None):
     """
     if system is None:
         resolve = resolution(model, settings, state, h)
+        near, third = resolve(a), resolve(resolve(third))
+        again = resolve(near)
     else:  # with beta (1 - alpha_f)/(1 - alpha_m) in place of beta
         c_m, mass, border = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
-        resolve = lambda x: system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -(border @ x))[0]  # noqa: E731
-    near, third = resolve(a), resolve(resolve(third))
-    return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
+        once, twice = np.stack([a, third], axis=1), None
+        for _ in range(2):
+            once, twice = system.saddle(state.t, state.q, state.lam, -c_m * (mass @ once), -(border @ once))[0], once
+        (again, third), near = once.T, twice[:, 0]
+    return 2 * near - again + settings.coefficients.offset * h * third, third
 
 
 def _velocity_deviation(settings, model, state, h, third):
