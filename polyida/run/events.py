@@ -136,6 +136,7 @@ class Happenings:
         """Yield Stretches of the run's states, and Changes. The first state has all columns. Raises StepFailure."""
         memory, span = dict(state.memory), t_end - state.t
         known = memory.pop("events", None)
+        memory["stretch"] = 1  # each step is looked into before the next
         state = State(state.t, state.q, state.v, state.a, state.lam[self.mode.columns], memory, state.restart)
         self.values = np.array([self.value(event, state) for event in self.events])
         if known is None:
@@ -152,7 +153,7 @@ class Happenings:
             if not isinstance(change, Change) or change.stops or t_end - change.after.t <= max(LEAST * span, 64 * math.ulp(t_end)):
                 return
             after = change.after
-            state = State(after.t, after.q, after.v, after.a, after.lam[self.mode.columns])
+            state = State(after.t, after.q, after.v, after.a, after.lam[self.mode.columns], {"stretch": 1})
 
     def _motion(self, before, t_end, counts):
         """Yield the Stretches of one mode, and the Change at its end if there is one."""

@@ -128,13 +128,13 @@ class System:
 class AcceptedStates(Stretch):
     """Accepted states of a System at the times t (k,), from rows y and y' (k, size); a run can go on from each of them.
 
-    work: for each state the counts of the work up to it, except the steps. mu, zero but for truncation, is in the memory.
+    work: for each state the counts of the work up to it, except the steps; within: as of State, of a single one. mu, zero but for truncation, is in the memory.
     """
 
-    def __init__(self, system, memory, work, t, y, yp):
+    def __init__(self, system, memory, work, t, y, yp, within=None):
         *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
         super().__init__(t, *state)
-        self._memory, self._mu, self._work = memory, mu, work
+        self._memory, self._mu, self._work, self._within = memory, mu, work, within
 
     @property
     def spent(self):
@@ -153,7 +153,7 @@ class AcceptedStates(Stretch):
 
     def _state(self, k):
         memory = self._memory if self._mu is None else {"mu": self._mu[k]} | self._memory
-        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory))
+        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory), within=self._within)
 
     def part(self, first, end, every=1):
         """The states from number `first` to before `end`, or each `every`-th of them."""

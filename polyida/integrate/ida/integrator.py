@@ -183,13 +183,14 @@ class IDA(Integrator):
         """Accepted States after `state` (consistent), one for each internal step, the last at t_end. Raises StepFailure.
 
         At a kink of the model a step ends and IDA starts anew from the state consistent with the far side. State.memory: "mu" of the
-        stabilised forms, and "sizes", "rtol" and "tolerances", which a run that goes on keeps.
+        stabilised forms, and "sizes", "rtol" and "tolerances", which a run that goes on keeps. With "stretch" in the memory of the first state each
+        has the polynomial of its step, before the next one is taken.
         """
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
         sizes = sizes_of_run(model, state, t_end)
-        run, cells = _Run(self, model, sizes, counts), sampling(math.inf, t_end - state.t)
+        run, cells = _Run(self, model, sizes, counts, "stretch" in state.memory), sampling(math.inf, t_end - state.t)
         for begin, end in pairwise(edges(model, state.t, t_end)):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
@@ -210,13 +211,13 @@ def _check(name, value, good, expected):
 
 
 class _Run:
-    """One run of IDA: the solver of the binding with its callbacks, and the counts."""
+    """One run of IDA: the solver of the binding with its callbacks, and the counts. looked_into: True if states within steps are asked for."""
 
-    def __init__(self, settings, model, sizes, counts):
+    def __init__(self, settings, model, sizes, counts, looked_into):
         from sksundae.ida import IDA as Solver
         from sksundae.ida import IDAJacTimes
 
-        self.settings, self.model, self.counts = settings, model, counts
+        self.settings, self.model, self.counts, self.looked_into = settings, model, counts, looked_into
         rtol, *atol = settings.tolerances(model, sizes)
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
@@ -254,7 +255,7 @@ class _Run:
         y, yp = self.system.pack(state)
         self.linear.begin(begin, y)
         self.solver.init_step(begin, y, yp)
-        self.t, self.q, most = begin, state.q, 1 if self.model.switching else INSTANTS
+        self.t, self.q, most = begin, state.q, 1 if self.model.switching or self.looked_into else INSTANTS
         for end in times:
             while self.t < end:
                 states, until = [], time.perf_counter() + LONGEST
@@ -273,7 +274,14 @@ class _Run:
 
     def _stretch(self, states):
         work, *rows = zip(*states)
-        return AcceptedStates(self.system, self.memory, work, *map(np.array, rows))
+        return AcceptedStates(self.system, self.memory, work, *map(np.array, rows), self._within if self.looked_into else None)
+
+    def _within(self, t):
+        """The State at t in the last step, by the polynomial of IDA."""
+        result = self.solver.step(t, method="normal")
+        q, v, a, lam, _ = (None if x is None else x.copy() for x in self.system.split(result.y, result.yp))
+        self.solver.step(self.t, method="normal")  # the next step goes on from there
+        return State(t, q, v, a, lam, restart=False)
 
     def _work(self):
         """The counts except the steps, which are counted when the states are taken."""
