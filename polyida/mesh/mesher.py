@@ -22,7 +22,8 @@ from polyida.validation import is_whole, named_keywords, positive, vector2
 ATTEMPTS = 8  # with different seeds, if a part of the boundary gets no cells
 SAMPLES = 20_000  # points that estimate the area of a domain
 PARTS = 4  # cells in place of one that is refined
-BLEND = 10  # iterations that follow the wanted sizes of cells
+BLEND = 40  # largest number of iterations that follow the wanted sizes of cells
+NEAR = 20  # cells whose wanted sizes are averaged: sizes that jump leave distorted cells, which cost more than refinement gains
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
@@ -87,8 +88,8 @@ def _numbered(polygons, shift=0.0):
 def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
     """Return a mesh of the same outline with about four cells in place of each chosen one.
 
-    The mesher starts from the centroids of the other cells and four points in each chosen one. A few of Lloyd's iterations, with the wanted size of
-    cells as density, blend the sizes.
+    The mesher starts from the centroids of the other cells and four points in each chosen one. Lloyd's iterations, with the wanted size of cells,
+    averaged over neighbours, as density, blend the sizes.
 
     Parameters
     ----------
@@ -137,7 +138,14 @@ def remeshed(mesh, parts):
         alone = np.repeat(parts == 1, parts)[:, None]
         seeds = np.repeat(centres, parts, axis=0) + np.where(alone, 0.0, 1.4 * way * np.stack([np.cos(angle), np.sin(angle)], axis=1))
         seeds = seeds[domain.distance(seeds) < 0.0]
-        new = _numbered(_polygons(domain, len(seeds), 0, BLEND, start=seeds, density=lambda points: areas[tree.query(points)[1]] ** -2.0))
+
+        def density(points):
+            away, near = tree.query(points, min(NEAR, len(areas)))
+            weights = 1.0 / np.maximum(away, 1e-6 * way.min()).reshape(len(points), -1)
+            logs = np.log(areas[near]).reshape(weights.shape)
+            return np.exp(-2.0 * (weights * logs).sum(axis=1) / weights.sum(axis=1))
+
+        new = _numbered(_polygons(domain, len(seeds), 0, BLEND, start=seeds, density=density))
     else:
         new = polygonize(domain, parts)
     sections = dict(new.sections)
@@ -440,20 +448,25 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
     step = 1e-6 * float(np.max(domain.upper - domain.lower))
     for _ in range(iterations):
         cells, reach = _bounded_cells(seeds, domain, spacing, reach)
-        areas, moments = np.zeros(cells.n), np.zeros((cells.n, 2))  # of one triangle seed-a-b for each side of each ridge
+        sizes, areas, moments = (
+            np.zeros(cells.n),
+            np.zeros(cells.n),
+            np.zeros((cells.n, 2)),
+        )  # of one triangle seed-a-b for each side of each ridge
         a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
         for side in (0, 1):
             own = cells.ridges[:, side] < cells.n
             cell = cells.ridges[own, side]
             u, v = a[own] - seeds[cell], b[own] - seeds[cell]
             triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+            sizes += np.bincount(cell, triangle, cells.n)
             triangle = triangle if density is None else triangle * density(seeds[cell] + (u + v) / 3.0)
             areas += np.bincount(cell, triangle, cells.n)
             for k in (0, 1):
                 moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
         move = seeds + moments / areas[:, None] - seeds
         move[: len(fixed)] = 0.0
-        error = np.sqrt(np.sum(areas**2 * np.sum(move**2, axis=1))) * len(seeds) / areas.sum() ** 1.5
+        error = np.sqrt(np.sum(sizes**2 * np.sum(move**2, axis=1))) * len(seeds) / sizes.sum() ** 1.5
         stretched = seeds + 1.7 * move
         inside = domain.distance(stretched) < -0.1 * spacing
         seeds = np.where(inside[:, None], stretched, seeds + move)

@@ -20,6 +20,27 @@ def test_cells_are_small_where_they_are_asked_for():
     assert {"left", "right", "top", "bottom"} <= set(mesh.sections) and len(mesh.sections["left"]) > 12
 
 
+def test_refined_meshes_do_not_depend_on_the_unit_of_length():
+    meshes = [pi.mesh.rectangle(unit, 0.25 * unit, cells=60, seed=1) for unit in (2.0**10, 1.0)]
+    large, small = (pi.mesh.refine(mesh, np.argsort(mesh.cell_centroids[:, 0])[:15]) for mesh in meshes)
+    assert np.array_equal(large.nodes, small.nodes) and np.allclose(large.points / 2.0**10, small.points, rtol=0.0, atol=1e-9)
+    assert large.n_cells == 105
+
+
+def test_cells_next_to_refined_ones_are_as_regular_as_those_of_a_uniform_mesh():
+    """Places of cells are their centroids, weighed by the wanted sizes, not where the seeds began."""
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=120, seed=1)
+    finer = pi.mesh.refine(mesh, mesh.cell_centroids[:, 0] < 0.3)
+    assert roundness(finer) > 0.99 * roundness(mesh)
+
+
+def roundness(mesh):
+    """Mean of 4 pi area / perimeter^2 over the cells."""
+    ends = np.split(mesh.points[mesh.nodes], mesh.offsets[1:-1])
+    around = np.array([np.linalg.norm(x - np.roll(x, -1, axis=0), axis=1).sum() for x in ends])
+    return float(np.mean(4.0 * np.pi * mesh.cell_areas / around**2))
+
+
 def test_holes_and_own_sections_stay():
     mesh = pi.mesh.polygonize(PLATE, 100, seed=2)
     lower = np.flatnonzero((mesh.points[:, 1] == 0.0) & (mesh.points[:, 0] < 0.5))
