@@ -33,8 +33,8 @@ class State:
     restart : bool
         False if a run cannot continue from this state because the memory is missing: inside a compiled stretch, or between two accepted
         states.
-    within : function t -> State, optional
-        The state at a time t in the step that ends here, by the integrator's own polynomial.
+    within : function t -> State or None, optional
+        The state at a time t in the step that ends here, by the integrator's own polynomial; None if that is gone.
     states : tuple, optional
         Columns and units of the model's first-order states in v; the states that users see have it.
     """
@@ -46,7 +46,7 @@ class State:
     lam: np.ndarray
     memory: dict = field(default_factory=dict)
     restart: bool = True
-    within: Callable[[float], "State"] | None = None
+    within: Callable[[float], "State | None"] | None = None
     states: tuple = ()
 
     __repr__ = brief
@@ -207,14 +207,14 @@ class Counts:
 def between(before, after, t):
     """The State at t between two accepted ones.
 
-    `after.within(t)` if the integrator has its own polynomial. Otherwise q is the cubic Hermite polynomial through q and v at both ends, v its
+    `after.within(t)` if the integrator has its own polynomial there. Otherwise q is the cubic Hermite polynomial through q and v at both ends, v its
     derivative, and a and lam are linear in t: q is of fourth, v of third, a and lam of second order in the step. At an end it is the accepted
     state itself.
     """
     if t in (before.t, after.t):
         return before if t == before.t else after
-    if after.within is not None:
-        return after.within(t)
+    if after.within is not None and (state := after.within(t)) is not None:
+        return state
     h = after.t - before.t
     s = (t - before.t) / h
     q, v = cubic(before.q, before.v, after.q, after.v, h, s)

@@ -265,7 +265,7 @@ class Slips(WithRows):
     def _along(self, lam, other):
         """The parts of lam along others, for each of the rows that press."""
         on = [np.isin(self.kept, law.on) for law, _ in self.slips]
-        return [float(lam[rows] @ other[rows] / (other[rows] @ other[rows])) for rows in on if other[rows].any()]
+        return [float(lam[rows] @ other[rows] / square) for rows in on if (square := other[rows] @ other[rows])]
 
     def agrees(self, state):
         """True if the rows that press do so in the direction of the consistent forces at a state."""

@@ -125,7 +125,7 @@ class Happenings:
         """A state of the mode with the columns of lam of all rows."""
         within = state.within
         memory = state.memory | {"events": np.array([self.sides, self.sizes])} if state.restart else {}
-        inner = within and (lambda t: self.spread(within(t)))
+        inner = within and (lambda t: (state := within(t)) and self.spread(state))
         return replace(self.spread(state), memory=memory, restart=state.restart, within=inner)
 
     def spread(self, state):
@@ -136,7 +136,7 @@ class Happenings:
         """Yield Stretches of the run's states, and Changes. The first state has all columns. Raises StepFailure."""
         memory, span = dict(state.memory), t_end - state.t
         known = memory.pop("events", None)
-        memory["stretch"] = 1  # each step is looked into before the next
+        memory["polynomials"] = 1.0  # each step is looked into before the next
         state = State(state.t, state.q, state.v, state.a, state.lam[self.mode.columns], memory, state.restart)
         self.values = np.array([self.value(event, state) for event in self.events])
         if known is None:
@@ -153,7 +153,7 @@ class Happenings:
             if not isinstance(change, Change) or change.stops or t_end - change.after.t <= max(LEAST * span, 64 * math.ulp(t_end)):
                 return
             after = change.after
-            state = State(after.t, after.q, after.v, after.a, after.lam[self.mode.columns], {"stretch": 1})
+            state = State(after.t, after.q, after.v, after.a, after.lam[self.mode.columns], {"polynomials": 1.0})
 
     def _motion(self, before, t_end, counts):
         """Yield the Stretches of one mode, and the Change at its end if there is one."""

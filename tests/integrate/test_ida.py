@@ -13,7 +13,7 @@ from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.newton import Correction
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, between
 from polyida.model import Model, Needs
 from polyida.model.guarded import guard
 from polyida.problems import plates
@@ -288,3 +288,15 @@ def test_counts_at_a_stop_do_not_depend_on_how_long_a_stretch_takes(monkeypatch)
         assert run.status == "stopped" and run.counts.residuals > run.counts.steps
         counts.append(run.counts)
     assert counts[0] == counts[1]
+
+
+def test_a_state_whose_step_is_past_is_interpolated_by_the_cubic():
+    """The polynomial of IDA is that of its last step."""
+    problem = problems.get("pendulum")
+    state = consistent_state(problem.model, 0.0, problem.q0, problem.v0)
+    memories = {}, {"polynomials": 1.0}
+    plain, steps = (list(IDA(rtol=1e-6).steps(problem.model, replace(state, memory=memory), 0.3, Counts())) for memory in memories)
+    for k, least, most in ((2, 0.0, 0.0), (-2, 1e-15, 1e-5)):
+        t = 0.5 * (steps[k].t + steps[k + 1].t)
+        apart = np.abs(between(steps[k], steps[k + 1], t).q - between(plain[k], plain[k + 1], t).q).max()
+        assert least <= apart <= most

@@ -21,6 +21,7 @@ Sources: Gear, Gupta, Leimkuhler 1985 (ggl2); Gear 1988 and Anantharaman, Hiller
 
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -128,7 +129,7 @@ class System:
 class AcceptedStates(Stretch):
     """Accepted states of a System at the times t (k,), from rows y and y' (k, size); a run can go on from each of them.
 
-    work: for each state the counts of the work up to it, except the steps; within: as of State, of a single one. mu, zero but for truncation, is in the memory.
+    work: for each state the counts of the work up to it, except the steps; within: as of State, for the end of a step and t. mu, zero but for truncation, is in the memory.
     """
 
     def __init__(self, system, memory, work, t, y, yp, within=None):
@@ -153,7 +154,8 @@ class AcceptedStates(Stretch):
 
     def _state(self, k):
         memory = self._memory if self._mu is None else {"mu": self._mu[k]} | self._memory
-        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory), within=self._within)
+        t, within = float(self.t[k]), self._within and partial(self._within, self.t[k])
+        return State(t, self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory), within=within)
 
     def part(self, first, end, every=1):
         """The states from number `first` to before `end`, or each `every`-th of them."""

@@ -183,14 +183,14 @@ class IDA(Integrator):
         """Accepted States after `state` (consistent), one for each internal step, the last at t_end. Raises StepFailure.
 
         At a kink of the model a step ends and IDA starts anew from the state consistent with the far side. State.memory: "mu" of the
-        stabilised forms, and "sizes", "rtol" and "tolerances", which a run that goes on keeps. With "stretch" in the memory of the first state each
-        has the polynomial of its step, before the next one is taken.
+        stabilised forms, and "sizes", "rtol" and "tolerances", which a run that goes on keeps. With "polynomials" in the memory of the first state
+        each has the polynomial of its step until the next one is taken.
         """
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
         sizes = sizes_of_run(model, state, t_end)
-        run, cells = _Run(self, model, sizes, counts, "stretch" in state.memory), sampling(math.inf, t_end - state.t)
+        run, cells = _Run(self, model, sizes, counts, "polynomials" in state.memory), sampling(math.inf, t_end - state.t)
         for begin, end in pairwise(edges(model, state.t, t_end)):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
@@ -276,8 +276,10 @@ class _Run:
         work, *rows = zip(*states)
         return AcceptedStates(self.system, self.memory, work, *map(np.array, rows), self._within if self.looked_into else None)
 
-    def _within(self, t):
-        """The State at t in the last step, by the polynomial of IDA."""
+    def _within(self, end, t):
+        """The State at t in the step to `end`, by the polynomial of IDA; None if a later step has been taken."""
+        if end != self.t:
+            return None
         result = self.solver.step(t, method="normal")
         q, v, a, lam, _ = (None if x is None else x.copy() for x in self.system.split(result.y, result.yp))
         self.solver.step(self.t, method="normal")  # the next step goes on from there
