@@ -135,9 +135,7 @@ class Attachment:
 
     def edge_ends(self) -> np.ndarray:
         """Return the numbers (k, 2) within `each()` of the ends of its edges, with the body on their left."""
-        nodes, edges = self._outline()
-        order = np.argsort(nodes)
-        return order[np.searchsorted(nodes, edges, sorter=order)]
+        return _places(*self._outline())
 
     @property
     def x(self) -> Vector:
@@ -173,27 +171,29 @@ def _from_first(body, nodes):
     return places - places[0]
 
 
+def _places(nodes, edges):
+    """Where the ends of edges are among the nodes, (k, 2)."""
+    order = np.argsort(nodes)
+    return order[np.searchsorted(nodes, edges, sorter=order)]
+
+
 def of_section(body, section, name):
-    """Return the mean of a section, `sum w_i x_i`, and its direction: `int eta x ds / int eta^2 ds` of the field that is linear along its edges.
+    """Return the mean of a section, `sum w_i x_i`, and its direction: `int eta x ds / int eta^2 ds` of the field x that is linear along its edges.
 
     eta is the distance from the mean along the main axis: that of the largest second moment, towards growing x or y; the x axis if both moments are
-    equal up to round-off. Sums over nodes in place of the integrals would weigh the warping of a section with an error of its edges' length squared.
+    equal up to round-off. Sums over nodes in place of the integrals have an error of the square of the edges' length where a section warps.
     """
     nodes, weights = np.asarray(section.nodes, np.int32), np.asarray(section.weights, float)
     if len(nodes) == 1:
         return of_node(body, int(nodes[0]))
-    offset, edges = _from_first(body, nodes), edges_within(body.mesh, nodes)
-    offset, order = offset - weights @ offset, np.argsort(nodes)
-    ends = order[np.searchsorted(nodes, edges, sorter=order)]
+    offset, ends = _from_first(body, nodes), _places(nodes, edges_within(body.mesh, nodes))
+    offset = offset - weights @ offset
     sixth = np.linalg.norm(offset[ends[:, 1]] - offset[ends[:, 0]], axis=1)[:, None] / 6.0
 
     def integrals(x):
-        """Of the nodes' shape functions times x."""
-        return (
-            np.bincount(ends.ravel(), (sixth * (x[ends] + x[ends].sum(axis=1, keepdims=True))).ravel(), len(x))
-            if len(ends)
-            else weights * x
-        )
+        """Of the nodes' shape functions times x; without edges, x by the weights."""
+        at_ends = sixth * (x[ends] + x[ends].sum(axis=1, keepdims=True))
+        return np.bincount(ends.ravel(), at_ends.ravel(), len(x)) if len(ends) else weights * x
 
     moments = offset.T @ np.stack([integrals(x) for x in offset.T], axis=1)
     sizes, axes = np.linalg.eigh(0.5 * (moments + moments.T))

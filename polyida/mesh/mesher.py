@@ -448,13 +448,9 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
     step = 1e-6 * float(np.max(domain.upper - domain.lower))
     for _ in range(iterations):
         cells, reach = _bounded_cells(seeds, domain, spacing, reach)
-        sizes, areas, moments = (
-            np.zeros(cells.n),
-            np.zeros(cells.n),
-            np.zeros((cells.n, 2)),
-        )  # of one triangle seed-a-b for each side of each ridge
+        sizes, areas, moments = np.zeros(cells.n), np.zeros(cells.n), np.zeros((cells.n, 2))
         a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
-        for side in (0, 1):
+        for side in (0, 1):  # of each ridge: a triangle seed-a-b
             own = cells.ridges[:, side] < cells.n
             cell = cells.ridges[own, side]
             u, v = a[own] - seeds[cell], b[own] - seeds[cell]
