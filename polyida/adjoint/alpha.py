@@ -28,7 +28,7 @@ import numpy as np
 
 from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
+from polyida.adjoint.run import RunAdjoint, add_together, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
@@ -430,8 +430,8 @@ class AlphaAdjoint(RunAdjoint):
             slip = self._slips(segment.h, *motion) if self.stabilised else None
             keep = bool(self.events.speeds or self.observes)
             results = shared.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
+            add_together(sweeps, [AdjointMultipliers(inner, q, v, a, rows, each.w, each.mu, each.kappa) for each in results], t)
             for sweep, slopes, result in zip(sweeps, slopes_here, results):
-                sweep.add(AdjointMultipliers(inner, q, v, a, rows, result.w, result.mu, result.kappa), t)
                 if self.stabilised:
                     (ahead, slipped, eta), still = result.slips, np.zeros_like(q)
                     sweep.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)

@@ -272,6 +272,9 @@ class _ModeTotals:
     def __init__(self, totals, mode, m):
         self.totals, self.mode, self.m = totals, mode, m
 
+    def prepare(self, works):
+        """Nothing: `add` gives the whole model others."""
+
     def add(self, multipliers):
         wide = spread([multipliers], self.mode.columns, self.m)[0]
         if isinstance(self.mode, Slips):

@@ -161,7 +161,7 @@ class MeshError:
         arrays = *self.fine.force_arrays, self.fine.lane_cells, self.places, *self.fit, c * float(body.factors[0][0]), nu, viscosity
         for u, speed, now, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
             cell_errors(*arrays, u, speed, now, f, self.fields, self.means, self.three)
-            cell_products.force_work(*o.force_arrays, 0, c, nu, viscosity, u, speed, now, self.of_element)
+            cell_products.force_work(*o.force_arrays, 0, c, nu, viscosity, u, speed, now[None], self.of_element[None])
             if f:
                 add_cell_energies(*o.force_arrays, o.lane_cells, c, nu, u, f, self.of_energy)
 

@@ -43,16 +43,24 @@ def stacked(entries):
 
 @dataclass(eq=False)
 class CachedByMultipliers:
-    """`make(model, work)`, cached for the last AdjointMultipliers."""
+    """`make(model, work)`, cached for the last AdjointMultipliers. together: function (model, works) -> the results of several at the same states."""
 
     make: Callable[[Any, Any], Any]
     model: Any
-    _last: tuple = field(default=(None, None), init=False)
+    together: Callable[[Any, Any], Any] | None = None
+    _last: tuple = field(default=((), ()), init=False)
+
+    def prepare(self, works):
+        """Cache the results of all."""
+        if self._last[0] is not works and self.together:
+            self._last = works, self.together(self.model, works)
 
     def __call__(self, work):
-        if self._last[0] is not work:
-            self._last = work, self.make(self.model, work)
-        return self._last[1]
+        for known, result in zip(*self._last):
+            if known is work:
+                return result
+        self._last = [work], [self.make(self.model, work)]
+        return self._last[1][0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +86,9 @@ class Parameter:
         Times are held; entries beside a kink stay on their side of it.
         """
         raise NotImplementedError
+
+    def prepare(self, works: list) -> None:
+        """Compute together what `slope` shares between several AdjointMultipliers at the same states, of which it is asked next."""
 
     def of_model(self, function: Callable[[Any], float]) -> float:
         """The slope of a function of the model; 0 if objectives give it under the name of the parameter (Slopes.direct)."""

@@ -49,8 +49,12 @@ class CellFactors(PartParameter):
     same of the initial velocities, or None.
     """
 
-    by_cell: Callable[[Any], dict]
+    by_cell: CachedByMultipliers
     starts: Callable
+
+    def prepare(self, works):
+        """The works of all cells."""
+        self.by_cell.prepare(works)
 
     def slope(self, work):
         """`w_e . f_e` or `w_e^T M_e (a + drag v - gravity)` of each cell e at factor 1."""
@@ -91,8 +95,8 @@ class PlateNumber(PartParameter):
 def plate_parameters(model, slopes, relaxing):
     """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start; relaxing: of
     AdjointMultipliers -> `relaxation_works`."""
-    stiffness = CachedByMultipliers(lambda model, work: _stiffness_works(model, relaxing, work), model)
-    mass = CachedByMultipliers(_mass_works, model)
+    together = partial(_stiffness_works, relaxing), _mass_works
+    stiffness, mass = (CachedByMultipliers(lambda model, work, each=each: each(model, [work])[0], model, each) for each in together)
 
     def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
         if (motion := slopes(t, q, bar)) is None:
@@ -117,21 +121,26 @@ def _plate_total(name, factors, by_cell, work):
     return float(factors @ by_cell(work)[name])
 
 
-def _stiffness_works(model, relaxing, work):
-    """Works of the elastic forces of all cells, and of those of relaxation in viscoelastic plates."""
-    works = stiffness_work(model, work.q, work.v, work.w)
-    relaxed = relaxing(work)[1] if model.strains else {}
-    return {name: each + relaxed.get(name, 0.0) for name, each in works.items()}
+def _stiffness_works(relaxing, model, works):
+    """[{plate: works of the elastic forces of its cells, and of those of relaxation in viscoelastic plates}] of AdjointMultipliers."""
+    found = stiffness_work(model, works[0].q, works[0].v, _stacked_w(works))
+    relaxed = [relaxing(work)[1] if model.strains else {} for work in works]
+    return [{name: each[c] + more.get(name, 0.0) for name, each in found.items()} for c, more in enumerate(relaxed)]
 
 
-def _mass_works(model, work):
-    """Works of M on accelerations less gravity, plus drag times velocities in a damped plate."""
-    b = work.a
+def _mass_works(model, works):
+    """[{plate: works of M on accelerations less gravity, plus drag times velocities in a damped plate}] of AdjointMultipliers."""
+    work, b = works[0], works[0].a
     for body in model.bodies:
         if drag := body.plate.material.mass_damping:
             of_body, b = slice(2 * body.pairs.start, 2 * body.pairs.stop), np.array(b) if b is work.a else b
             b[:, of_body] += drag * work.v[:, of_body]
-    return mass_work(model, b, work.w, gravity_over(model.gravity, work.t))
+    found = mass_work(model, b, _stacked_w(works), gravity_over(model.gravity, work.t))
+    return [{name: each[c] for name, each in found.items()} for c in range(len(works))]
+
+
+def _stacked_w(works):
+    return works[0].w[None] if len(works) == 1 else np.stack([work.w for work in works])
 
 
 def load_work(model, name, work, value=None):

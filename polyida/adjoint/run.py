@@ -110,6 +110,11 @@ class Totals:
         other.sums = {name: np.zeros_like(total) for name, total in self.sums.items()}
         return other
 
+    def prepare(self, works):
+        """Compute together what several AdjointMultipliers at the same states share, before `add` for each."""
+        for parameter in self.parameters.values():
+            parameter.prepare(works)
+
     def add(self, multipliers):
         """Add the slopes of AdjointMultipliers."""
         for name, parameter in self.parameters.items():
@@ -332,6 +337,13 @@ class RunAdjoint:
                 del totals.parameters[name], totals.sums[name]
                 self.events.speeds.pop(name, None)
                 totals.left_out[name] = why
+
+
+def add_together(sweeps, works, times):
+    """Add the AdjointMultipliers of each sweep, all at the same states; times: of these."""
+    sweeps[0].totals.prepare(works)
+    for sweep, work in zip(sweeps, works):
+        sweep.add(work, times)
 
 
 def together(sweeps, progress):

@@ -62,6 +62,7 @@ class SolveWorkspace(NamedTuple):
     moved: np.ndarray  # (points, 2)
     border: BorderWorkspace
     point_forces: np.ndarray  # (2 points,) forces at the points
+    shift: np.ndarray  # (2 nodes,) displacements of a body in the factor's frame
     own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements in the factor's frames; (0, 2, 2) without
     keeps: np.ndarray  # (1,) 1 if the border of the last solve is used again
     team: Team | None = None  # of threads that share the solves
@@ -146,6 +147,7 @@ def solve_workspace(model, system):
         np.empty((model.n_points, 2), dtype),
         border_workspace(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
+        np.empty(2 * model.n_factored, dtype),
         np.zeros((coupled if model.laws and len(model.laws.energies) else 0, 2, 2), dtype),
         np.zeros(1, np.int64),
         elimination=elimination(model, dtype),
@@ -198,21 +200,22 @@ def solve_turned(c, w, size, r, x):
 @part
 def solve_turned_columns(c, w, lanes, sizes, r, x, which):
     """The same for the columns in `which`, at most COLUMNS, of r and x (columns, nodes, 2), with one pass through the factor."""
-    order, turn = c.fronts.order, w.turn
-    for e in range(lanes.shape[1]):
-        k = which[min(e, which.shape[0] - 1)]  # lanes without a column repeat the last one
-        column, part = r[k], 1.0 / sizes[k]
-        for i in range(turn.shape[0]):
-            p, q = part * column[i, 0], part * column[i, 1]
-            lanes[order[2 * i], e] = turn[i, 0] * p + turn[i, 1] * q
-            lanes[order[2 * i + 1], e] = turn[i, 0] * q - turn[i, 1] * p
+    order, turn, count, parts = c.fronts.order, w.turn, which.shape[0], np.empty(lanes.shape[1])
+    for e in range(count):
+        parts[e] = 1.0 / sizes[which[e]]
+    for i in range(turn.shape[0]):
+        first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
+        for e in range(count):
+            p, q = parts[e] * r[which[e], i, 0], parts[e] * r[which[e], i, 1]
+            first[e], second[e] = co * p + si * q, co * q - si * p
+        for e in range(count, lanes.shape[1]):
+            first[e] = second[e] = 0.0
     solve_panels_columns(c.fronts, c.panels, lanes)
-    for e in range(which.shape[0]):
-        column, size = x[which[e]], sizes[which[e]]
-        for i in range(turn.shape[0]):
-            p, q = size * lanes[order[2 * i], e], size * lanes[order[2 * i + 1], e]
-            column[i, 0] = turn[i, 0] * p - turn[i, 1] * q
-            column[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+    for i in range(turn.shape[0]):
+        first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
+        for e in range(count):
+            p, q = sizes[which[e]] * first[e], sizes[which[e]] * second[e]
+            x[which[e], i, 0], x[which[e], i, 1] = co * p - si * q, si * p + co * q
 
 
 @shared
@@ -445,26 +448,36 @@ def point_forces_of(s, b, w, point_forces, dlam):
 
 @part
 def apply_point_forces(s, c, w, dq):
-    """dq -= X point_forces at the current rotations."""
-    for f in range(w.spin.shape[0]):
-        co, si = w.spin[f, 0], w.spin[f, 1]
-        x, y = w.point_forces[2 * f], w.point_forces[2 * f + 1]
-        p, q = co * x + si * y, co * y - si * x
-        if p == 0.0 and q == 0.0:
-            continue
-        first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
-        size = end - first
-        along, across, turn, moved = (
-            c.compliance_columns[at : at + size],
-            c.compliance_columns[at + size : at + 2 * size],
-            w.turn[first:end],
-            dq[first:end],
-        )
-        for i in range(size):
-            gx = along[i, 0] * p + across[i, 0] * q
-            gy = along[i, 1] * p + across[i, 1] * q
-            moved[i, 0] -= turn[i, 0] * gx - turn[i, 1] * gy
-            moved[i, 1] -= turn[i, 1] * gx + turn[i, 0] * gy
+    """dq -= X point_forces at the current rotations: the columns are added up in the factor's frame of each body."""
+    b = c.border
+    for n in range(b.point_start.shape[0] - 1):
+        first = end = 0
+        for e in range(b.point_start[n], b.point_start[n + 1]):
+            f = b.points[e]
+            co, si = w.spin[f, 0], w.spin[f, 1]
+            x, y = w.point_forces[2 * f], w.point_forces[2 * f + 1]
+            p, q = co * x + si * y, co * y - si * x
+            if p == 0.0 and q == 0.0:
+                continue
+            fresh, at, size = end == 0, c.place[f, 2], 2 * (c.place[f, 1] - c.place[f, 0])
+            first, end = c.place[f, 0], c.place[f, 1]
+            along, across = c.compliance_columns[at : at + size // 2], c.compliance_columns[at + size // 2 : at + size]
+            add_columns(along.reshape(size), across.reshape(size), p, q, fresh, w.shift[:size])
+        for i in range(first, end):
+            gx, gy = w.shift[2 * (i - first)], w.shift[2 * (i - first) + 1]
+            dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
+            dq[i, 1] -= w.turn[i, 1] * gx + w.turn[i, 0] * gy
+
+
+@part
+def add_columns(along, across, p, q, fresh, out):
+    """out = or, unless `fresh`, += p along + q across."""
+    if fresh:
+        for i in range(out.shape[0]):
+            out[i] = along[i] * p + across[i] * q
+    else:
+        for i in range(out.shape[0]):
+            out[i] += along[i] * p + across[i] * q
 
 
 class SceneStepMatrix(StepMatrix):

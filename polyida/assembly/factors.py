@@ -118,8 +118,8 @@ class CellContributions:
         return np.repeat(values, np.diff(self.first))
 
     def by_plate(self, values):
-        """{plate: (its cells,)} of numbers of all cells."""
-        return dict(zip(self.names, np.split(values, self.first[1:-1])))
+        """{plate: (..., its cells)} of numbers of all cells."""
+        return dict(zip(self.names, np.split(values, self.first[1:-1], axis=-1)))
 
 
 class CellSums:
@@ -139,7 +139,9 @@ class CellSums:
 
     def slopes(self, work, count):
         """Derivatives of `work . out` in the factors of `count` cells."""
-        return np.bincount(self.cells, self.values * work[self.entries], count)
+        out = np.zeros(count)
+        kernels.sums(self.cells, self.entries, self.values, work, out)
+        return out
 
 
 def _cells_of(operator, column, vectors):
@@ -149,54 +151,61 @@ def _cells_of(operator, column, vectors):
 
 
 def stiffness_work(model, q, v, w):
-    """{plate: (cells,)}, J: sums over frames of `w . f_e(q, v)`; q, v, w (frames, n).
+    """{plate: (..., cells)}, J: sums over frames of `w . f_e(q, v)`; q, v (frames, n), w (..., frames, n).
 
     f_e: elastic force of cell e at factor 1, with its viscosity and stabilisation.
     """
-    contributions = model.once(CellContributions, of_shape=True)
-    lanes, pairs = np.zeros(len(contributions.lane_cells)), np.zeros(len(contributions.plates.mass))
-    _force_works(contributions.plates, *(_nodal(model, x) for x in (q, v, w)), lanes, pairs)
+    contributions, along = model.once(CellContributions, of_shape=True), _columns(model, w)
+    lanes, pairs = (np.zeros((len(along), len(x))) for x in (contributions.lane_cells, contributions.plates.mass))
+    _force_works(contributions.plates, *(_nodal(model, x) for x in (q, v)), along, lanes, pairs)
     count = contributions.first[-1]
     factors = contributions.of_cells(contributions.plates.body_stabilisation)
-    works = np.bincount(contributions.lane_cells, lanes, count) + factors * contributions.stabilisation.slopes(pairs, count)
-    return contributions.by_plate(works)
+    works = np.array([np.bincount(contributions.lane_cells, each, count) for each in lanes])
+    works += [factors * contributions.stabilisation.slopes(each, count) for each in pairs]
+    return contributions.by_plate(works.reshape(*np.shape(w)[:-2], count))
 
 
 def mass_work(model, b, w, pull=None):
-    """{plate: (cells,)}: sums over frames of `w . M_e (b - pull)`; b, w (frames, n), pull (frames, 2): the same at all nodes.
+    """{plate: (..., cells)}: sums over frames of `w . M_e (b - pull)`; b (frames, n), w (..., frames, n), pull (frames, 2): the same at all nodes.
 
     M_e: mass matrix of cell e at factor 1.
     """
-    contributions = model.once(CellContributions, of_shape=True)
-    pairs = np.zeros(len(contributions.plates.mass))
-    _mass_works(contributions.plates, *(_nodal(model, x) for x in (b, w)), pairs)
-    if pull is not None:
-        _mass_works(contributions.plates, _nodal(model, np.tile(np.eye(2), model.n_nodes)), _nodal(model, -(pull.T @ w)), pairs)
+    contributions, along = model.once(CellContributions, of_shape=True), _columns(model, w)
+    pairs = np.zeros((len(along), len(contributions.plates.mass)))
+    _mass_works(contributions.plates, _nodal(model, b) - (0.0 if pull is None else pull[:, None]), along, pairs)
     density = contributions.of_cells(contributions.plates.body_density)
-    return contributions.by_plate(density * contributions.mass.slopes(pairs, contributions.first[-1]))
+    works = np.array([density * contributions.mass.slopes(each, contributions.first[-1]) for each in pairs])
+    return contributions.by_plate(works.reshape(*np.shape(w)[:-2], -1))
 
 
 def _nodal(model, x):
     return np.ascontiguousarray(x, float).reshape(-1, model.n_nodes, 2)
 
 
+def _columns(model, w):
+    """w (..., frames, n) as (columns, frames, nodes, 2)."""
+    return np.ascontiguousarray(w, float).reshape(-1, np.shape(w)[-2], model.n_nodes, 2)
+
+
 @entry
 def _force_works(s, q, v, w, lanes, pairs):
-    """Add over frames: w . f of the cells in their lanes, products for the stabilisation on the pattern."""
+    """Add over frames: w[c] . f of the cells in their lanes, products for the stabilisation on the pattern."""
     for frame in range(q.shape[0]):
-        u, speed, way = q[frame], v[frame], w[frame]
+        u, speed, along = q[frame], v[frame], w[:, frame]
         for o in range(s.body_operator.shape[0]):
             p, e, n0 = s.at[o], s.at[o + 1], s.body_node[o]
-            own = lanes[LANES * p[0] : LANES * e[0]]
-            kernels.force_work(*cells(s, o), n0, s.body_c1[o], s.body_nu[o], s.body_viscosity[o], u, speed, way, own)
+            own = lanes[:, LANES * p[0] : LANES * e[0]]
+            kernels.force_work(*cells(s, o), n0, s.body_c1[o], s.body_nu[o], s.body_viscosity[o], u, speed, along, own)
             if s.body_stabilisation[o] != 0.0:
-                kernels.difference_products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], n0, u, way, pairs[p[6] : e[6]])
+                kernels.difference_products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], n0, u, along, pairs[:, p[6] : e[6]])
 
 
 @entry
 def _mass_works(s, b, w, pairs):
-    """Add over frames: products for the mass on the pattern."""
-    for frame in range(b.shape[0]):
+    """Add sums over frames of products for the mass on the pattern."""
+    right = kernels.by_node(b)
+    for c in range(w.shape[0]):
+        left = kernels.by_node(w[c])
         for o in range(s.body_operator.shape[0]):
             p, e = s.at[o], s.at[o + 1]
-            kernels.products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.body_node[o], b[frame], w[frame], pairs[p[6] : e[6]])
+            kernels.products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.body_node[o], right, left, pairs[c, p[6] : e[6]])

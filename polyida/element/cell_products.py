@@ -10,9 +10,14 @@ Other kernels give values for each cell: the work of its forces along a second f
 
     w . f = sum over the cell's points of weight P(F) : grad w      P = F S, S = D : (E + tau_v Edot)
 
-and products of fields on the node pattern, for the work of the constant matrices (mass and stabilisation) in any number of frames at once.
+and products of fields on the node pattern, for the work of the constant matrices (mass and stabilisation) in any number of frames at once. Fields w of
+several objectives are columns: the forces are computed once for all of them.
 Arguments as in kernels.py; results are added to the output arrays.
 """
+
+from functools import partial
+
+import numpy as np
 
 from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace, mass_product
 from polyida.element.material import (
@@ -28,7 +33,7 @@ from polyida.element.material import (
     two_state_piola,
     two_state_strain,
 )
-from polyida.jit import entry, part
+from polyida.jit import FAST, entry, part
 from polyida.jit.intrinsics import (
     LANES,
     add_pair,
@@ -195,53 +200,72 @@ def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, t
 
 
 @traced(1)
-def add_work(total, p, g):
-    """total + P : G."""
-    return total + p[0] * g[0] + p[1] * g[1] + p[2] * g[2] + p[3] * g[3]
+def add_product_of(total, a, b):
+    """total + a . b of two plane vectors."""
+    return total + a[0] * b[0] + a[1] * b[1]
 
 
 @entry
 def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, w, out):
-    """Add `w . f` of each cell, without stabilisation, to out (blocks * LANES,) in the order of the lanes; v is not used if tau_v = 0."""
-    work = _workspace(layout, 6, 0)
+    """Add `w[c] . f` of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used if tau_v = 0."""
+    work = _workspace(layout, 8, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
-        size, total = 2 * m * LANES, load(out, b * LANES)
-        along, rate = work[size:], work[2 * size :]
+        size = 2 * m * LANES
+        rate, force, along = work[size:], work[2 * size :], work[3 * size :]
         _differences(u, corners, first, node_offset, m, work)
-        _differences(w, corners, first, node_offset, m, along)
         if tau_v != 0.0:
             _differences(v, corners, first, node_offset, m, rate)
+        for k in range(0, size, 2 * LANES):
+            store(force, k, zeros2())
         for p in range(layout[b, 1]):
             g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, slope = _gradient(gradients, g, work, m), _gradient(gradients, g, along, m)
+            h = _gradient(gradients, g, work, m)
             if tau_v != 0.0:
                 d = _gradient(gradients, g, rate, m)
-                total = add_work(total, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), slope)
+                _add_forces(force, gradients, g, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), size)
             else:
-                total = add_work(total, first_piola(h, weight, c1 * nu, c1 * (1.0 - nu)), slope)
-        store(out, b * LANES, (total,))
+                _add_forces(force, gradients, g, first_piola(h, weight, c1 * nu, c1 * (1.0 - nu)), size)
+        for c in range(w.shape[0]):
+            _differences(w[c], corners, first, node_offset, m, along)
+            total = load(out[c], b * LANES)
+            for k in range(0, size, 2 * LANES):
+                total = add_product_of(total, load2(force, k), load2(along, k))
+            store(out[c], b * LANES, (total,))
 
 
 @entry
+def by_node(x):
+    """Vectors (frames, N, 2) as (N, 2 frames)."""
+    out = np.empty((x.shape[1], 2 * x.shape[0]))
+    for i in range(x.shape[1]):
+        for k in range(x.shape[0]):
+            out[i, 2 * k], out[i, 2 * k + 1] = x[k, i, 0], x[k, i, 1]
+    return out
+
+
+@partial(entry, fastmath=FAST)
 def products(indptr, indices, node_offset, b, w, out):
-    """out (nnz,) += w_i . b_j for every pair (i, j) of a body's node pattern."""
+    """out (nnz,) += sum over the frames of w_i . b_j for every pair (i, j) of a body's node pattern; b and w `by_node`."""
     for row in range(indptr.shape[0] - 1):
-        x, y = w[row + node_offset, 0], w[row + node_offset, 1]
+        own = w[row + node_offset]
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
-            j = load_integer(indices, k) + node_offset
-            out[k] += x * b[j, 0] + y * b[j, 1]
+            other, total = b[load_integer(indices, k) + node_offset], 0.0
+            for e in range(own.shape[0]):
+                total += own[e] * other[e]
+            out[k] += total
 
 
 @entry
 def difference_products(indptr, indices, node_offset, u, w, out):
-    """out (nnz,) += w_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
-    for row in range(indptr.shape[0] - 1):
-        i = row + node_offset
-        x, y, ux, uy = w[i, 0], w[i, 1], u[i, 0], u[i, 1]
-        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
-            j = load_integer(indices, k) + node_offset
-            out[k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)
+    """out (columns, nnz) += w[c]_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
+    for c in range(w.shape[0]):
+        for row in range(indptr.shape[0] - 1):
+            i = row + node_offset
+            x, y, ux, uy = w[c, i, 0], w[c, i, 1], u[i, 0], u[i, 1]
+            for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+                j = load_integer(indices, k) + node_offset
+                out[c, k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)
 
 
 @entry
