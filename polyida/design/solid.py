@@ -101,6 +101,11 @@ def solid(
     InputError
         If no level gives plates in one piece with the sections that the densities keep, and a run that succeeds; for wrong `changes`.
 
+    Warns
+    -----
+    UserWarning
+        If the solid design exceeds a limit by more than 3 %.
+
     Notes
     -----
     Sequence of linear integer programs: Sivapuram, Picelli, Finite Elem. Anal. Des. 139 (2018). A cell is removed only if its solid neighbours hang
@@ -131,6 +136,14 @@ def solid(
         models, runs = solids.ran(meshes)
         found = _judged(problem, runs)
         excess = _excess(found[1:], problem)
+    if excess > KEPT:
+        exceeded = (
+            f"{label} is {value:.4g}, upper {u:.4g}"
+            for label, value, (limit, _) in zip(problem.labels, found[1:], problem.held)
+            if value > (u := limit.upper) + KEPT * abs(u)
+        )
+        more = "smaller cells or looser limits" if changes else "`changes`"
+        warnings.warn(f"solid: the design exceeds limits: {'; '.join(exceeded)}; try {more}", stacklevel=3)
     optimiser = [design.objective, *(value for value, _ in design.limits.values())]
     uppers = [np.nan, *(limit.upper for limit, _ in problem.held)]
     columns = {"upper": uppers, "optimiser": optimiser, "solid": found}

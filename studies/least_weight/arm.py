@@ -14,7 +14,7 @@ from polyida.design.solid import KEPT as KEPT_SOLID
 ARM = replace(MACHINES["arm"], radius=0.05)  # of the filter, m, the same for all meshes
 UPPER = {"Deviation tip": 4e-5, "PeakTorque arm motor": 80.0, "PeakStress arm": 1e6}  # m2, N m, Pa
 LOADS = {"tip load": ((0.0, -1.0), (0.0, 0.0)), "tip load and weight": ((0.0, -1.0), (0.0, -1.0))}  # N, m/s2
-VOLUMES = (0.4, 0.45, 0.475, 0.5, 0.525, 0.55, 0.6)  # of static designs
+VOLUME = {"full": (0.5, (0.05, 0.025, 0.0125, 0.00625)), "short": (0.5, ())}  # of static designs: the first, and the steps of its search
 CHANGES = {"full": 150, "short": 20}  # of solid designs, at most
 STAGE = pi.design.Stage
 REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0), STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))
@@ -71,14 +71,46 @@ def quietly(*arguments):
 def judged(design, effort="short", changes=0, mesh=None):
     """The SolidDesign by the limits of the motion: of a level, or on a mesh."""
     others = OTHERS if effort == "full" else {"smaller steps": OTHERS["smaller steps"]}
-    solid = pi.design.solid(
-        design,
-        lambda arm: ARM.scene([arm if mesh is None else mesh]).build(),
-        others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
-        changes=changes,
-        **({} if mesh is None else {"levels": [0.0]}),
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the rows have what exceeds limits
+        solid = pi.design.solid(
+            design,
+            lambda arm: ARM.scene([arm if mesh is None else mesh]).build(),
+            others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
+            changes=changes,
+            **({} if mesh is None else {"levels": [0.0]}),
+        )
     return solid if mesh is None else replace(solid, meshes={"arm": mesh})
+
+
+def lightest(mesh, load, effort):
+    """(volume, its `judged_static`) of the lightest solid static design that keeps the limits within 3 %: a pattern search over volumes."""
+    best, steps = VOLUME[effort]
+    known = {best: judged_static(mesh, load, best, effort)}
+    for step in steps:
+        for volume in (round(best - step, 6), round(best + step, 6)):
+            if volume not in known:
+                known[volume] = judged_static(mesh, load, volume, effort)
+        best = min(known, key=lambda one: merit(known[one][1]))
+    return best, known[best]
+
+
+def merit(solid):
+    """Limits first, then the mass."""
+    return max(solid.excess, KEPT_SOLID), solid.table.loc["objective", "solid"]
+
+
+def judged_static(mesh, load, volume, effort):
+    """(Design by the limits of the motion, SolidDesign) of the least compliance: of a level, or moved on by cells to less compliance at its mass."""
+    rest = static_design(mesh, load, volume, REST + HARDER)
+    variable, case = pi.design.Densities("arm", ARM.radius, KEPT), pi.design.Case(ARM.scene([mesh]).build(), in_motion)
+    moving = pi.design.Problem(pi.objective.Mass("arm"), limits(), [variable], case)
+    found = moving.evaluate(rest.x, rest.sharp)
+    kept = {label: (float(value), limit.upper) for label, value, (limit, _) in zip(moving.labels, found.largest[1:], moving.held)}
+    design = replace(rest, problem=moving, objective=float(found.values[0]), limits=kept)
+    force, gravity = LOADS[load]
+    still = pi.design.solid(rest, lambda arm: ARM.scene([arm], gravity=gravity, load=force).build(), changes=CHANGES[effort])
+    return design, min((judged(design), judged(design, mesh=still.meshes["arm"])), key=merit)
 
 
 def nearest(mesh, solid):
@@ -87,40 +119,27 @@ def nearest(mesh, solid):
 
 
 def row(cells, way, effort, load="tip load and weight", volume=0.5):
-    """One row: a design in motion that begins with the static one of a load and volume, or that static design itself."""
+    """One row: a design in motion that begins with the static one of a load and volume, or the lightest static design under that load."""
     mesh, begun = ARM.mesh(cells), (time.perf_counter(), time.process_time())
-    rest = static_design(mesh, load, volume, REST if way == "in motion" else REST + HARDER)
-    history, stages = [], [rest.values["arm"].tolist()]
+    history, excesses, stages = [], [], []
     if way == "in motion":
-        x, excesses = rest.x, []
+        rest = static_design(mesh, load, volume, REST)
+        x, stages = rest.x, [rest.values["arm"].tolist()]
         for stage in MOTION[effort]:
             design = moving_design(mesh, x, [stage])
             x = design.x
             history += design.history["objective"].tolist()
             excesses += design.history["excess"].tolist()
             stages.append(design.values["arm"].tolist())
-    else:  # judged by the limits of the motion
-        moving = pi.design.Problem(
-            pi.objective.Mass("arm"),
-            limits(),
-            [pi.design.Densities("arm", ARM.radius, KEPT)],
-            pi.design.Case(ARM.scene([mesh]).build(), in_motion),
-        )
-        found = moving.evaluate(rest.x, rest.sharp)
-        kept = {label: (float(value), limit.upper) for label, value, (limit, _) in zip(moving.labels, found.largest[1:], moving.held)}
-        design, excesses = replace(rest, problem=moving, objective=float(found.values[0]), limits=kept), []
-    if way == "in motion":
         solid = judged(design, effort, changes=CHANGES[effort])
-    else:  # by a density, or moved on by cells to less compliance at its mass
-        force, gravity = LOADS[load]
-        still = pi.design.solid(rest, lambda arm: ARM.scene([arm], gravity=gravity, load=force).build(), changes=CHANGES[effort])
-        both = judged(design), judged(design, mesh=still.meshes["arm"])
-        solid = min(both, key=lambda one: (max(one.excess, KEPT_SOLID), one.table.loc["objective", "solid"]))
+    else:
+        volume, (design, solid) = lightest(mesh, load, effort)
     spent = time.perf_counter() - begun[0], time.process_time() - begun[1]
     names = dict(zip(solid.table.index, ("mass", "deviation", "torque", "stress")))
     rho = np.asarray(design.values["arm"])
     return {
         **{f"{name}_{column}": float(value) for column in solid.table for name, value in zip(names.values(), solid.table[column])},
+        "volume_found": volume,
         "excess": solid.excess,
         "at": solid.at,
         "grey": float(4.0 * (mesh.cell_areas / mesh.area) @ (rho * (1.0 - rho))),

@@ -102,6 +102,35 @@ def test_slopes_of_densities_sizes_and_built_models():
     assert found.largest[1] == pi.objective.PeakTorque("motor").largest(case.ran(problem.setting(x, sharp).model(case)))
 
 
+def cranked(radius=0.2, rail=0.0):
+    """A rigid crank that drives a plate to a slider: its radius places the hub, and the rail may be inclined."""
+    scene = pi.Scene()
+    crank = scene.add(pi.RigidBody(0.2, 1e-3, {"hub": (-radius, 0.0), "pin": (0.0, 0.0)}, center=(-0.5 * radius, 0.0), name="crank"))
+    rod = scene.add(pi.Plate(MESH, pi.Material(3e8, 0.3, 1100.0), thickness=0.01, name="rod"))
+    scene.add(pi.AngleMotor(pi.ground, crank.at("hub"), angle=pi.profile.quintic(0.0, 0.5, 0.05), name="motor"))
+    scene.add(pi.Revolute(pi.ground, crank.at("hub"), name="hub"))
+    scene.add(pi.Revolute(crank.at("pin"), rod.section("left"), name="pin"))
+    scene.add(pi.Slot(pi.ground.at((1.0, 0.0), direction=(1.0, rail)), rod.section("right"), name="rail"))
+    return scene.build()
+
+
+def test_slopes_of_positions_of_joints():
+    case = pi.design.Case(cranked, in_motion)
+    variables = [pi.design.Size("radius", 0.1, 0.3), pi.design.Size("rail", -0.05, 0.05)]
+    objectives = [pi.objective.PeakReaction("pin", p=4, unit="N"), pi.objective.StrainEnergy("rod"), pi.objective.PeakTorque("motor", p=4)]
+    problem = pi.design.Problem(objectives[0], [pi.objective.Limit(one, 1.0) for one in objectives[1:]], variables, case)
+    found, step = problem.evaluate(problem.start), 1e-3
+
+    def values(x):
+        run = case.ran(problem.setting(x).model(case))
+        return np.array([one(run) for one in objectives])
+
+    for k, way in enumerate(step * np.eye(2)):
+        near, far = (values(problem.start + s * way) - values(problem.start - s * way) for s in (1, 2))
+        difference = (8 * near - far) / (12 * step)
+        assert np.allclose(found.slopes[:, k], difference, rtol=1e-6, atol=1e-6 * np.abs(found.slopes).max(axis=1)), k
+
+
 def test_a_search_that_was_ended_goes_on_as_if_it_had_not(tmp_path):
     runs = []
     case = pi.design.Case(arm(), lambda model: runs.append(1) or at_rest(model))
@@ -239,5 +268,9 @@ def test_a_solid_design_that_exceeds_its_limits_is_mended():
     limits, densities = [pi.objective.Limit(COMPLIANCE, 1.3 * START)], pi.design.Densities("arm", 1e-3, keep=("left", "right"))
     problem = pi.design.Problem(MASS, limits, [densities], pi.design.Case(arm(mesh=mesh), at_rest))
     design = pi.design.Design(problem, 1.0 - hole, pi.design.Sharpness(), 0.0, {"Compliance": (0.0, 1.3 * START)}, True, "", None)
-    by_level, mended = (pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=n) for n in (0, 150))
+    with pytest.warns(UserWarning, match="the design exceeds limits: Compliance is .*, upper .*; try `changes`"):
+        by_level = pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        mended = pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=150)
     assert by_level.excess > 0.1 and mended.excess <= 0.005
