@@ -164,6 +164,7 @@ def weighed(task):
     columns = ("upper", "optimiser", "solid", "smaller steps")
     values = {f"{measure}_{column}": 1.0 for measure in ("mass", "deviation", "torque", "stress") for column in columns}
     found = {
+        "volume_found": 0.5,
         "excess": 0.01,
         "at": 0.5,
         "grey": 0.1,
