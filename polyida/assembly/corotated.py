@@ -292,9 +292,7 @@ def points_matrix(s, c, w):
 def fill_curvature(s, w, curvature, drives, lam, c_m):
     """Blocks of the coupling = C: curvature of the rows, c_m times the masses at points, derivatives of force elements."""
     if w.own.shape[0]:
-        for f in range(w.spin.shape[0]):
-            for k in range(s.coupling.start[f], s.coupling.start[f + 1]):
-                turn_block(s, w, f, s.coupling.columns[k], 1.0, w.own[k], curvature[k])
+        turn_slopes(s, w, 1.0, w.own, curvature)
     else:
         curvature[:] = 0.0
     joints.joint_curvature(s, drives, lam, curvature)
@@ -379,23 +377,21 @@ def settle_states(s, c, curvature, y, dq):
 
 
 @part
-def turn_back(s, c, w, rotation):
-    """Turn derivatives of the force elements, w.own, from the frames `rotation` into those of the factor."""
-    turn_frames(s, c, w, rotation)
+def turn_slopes(s, w, sense, slopes, out):
+    """out = R_f slopes R_h^T for the blocks of points f and h, R the rotation of a direction since the factor, 1 of other points.
+
+    sense -1: backwards, from the frames of w.spin into those of the factor.
+    """
     for f in range(w.spin.shape[0]):
         for k in range(s.coupling.start[f], s.coupling.start[f + 1]):
-            turn_block(s, w, f, s.coupling.columns[k], -1.0, w.own[k], w.own[k])
-
-
-@part
-def turn_block(s, w, f, h, sense, block, out):
-    """out = R_f block R_h^T of points f and h, R the rotation of a direction since the factor, 1 of other points; sense -1: backwards."""
-    c, n = (w.spin[f, 0], sense * w.spin[f, 1]) if s.point_turns[f] else (1.0, 0.0)
-    for j in range(2):
-        out[0, j], out[1, j] = c * block[0, j] - n * block[1, j], n * block[0, j] + c * block[1, j]
-    c, n = (w.spin[h, 0], sense * w.spin[h, 1]) if s.point_turns[h] else (1.0, 0.0)
-    for i in range(2):
-        out[i, 0], out[i, 1] = c * out[i, 0] - n * out[i, 1], n * out[i, 0] + c * out[i, 1]
+            block, h = out[k], s.coupling.columns[k]
+            c, n = (w.spin[f, 0], sense * w.spin[f, 1]) if s.point_turns[f] else (1.0, 0.0)
+            for j in range(2):
+                x, y = slopes[k, 0, j], slopes[k, 1, j]
+                block[0, j], block[1, j] = c * x - n * y, n * x + c * y
+            c, n = (w.spin[h, 0], sense * w.spin[h, 1]) if s.point_turns[h] else (1.0, 0.0)
+            for i in range(2):
+                block[i, 0], block[i, 1] = c * block[i, 0] - n * block[i, 1], n * block[i, 0] + c * block[i, 1]
 
 
 @part
@@ -512,15 +508,6 @@ class SceneStepMatrix(StepMatrix):
             coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
             condense_states(coupling, self.corotated, self.workspace.own)
-
-    @property
-    def slopes(self):
-        """Derivatives of the force elements as they were last renewed, as numbers."""
-        return self.workspace.own.ravel().copy() if self.model.bodies else np.zeros(0)
-
-    @slopes.setter
-    def slopes(self, slopes):
-        self.workspace.own[...] = slopes.reshape(self.workspace.own.shape)
 
     def beside(self, c_m, c_v, change):
         """The matrix with other c_m and c_v. C and M are those of zero velocity, not those of `change`."""

@@ -238,8 +238,6 @@ class StepMatrix:
         Share of Newton's tolerance to which a correction is trusted: 0.5 if contraction becomes slower in a step, 1 with near_any_state.
     solves : int
         Number of solves that `factor` took.
-    slopes : (k,) float
-        What was renewed in it since `factor`; k = 0 without.
     backend : str
         Name in summaries.
     """
@@ -247,7 +245,6 @@ class StepMatrix:
     backend = ""
     near_any_state = False
     caution = 0.5
-    slopes: Any = np.zeros(0)
 
     def __init__(self, model: Any) -> None:
         self.model, self.made_at, self.solves = model, np.zeros(0), 0

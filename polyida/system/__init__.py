@@ -6,7 +6,7 @@ prepared instants, and addresses of contiguous float64 arrays. It returns a stat
 | entry | arguments | action |
 |---|---|---|
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
-| BEGIN | q, v, times, slow | store the state at which a step begins; times: as of PREPARE; slow: 1 if the solves of the last step contracted slowly |
+| BEGIN | q, v, times | store the state at which a step begins; times: as of PREPARE |
 | CONSTRAINTS | q, dd, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; 0 if the caller of the driver computes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |

@@ -41,7 +41,7 @@ SHARED = 20_000  # coordinates above which several threads share the solves
 DZ, FORCES, START, VX, DX, DV = range(
     6
 )  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
-H, TO_A, COSINE, INCREMENTAL, TO_V, SLOW = range(6)  # of SceneWork.numbers
+H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
 
 
 @pack
@@ -68,9 +68,7 @@ class SceneWork(NamedTuple):
     gains: np.ndarray  # (instants, profiles, 3)
     rotation: np.ndarray  # (nodes, 2) at the last RESIDUAL
     points: np.ndarray  # (6, points, 2)
-    # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v, 1 if the next residual
-    # renews slopes
-    numbers: np.ndarray
+    numbers: np.ndarray  # the step, c_m of the factor, the least cosine of motors' angle errors, 1 if phi is computed by increments, c_v
     level: np.ndarray  # (m,)
     solid: Solid  # with empty arrays if no function reads it
     condensed: Condensation  # the pairs are then those without strains
@@ -113,21 +111,16 @@ def residual(w, instant, q, v, a, lam, r, phi):
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
     add_forces(w, drives, u, pairs(w, v), out)
-    if w.numbers[SLOW] != 0.0:
-        w.numbers[SLOW] = 0.0
-        joints.point_values(w.scene.links, pairs(w, v), w.points[DV])
-        renew_slopes(w, drives, w.points[DZ], w.points[DV])
     if w.condensed.calls[0] != 0:
         call(w.condensed.calls[2], w.condensed.calls[0], q, r, 0, 0, 0, 0, 0)
     return DONE
 
 
 @entry
-def begin(w, instant, q, v, times, slow, e, f):
+def begin(w, instant, q, v, c, d, e, f):
     """Store the points at a step's start."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
     joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
-    w.numbers[SLOW] = slow
     return DONE
 
 
@@ -140,12 +133,13 @@ def renew_slopes(w, drives, dz, vz):
 
 @entry
 def new_slopes(w, drives, dz, vz, d, e, f, g):
-    """`renew_slopes` of scenes with force elements and plates; without plates, a solve costs less than the slopes."""
+    """`renew_slopes` of scenes with force elements and plates, in methods that ask for it; without plates, a solve costs less than the slopes."""
     own, optional = w.workspace.own, w.optional
     own[:] = 0.0
     call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(w.numbers[TO_V:]), address(own), 0, 0)
     corotated.condense_states(w.scene.links.coupling, w.factored, own)
-    corotated.turn_back(w.scene.links, w.factored, w.workspace, w.rotation)
+    corotated.turn_frames(w.scene.links, w.factored, w.workspace, w.rotation)
+    corotated.turn_slopes(w.scene.links, w.workspace, -1.0, own, own)
     return DONE
 
 
@@ -246,7 +240,7 @@ class SceneTable:
 
     longest = INSTANTS
     entries = FUNCTIONS
-    optional: tuple[int, ...] = LAW_FORCES, LAW_SLOPES, RELAXING, DAMPING
+    optional: tuple[int, ...] = LAW_FORCES, RELAXING, DAMPING
 
     def __init__(self, model, tied, incremental, condensed=False):
         self.model, links, condensed = model, model.arrays.links, condensed and bool(model.strains)
@@ -262,7 +256,7 @@ class SceneTable:
             "gains": np.zeros((INSTANTS, profiles, 3)),
             "rotation": np.zeros((self.unknowns // 2, 2)),
             "points": np.zeros((6, model.n_points, 2)),
-            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0, 0.0]),
+            "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
             "level": np.zeros(len(links.row_constant)),
             "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
             "condensed": parts,

@@ -245,23 +245,12 @@ def test_slopes_of_a_controller_turn_with_rigid_bodies():
     assert pi.solve(controlled_bars(), 1.2, pi.GeneralizedAlpha(h=1e-3)).counts.factorizations == 1
 
 
-def plates(cells):
-    """Two soft plates whose controller sets in with a jump."""
-    scene = double_plate(cells)
+def test_a_jump_of_a_controller_takes_few_factors():
+    scene = double_plate(160)
     elbow = scene.parts["elbow"]
     scene.add(pi.PID(elbow.b, kp=5.0, ki=2.0, kd=0.2, target=0.3, against=elbow.a, filter=0.01))
-    return scene.build()
-
-
-def test_a_jump_of_a_controller_takes_few_factors():
-    run = pi.solve(plates(160), 0.004, pi.GeneralizedAlpha(h=1e-3))
+    run = pi.solve(scene.build(), 0.004, pi.GeneralizedAlpha(h=1e-3))
     assert run.success and run.counts.rejected == 0 and run.counts.factorizations <= 8
-
-
-def test_a_run_with_renewed_slopes_goes_on_to_the_last_bit():
-    model, integrator = plates(40), pi.GeneralizedAlpha(h=1e-3)
-    whole, first = pi.solve(model, 0.06, integrator), pi.solve(model, 0.03, integrator)
-    assert np.array_equal(pi.solve(model, 0.06, integrator, state=first.state).q[-1], whole.q[-1])
 
 
 @pytest.mark.parametrize("transposed", [False, True])

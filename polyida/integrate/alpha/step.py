@@ -20,7 +20,6 @@ from polyida.jit.intrinsics import address, call
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
-AGED = 0.02  # contraction above which slopes of force elements are renewed: they take a tenth of an iteration at 1e3 coordinates
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 # rows of Memory.past; the first three are those of Trial.now too
@@ -248,26 +247,18 @@ def constraints(f, w, k, p, y, x):
 
 
 @part
-def split_constraints(f, w, k, p, x):
-    """Replace rows[PHI] by rate/gamma', for the solve of x; rows[BIAS] is the rest for y, phi - rate/gamma'."""
+def add_rates(f, w, k, p, x, stabilised):
+    """Fill the velocity rows of rows[PHI] with psi/gamma'; if stabilised all rows with rate/gamma', for the solve of x, and rows[BIAS] with the rest."""
     rows = x.rows
     ended = call(f[table.RATE], w, k, address(x.now[Q]), address(x.now[V]), address(rows[BIAS]), 0, 0, 0)
-    for i in range(rows.shape[1]):
+    for i in range(rows.shape[1] if stabilised else 0):
         share = rows[BIAS, i] / p.to_v
-        rows[BIAS, i] = rows[PHI, i] - share
-        rows[PHI, i] = share
-    for i in range(p.velocity_rows.shape[0]):
-        rows[BIAS, p.velocity_rows[i]] = 0.0
-    return ended
-
-
-@part
-def add_velocity_rows(f, w, k, p, x):
-    """Fill the velocity rows of rows[PHI] with psi/gamma'."""
-    rows = x.rows
-    ended = call(f[table.RATE], w, k, address(x.now[Q]), address(x.now[V]), address(rows[BIAS]), 0, 0, 0)
-    for i in range(p.velocity_rows.shape[0]):
-        rows[PHI, p.velocity_rows[i]] = rows[BIAS, p.velocity_rows[i]] / p.to_v
+        rows[BIAS, i], rows[PHI, i] = rows[PHI, i] - share, share
+    for e in range(p.velocity_rows.shape[0]):
+        i = p.velocity_rows[e]
+        if not stabilised:
+            rows[PHI, i] = rows[BIAS, i] / p.to_v
+        rows[BIAS, i] = 0.0
     return ended
 
 
@@ -308,8 +299,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         predict(p, y, x)
         y.marks[ACCEL] *= 0.9
         y.marks[ACCEL_CHANGE] *= 0.9
-    slow = 1 if y.marks[CONTRACTION] > AGED else 0
-    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, slow, 0, 0)
+    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
     if stabilised and last == 0.0:
         for i in range(p.unknowns):
             now[GGL, i] = 0.0
@@ -320,10 +310,8 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         counts[0] += 1
         if ended == DONE and p.incremental:
             ended, _ = constraints(f, w, k, p, y, x)
-        if ended == DONE and stabilised:
-            ended = split_constraints(f, w, k, p, x)
-        elif ended == DONE and p.velocity_rows.shape[0]:
-            ended = add_velocity_rows(f, w, k, p, x)
+        if ended == DONE and (stabilised or p.velocity_rows.shape[0]):
+            ended = add_rates(f, w, k, p, x, stabilised)
         if ended != DONE:
             return ended, last
         ended = call(f[table.SOLVE], w, k, state[0], state[3], r, phi, dq, dlam)

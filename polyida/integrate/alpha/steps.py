@@ -18,7 +18,7 @@ from polyida.system import INSTANTS
 from polyida.system.python import PythonTable, small_table
 
 ADAPTIVE = 128  # steps of a stretch if h may change
-NEAR = 0.03  # of the model's extent: a step that moves no farther may begin Newton's method at its start
+NEAR = 0.03  # of the model's extent: from the start of a step that goes farther Newton's method may find another motion
 SAME_H = 1e-9  # relative difference of steps that is round-off
 DIVERGED = 0.03  # of the model's extent: distance of the runs with h and h/2 beyond which they are different motions
 
@@ -41,7 +41,6 @@ class Steps:
         self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments, True)
         self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
         self.system = self.spare = self.resize = self.recorder = self.factored_for = None
-        self.seen = np.delete(np.arange(model.n), model.hidden)
         self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
 
     def begin(self, state, h, same_factor=False):
@@ -95,8 +94,6 @@ class Steps:
             if len(made_at):
                 h = float(memory.get("factored_for", memory["h"]))
                 self._factor(float("nan"), lambda system: system.again(made_at, *self.settings.coefficients.rates(h)), h)
-        if "slopes" in memory:
-            self.system.slopes = memory["slopes"]
 
     def recall(self, memory):
         """Take up Newton's memory, so that a resumed run is the same to the last bit."""
@@ -198,41 +195,25 @@ class Steps:
         raise StepFailure(*REASONS[ended], t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
-        """One step with a matrix made anew in every iteration: from the places at its start, which no jump of a has distorted, or as predicted.
-
-        In steps that go far the motion from the places at the start may be another one.
-        """
-        y, method, steps = self.memory, self.method._replace(max_iterations=1), 0
-        for stays in (True, False):
-            y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
-            step.predict(method._replace(unknowns=self.model.n), y, self.trial)
-            if stays and np.abs(self.trial.now[step.Q] - y.past[step.Q])[self.seen].max(initial=0.0) > NEAR * method.extent:
-                continue
-            if stays:
-                self._stay()
-            y.marks[step.MOVED] = np.nan if stays else 0.0
-            for _ in range(self.settings.max_iterations):
-                self._factor_here(first)
-                steps, ended, moved = self._steps(method, first, first + 1, frames)
-                self.table.raise_error()
-                if ended != REFACTOR or steps or not np.isfinite(moved):
-                    break
-                y.marks[step.MOVED] = moved
-            y.marks[step.MOVED] = 0.0
-            if steps:
+        """One step with a matrix made anew in every iteration, from the places at its start if it does not go far: no jump of a has distorted them."""
+        y, method = self.memory, self.method._replace(max_iterations=1)
+        y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
+        step.predict(method._replace(unknowns=self.model.n), y, self.trial)
+        now, back = self.trial.now, y.past[step.Q] - self.trial.now[step.Q]
+        back[self.model.hidden] = 0.0
+        if np.abs(back).max() <= NEAR * method.extent:
+            for row, rate in ((step.Q, 1.0), (step.DD, 1.0), (step.V, method.to_v), (step.A, method.to_a)):
+                now[row] += rate * back
+            now[step.GGL], y.marks[step.MOVED] = 0.0, np.nan
+        for _ in range(self.settings.max_iterations):
+            self._factor_here(first)
+            steps, ended, moved = self._steps(method, first, first + 1, frames)
+            self.table.raise_error()
+            if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
+            y.marks[step.MOVED] = moved
+        y.marks[step.MOVED] = 0.0
         return steps, ended, moved
-
-    def _stay(self):
-        """Set the places of the trial state to those at the step's start, with the rates of the method; those of hidden coordinates stay predicted."""
-        p, past, now = self.method, self.memory.past, self.trial.now
-        dd = -p.h * past[step.V]
-        a1 = (dd / p.h**2 - (0.5 - p.beta) * past[step.A_ALG]) / p.beta
-        v = past[step.V] + p.h * ((1.0 - p.gamma) * past[step.A_ALG] + p.gamma * a1)
-        a = ((1.0 - p.alpha_m) * a1 + p.alpha_m * past[step.A_ALG] - p.alpha_f * past[step.A]) / (1.0 - p.alpha_f)
-        for row, values in ((step.Q, past[step.Q]), (step.DD, dd), (step.V, v), (step.A, a)):
-            now[row, self.seen] = values[self.seen]
-        now[step.GGL] = 0.0
 
     def _factor_here(self, first):
         t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.rows[step.LAM].copy()
@@ -272,7 +253,6 @@ class Steps:
         memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made_at, "extent": p.extent}
         memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, p.h) else {}
-        memory |= {"slopes": self.system.slopes} if self.system and len(self.system.slopes) else {}
         if self.model.needs.mass_varies:
             memory["weights"] = y.past[step.MASSES].copy()
         if p.incremental:
