@@ -429,7 +429,7 @@ class AlphaAdjoint(RunAdjoint):
             motion = self._motion(segment, first, last) if self.ready else None
             slip = self._slips(segment.h, *motion) if self.stabilised else None
             keep = bool(self.events.speeds or self.observes)
-            results = shared.back(inner, q, v, a, rows, slopes_here, bars, keep, slip)
+            results = shared.back(inner, self.linearised(first + 1, q, v), v, a, rows, slopes_here, bars, keep, slip)
             add_together(sweeps, [AdjointMultipliers(inner, q, v, a, rows, each.w, each.mu, each.kappa) for each in results], t)
             for sweep, slopes, result in zip(sweeps, slopes_here, results):
                 if self.stabilised:
@@ -445,6 +445,10 @@ class AlphaAdjoint(RunAdjoint):
             bars = [result.bars for result in results]
             yield float(t[0])
         return bars
+
+    def linearised(self, number, q, v):
+        """The places (count, n) at which steps are linearised; q, v: their ends, the first of this number."""
+        return q
 
     def observe(self, segment, first, t, motion, slopes, result):
         """Take the multipliers of steps from state number `first`.

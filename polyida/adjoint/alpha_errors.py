@@ -12,8 +12,12 @@ trapezoidal rule lacks in a mean over time,
 
 The states of the run put into the equations of a step leave what Newton's method left: `J* - J = sum w . r + mu . phi`.
 
-Modes whose phase is lost, `omega^3 h^2 T / 12 > 1`, make the first estimate useless. The same sum with tau averaged over time by a Gaussian
-of width `(h^2 T / 12)^(1/3)` has no part of these modes; the relative difference is their share.
+Modes whose phase is lost, `omega^3 h^2 T / 12 > 1`, make the first estimate useless. tau less its average over time by a Gaussian of width
+`(h^2 T / 12)^(1/3)` is the part of these modes. As their phase is unknown, their share is the largest that this part has in the same sum when it
+is shifted by up to half a period of the slowest of them.
+
+A step ends just before a contact opens. The force there has two slopes: that of the closed contact would act over the whole step behind, which may
+be much longer than the steps within the contact. So this state is linearised with the contact open; with `near_side` as it is, for comparison.
 """
 
 from dataclasses import replace
@@ -33,10 +37,12 @@ from polyida.objective.objective import OneFrame, terms_of
 from polyida.objective.peak_stress import PeakStress
 from polyida.system import RATE, RESIDUAL
 
-WIDTHS = 3.0  # of the Gaussian, on each side
+WIDTHS = 3.0  # of the Gaussian, on each side; half a period of a mode with omega = 1 / width has pi
+LAGS = 25  # shifts of the part of the modes whose phase is lost, an odd number
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
 STARTING = 10  # steps of a start, whose transient lam at an instant sees
 TOGETHER = 128  # coordinates that are averaged at once
+BEYOND = 1e-3  # of a step: from its end, just before a contact opens, to where that is open
 AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J depend on an instant
 
 
@@ -61,53 +67,66 @@ def truncation(numbers, a, at, weights, ahead, y, z, tau, shares):
 
 
 @fast
-def averaged_part(shares, first_seen, last_seen, tau, old, factors, old_factors, first, low, high, mean):
-    """`sum factors . tau` of coordinates low to high - 1 over steps from `first` on, with averaged tau; mean (2, .): workspace."""
-    total, count, size = 0.0, tau.shape[1], high - low
-    for k in range(shares.shape[1]):
-        mean[:] = 0.0
-        for j in range(first_seen[k], last_seen[k]):
-            for e in range(2):
-                share, out = shares[e, k, j - first_seen[k]], mean[e]
-                x = tau[e, j, low:high] if j < count else old[e, j - count, low:high]
-                for i in range(size):
-                    out[i] += share * x[i]
-        at = first + k
-        for e in range(2):
-            y, x = factors[e, at, low:high] if at < count else old_factors[e, at - count, low:high], mean[e]
-            for i in range(size):
-                total += y[i] * x[i]
-    return total
+def nearest(t, middle, width):
+    """First and last + 1 number of the times t within WIDTHS widths of a step's, the number `middle`."""
+    first, last = middle, middle + 1
+    while first > 0 and t[middle] - t[first - 1] <= WIDTHS * width:
+        first -= 1
+    while last < t.shape[0] and t[last] - t[middle] <= WIDTHS * width:
+        last += 1
+    return first, last
 
 
 @entry
-def averaged(t, h, widths, tau, old, factors, old_factors, first, last):
-    """`-sum factors . tau` over steps first to last - 1, with tau over h^4 and h^3 averaged over time.
+def shifted(t, h, widths, tau, factors, first, last, sums):
+    """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its average over time, of the steps at each lag.
 
-    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): of the first steps, old, old_factors:
-    of those behind them.
+    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): over h^4 and h^3 an average is taken.
+    The lags are from -WIDTHS to WIDTHS widths; a lag that leaves the steps adds nothing.
     """
-    steps, total = max(0, last - first), 0.0
-    first_seen, last_seen = np.zeros(steps, np.int64), np.zeros(steps, np.int64)
-    for k in range(steps):
-        while abs(t[first_seen[k]] - t[first + k]) > WIDTHS * widths[first + k]:
-            first_seen[k] += 1
-        last_seen[k] = first + k
-        while last_seen[k] < t.shape[0] and abs(t[last_seen[k]] - t[first + k]) <= WIDTHS * widths[first + k]:
-            last_seen[k] += 1
-    shares = np.zeros((2, steps, np.max(last_seen - first_seen) if steps else 0))
-    for k in range(steps):
-        at, weight = first + k, 0.0
-        for j in range(first_seen[k], last_seen[k]):
-            s = (t[j] - t[at]) / widths[at]
+    n, at = tau.shape[2], np.empty((last - first, LAGS), np.int64)  # at: the step at each lag, -1 for none
+    low, high, longest = first, last, 0
+    for k in range(first, last):
+        for lag in range(LAGS):
+            time = t[k] + WIDTHS * widths[k] * (2.0 * lag / (LAGS - 1) - 1.0)
+            j = min(np.searchsorted(t, time), t.shape[0] - 1)
+            j -= j > 0 and time - t[j - 1] < t[j] - time
+            at[k - first, lag] = j if abs(time - t[j]) <= h[j] else -1
+            low, high = min(low, j), max(high, j + 1)
+    seen = np.empty((high - low, 2), np.int64)
+    for k in range(low, high):
+        seen[k - low, 0], seen[k - low, 1] = nearest(t, k, widths[k])
+        longest = max(longest, seen[k - low, 1] - seen[k - low, 0])
+    shares, fast_part = np.empty((2, high - low, longest)), np.empty((2, high - low, TOGETHER))
+    for k in range(low, high):
+        begin, end, weight = seen[k - low, 0], seen[k - low, 1], 0.0
+        for j in range(begin, end):
+            s = (t[j] - t[k]) / widths[k]
             g = np.exp(-0.5 * s * s) * h[j]
             weight += g
-            shares[0, k, j - first_seen[k]], shares[1, k, j - first_seen[k]] = g * (h[at] / h[j]) ** 4, g * (h[at] / h[j]) ** 3
-        shares[:, k] /= weight
-    n, mean = tau.shape[2], np.empty((2, TOGETHER))
-    for low in range(0, n, TOGETHER):  # as many coordinates as stay in the processor's cache
-        total -= averaged_part(shares, first_seen, last_seen, tau, old, factors, old_factors, first, low, min(low + TOGETHER, n), mean)
-    return total
+            shares[0, k - low, j - begin], shares[1, k - low, j - begin] = g * (h[k] / h[j]) ** 4, g * (h[k] / h[j]) ** 3
+        shares[:, k - low] /= weight
+    for begin in range(0, n, TOGETHER):  # as many coordinates as stay in the processor's cache
+        size = min(TOGETHER, n - begin)
+        for k in range(low, high):
+            for e in range(2):
+                out = fast_part[e, k - low]
+                for i in range(size):
+                    out[i] = tau[e, k, begin + i]
+                for j in range(seen[k - low, 0], seen[k - low, 1]):
+                    share = shares[e, k - low, j - seen[k - low, 0]]
+                    for i in range(size):
+                        out[i] -= share * tau[e, j, begin + i]
+        for k in range(first, last):
+            for lag in range(LAGS):
+                j = at[k - first, lag]
+                if j < 0:
+                    continue
+                for e in range(2):
+                    total = 0.0
+                    for i in range(size):
+                        total += factors[e, k, begin + i] * fast_part[e, j - low, i]
+                    sums[lag] -= total * (h[k] / h[j]) ** (4 - e)
 
 
 @entry
@@ -139,35 +158,44 @@ class AlphaErrors(AlphaAdjoint):
     """Backward sweep over a run that sums the parts of its error.
 
     pieces: (first, last) number of the states of the smooth parts of the run. steps (steps,): shares of steps in the error of time, without the
-    quadrature; lost: their
-    part of vibrations whose phase is lost. window: steps whose tau is not averaged yet, or that are near to such steps.
+    quadrature; far: {number of a state where a contact opens: time along v to its far side}; lost (LAGS,): sums of the part of vibrations whose phase is lost, by its shift. window: steps whose part is not added yet, or that
+    are near to such steps.
     """
 
     observes = True
 
-    def __init__(self, run, objective, memory_limit):
+    def __init__(self, run, objective, memory_limit, near_side=False):
         super().__init__(run, objective, [], memory_limit)
         self.run, self.objective, model = run, objective, self.model
         self.plain, self.table, self.system = replace(self.settings, start="plain"), table_of(self.settings, model, False), None
         segments, count = self.history.segments, len(self.history.frames) - 1
         self.times = np.concatenate([np.asarray(self.history.states(k, k + 1)[0]) for k in (0, count)])
-        breaks = [
-            one.first
-            for one in segments
-            if one.kind != "on" or not one.first or at_kink(model, float(self.ready[one.first][0].t)) or self._switches(one)
-        ]
+        breaks, self.far = [], {}
+        for one in segments:
+            on = one.kind == "on" and one.first > 0
+            before, after = self._open_gaps(one) if on else np.zeros((2, 0), bool)
+            if not on or at_kink(model, float(self.ready[one.first][0].t)) or (before != after).any():
+                breaks.append(one.first)
+            if (after & ~before).any() and not near_side:
+                self.far[one.first] = BEYOND * min(one.before, one.h)
         self.pieces = list(zip(breaks, [*breaks[1:], count]))
         self.steps, self.t, self.h = np.zeros(count), np.zeros(count), np.zeros(count)
-        self.lost = self.newton = 0.0
+        self.lost, self.newton = np.zeros(LAGS), 0.0
         self.at_instants, self.of_forces = 0.0, 0.0
         self.window, self.open = None, 0
         self.meshes = {body.name: MeshError(body) for body in model.bodies} if not self.reasons_of_mesh() else {}
 
-    def _switches(self, segment):
-        """True if a gap opens or closes where a segment begins; other steps that are shortened for a contact leave the motion smooth."""
+    def _open_gaps(self, segment):
+        """Which gaps are open just before and behind the start of a segment; steps that are shortened within a contact leave the motion smooth."""
         state, gaps = self.ready[segment.first][0], self.model.gaps
-        before, after = (gaps(state.t + s, state.q + s * state.v) < 0.0 for s in (-0.5 * segment.before, 0.5 * segment.h))
-        return bool((before != after).any())
+        return [gaps(state.t + s, state.q + s * state.v) >= 0.0 for s in (-0.5 * segment.before, 0.5 * segment.h)]
+
+    def linearised(self, number, q, v):
+        """Places on the far side of contacts that open."""
+        at = np.array([one for one in self.far if 0 <= one - number < len(q)], int) - number
+        q = q.copy()
+        q[at] += np.array([self.far[k + number] for k in at.tolist()])[:, None] * v[at] if len(at) else 0.0
+        return q
 
     def reasons_of_mesh(self):
         """Reasons why there is no estimate of the error of the meshes."""
@@ -201,8 +229,7 @@ class AlphaErrors(AlphaAdjoint):
         numbers_of_method = np.array([segment.h, c.beta, c.gamma])
         truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], *keep, tau, self.steps[first:end])
         self.t[first:end], self.h[first:end] = begin + h, h
-        self.lost += self.steps[first:end].sum()
-        self._average(begin + 0.5 * h, h, tau, keep, first == piece[0])
+        self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
         self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
@@ -239,16 +266,20 @@ class AlphaErrors(AlphaAdjoint):
             return
         self.steps[segment.first] += float(bars.v @ (v - begun.v))
 
-    def _average(self, t, h, tau, factors, closed):
-        """Subtract from `lost` the averaged steps whose neighbours within WIDTHS are all known; closed: True if the piece begins with the first one here."""
-        before_t, before_h, old, old_factors = self.window or (t[:0], h[:0], tau[:, :0].copy(), factors[:, :0].copy())
-        t, h, self.open = np.append(t, before_t), np.append(h, before_h), len(t) + self.open
+    def _shift(self, t, h, tau, factors, closed):
+        """Add to `lost` the steps whose neighbours within the shift and the average are known; closed: True if a piece begins with the first one here."""
+        self.open += len(t)
+        if self.window:
+            t, h, tau, factors = (
+                np.concatenate([x, old], axis=1 if x.ndim > 1 else 0) for x, old in zip((t, h, tau, factors), self.window)
+            )
         widths = np.cbrt(h * h * np.ptp(self.times) / 12.0)
-        known = t - WIDTHS * widths >= t[0]
+        known = t - 2.0 * WIDTHS * widths >= t[0]
         first = 0 if closed else min(self.open, int(np.argmax(known)) if known.any() else len(t))
-        self.lost -= averaged(t, h, widths, tau, old, factors, old_factors, first, self.open)
-        last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + WIDTHS * widths.max(), side="right"))
-        kept = t[:last], h[:last], _first_steps(tau, old, last), _first_steps(factors, old_factors, first)
+        if first < self.open:
+            shifted(t, h, widths, tau, factors, first, self.open, self.lost)
+        last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + 2.0 * WIDTHS * widths.max(), side="right"))
+        kept = t[:last], h[:last], tau[:, :last].copy(), factors[:, :last].copy()
         self.window, self.open = (None, 0) if closed else (kept, first)
 
     def of_time(self):
@@ -273,11 +304,11 @@ class AlphaErrors(AlphaAdjoint):
 
     def reasons(self, time):
         """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted)."""
-        share = float(abs(self.lost / time)) if time else 0.0
+        share = float(np.abs(self.lost).max() / abs(time)) if time else 0.0
         result, begin = [], [first for first, _ in self.pieces]
         if share > FAST:
             result.append(
-                f"{100 * share:.0f} % of it come from vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12)"
+                f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12) change it by up to {100 * share:.0f} %"
             )
         if self.of_forces and self.at_instants > AT_INSTANT * self.of_forces:
             text = "the objective is of lam or a at an instant, and "
@@ -287,8 +318,3 @@ class AlphaErrors(AlphaAdjoint):
             if starts > FAST * abs(time):
                 result.append(f"{text}sees the first steps behind a start")
         return share, tuple(result)
-
-
-def _first_steps(new, old, count):
-    """The first `count` steps of those in new (2, ., n) and behind them in old, as a copy."""
-    return np.concatenate([new[:, :count], old[:, : max(0, count - new.shape[1])]], axis=1)
