@@ -122,6 +122,8 @@ def _residual_at_rest(model, state, grid, counts):
     """r of a state at rest, or None."""
     if state.v.any() or np.abs(model.phi(state.t, state.q)).max(initial=0.0) > CLOSED * extent(model, state.q):
         return None
+    if model.sampled(state.t, state.q, state.v) is not state.v:  # outputs of controllers may set it in motion
+        return None
     if "rest" in state.memory:
         return state.memory["rest"]
     if grid.done:  # the run was not at rest at the grid's beginning, and goes on as if it had not been stopped

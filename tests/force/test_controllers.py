@@ -50,19 +50,19 @@ class LaggedPD(SampledPD):
 CompiledPD, CompiledLaggedPD = (pi.compiled(type(f"Compiled{kind.__name__}", (kind,), {})) for kind in (SampledPD, LaggedPD))
 
 
-def cart(kind):
-    """A body of 1 kg on a rail that moves at 1 m/s and is to stop at 1.3 m."""
+def cart(kind, speed=1.0):
+    """A body of 1 kg on a rail that moves at a speed, m/s, and is to stop at 1.3 m."""
     scene = pi.Scene()
-    body = scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(1.0, 0.0), velocity=(1.0, 0.0), name="body"))
+    body = scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(1.0, 0.0), velocity=(speed, 0.0), name="body"))
     scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at("c"), name="rail"))
     scene.add(pi.PointMass(body.at("c"), 1e-12, name="c"))
     scene.add(kind(body.at("c"), name="control"))
     return scene.build()
 
 
-def exact(end, lagged):
+def exact(end, lagged, v=1.0):
     """Place of the cart at the end, m."""
-    x, v, force = 0.0, 1.0, 0.0
+    x, force = 0.0, 0.0
     for _ in range(round(end / PERIOD)):
         u = -KP * (x - 0.3) - KD * v
         if lagged:
@@ -82,6 +82,11 @@ def test_forces_that_jump(kind, integrator):
     run = pi.solve(cart(kind), 1.0, integrator)
     assert run.position("c")[-1, 0] == pytest.approx(exact(1.0, False), abs=1e-9)  # the motion is quadratic between samples
     assert set(np.round(np.arange(1, 20) * PERIOD, 12)) <= set(np.round(run.t, 12))
+
+
+@pytest.mark.parametrize("integrator", [*METHODS, pi.GeneralizedAlpha(rtol=1e-5)])
+def test_a_controller_sets_in_motion_what_is_at_rest(integrator):
+    assert pi.solve(cart(SampledPD, 0.0), 1.0, integrator).position("c")[-1, 0] == pytest.approx(exact(1.0, False, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", [LaggedPD, CompiledLaggedPD])
