@@ -10,7 +10,7 @@ from least_weight.arm import nearest
 
 SIZE, ARM, TIP = 1.0, 0.4, 0.08  # m: of the bracket, width of its arms, length of the edge that carries the load
 LOAD, RADIUS = 1e3, 0.05  # N, m
-UPPER = 5e5  # Pa
+UPPER = 4.5e5  # Pa, 20 % below the stress in the corner of the whole bracket of 1500 polygons
 STAGES = tuple(pi.design.Stage(*one) for one in ((25, 3.0), (20, 6.0, 2.0), (25, 10.0, 4.0), (25, 10.0, 8.0), (30, 10.0, 16.0)))
 SHORT = (pi.design.Stage(10, 3.0), pi.design.Stage(8, 6.0, 2.0), pi.design.Stage(8, 10.0, 4.0))
 
