@@ -34,6 +34,7 @@ OFFSET, ZERO = 1e-10, 1e-14  # of the largest |g| so far: g is on a side; |g| at
 STILL = 1e-9  # of the rate before an event: a smaller one is round-off
 AHEAD = 1e-2  # of the time in which a state changes by its size: differences for rates of events
 TOGETHER = 1e-9  # of a step: events that are not farther apart happen at one time
+SETTLING = 4  # corrections of the time of an event
 LEAST = 1e-12  # of a run's length: what is left behind an event if it is at the end
 
 
@@ -172,6 +173,7 @@ class Happenings:
                 t, fired = hit
                 at = between(before, after, t)
                 start = self._consistent(self.mode, at, "the state")
+                start = start if at is before else self._on_root(before, after, start, fired[0])
                 first = self.spread(start)
                 if at is before:
                     counts.steps -= 1
@@ -182,6 +184,20 @@ class Happenings:
             if failure:
                 counts.steps += 1
                 raise failure
+
+    def _on_root(self, before, after, start, k):
+        """A consistent state of a step at which the function of event k is zero; `start` is one near it.
+
+        The polynomial's state at the root satisfies constraints to the order of the step alone: its projection is beside the root, and if the function
+        kept its sign there, it would change it again behind the event.
+        """
+        for _ in range(SETTLING):
+            g, rate = self.value(self.events[k], start), self._rates(start)[k]
+            t = start.t - g / rate if rate else before.t
+            if abs(g) <= 0.1 * OFFSET * self.sizes[k] or not before.t < t < after.t:
+                break
+            start = self._consistent(self.mode, between(before, after, t), "the state")
+        return start
 
     def value(self, event, state):
         """The value of an event's function. Raises InputError unless it is a finite number."""

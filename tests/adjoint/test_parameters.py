@@ -159,7 +159,7 @@ def test_slopes_in_time():
         entry = AdjointMultipliers(*(x[k : k + 1] for x in work))
         assert np.isclose(found, along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), 0.1), rtol=1e-7)
     sprung = in_time(MODEL, WORK)
-    assert np.isclose(sprung[1], along(lambda s: total(MODEL, WORK._replace(t=WORK.t + [0.0, s, 0.0])), 0.1), rtol=1e-7)
+    assert np.isclose(sprung[1], along(lambda s: total(MODEL, WORK._replace(t=WORK.t + [0.0, s, 0.0])), 1.0), rtol=1e-7)
 
 
 def driven():

@@ -394,3 +394,16 @@ def test_wrong_inputs():
     run = pi.solve(model, 0.2, pi.GeneralizedAlpha(h=1e-2), events=[pi.Event(when=up, then=lambda s: None)])
     with pytest.raises(pi.InputError, match="'event 1': then = .* has no adjoint"):
         pi.gradient(run, pi.objective.Compliance())
+
+
+@pytest.mark.parametrize("integrator", [*(pi.GeneralizedAlpha(h=h) for h in (1e-2, 3e-3, 1e-3)), pi.RadauIIA(rtol=1e-6), pi.IDA(rtol=1e-6)])
+def test_a_mechanism_crosses_once(integrator):
+    """The root is that of a state on the constraints, where the polynomial of the step is beside them."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    rod = scene.add(pi.RigidBody.bar(1.0, 1.0, name="rod"))
+    scene.add(pi.Revolute(pi.ground, rod.at("left"), name="pin"))
+    scene.add(pi.PointMass(rod.at("right"), 0.1, name="end"))
+    push = pi.Event(when=lambda s: s.position("end")[1] + 0.4, then=pi.Impulse(rod.at("right"), (0.0, 0.01)), name="push")
+    run = pi.solve(scene.build(), 0.6, integrator, events=[push])
+    assert len(run.events) == 1
+    assert np.abs(run.position("end")[np.argmin(np.abs(run.t - run.events[0].t))][1] + 0.4) < 1e-10
