@@ -17,7 +17,7 @@ from polyida.joint.attachment import labelled, require_attachment
 from polyida.joint.joint import Joint
 from polyida.model import Model
 from polyida.results.motion import reaction_of
-from polyida.validation import is_number, is_one_of, is_whole, named_keywords, number, read_only, settle, vector2
+from polyida.validation import is_number, is_one_of, is_whole, named_keywords, number, read_only, settle, takes, vector2
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -63,6 +63,10 @@ class Moment:
         return reaction_of(self._mode, name, np.array([self.t]), self._all.q[None], lam)[0]
 
 
+def _of_state(function):
+    return callable(function) and takes(function, 1)
+
+
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Event:
@@ -103,15 +107,15 @@ class Event:
 
     def __post_init__(self):
         label = labelled("Event", self.name)
-        if not callable(self.when):
-            raise InputError(f"{label}: when = {self.when!r:.60} must be a function of a state that gives a number")
+        if not _of_state(self.when):
+            raise InputError(f"{label}: when = {self.when!r:.60} must be a function of one argument, a state, that gives a number")
         if not is_one_of(self.direction, DIRECTIONS):
             raise InputError(f"{label}: direction = {self.direction!r:.60} must be one of {', '.join(map(repr, DIRECTIONS))}")
         if not is_whole(self.most):
             raise InputError(f"{label}: most = {self.most!r:.60} must be a whole number of at least 1")
         then = tuple(self.then) if isinstance(self.then, (list, tuple)) else (self.then,)
         for one in then:
-            if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or callable(one)):
+            if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or _of_state(one)):
                 advice = "; bodies must be in the scene from the start" if hasattr(one, "mesh") or hasattr(one, "coordinates") else ""
                 raise InputError(f"{label}: then = {one!r:.60} must be {FORMS}, or a list of these{advice}")
         settle(self, then=then)

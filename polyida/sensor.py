@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.integrate.state import State
-from polyida.results.motion import reaction_of
+from polyida.results.motion import names_of_joints, reaction_of
 from polyida.validation import is_one_of, named_keywords, read_only
 
 __all__ = ["position", "reaction", "state"]
@@ -66,7 +66,7 @@ def reaction(joint: str) -> Sensor:
 
     def read(model, state):
         if not is_one_of(joint, model.rows):
-            raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {', '.join(map(repr, model.rows))}")
+            raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {names_of_joints(model)}")
         return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None][:, model.columns])[0]
 
     return Sensor(read)

@@ -21,7 +21,7 @@ from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import violation
 from polyida.reprs import CELL, LONGEST, cut, short, table
 from polyida.results.energy import Energy, energy_of, grown
-from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, reaction_of, strains, von_mises
+from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, names_of_joints, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.sensor import Sensors
 from polyida.validation import is_one_of, is_whole
@@ -313,7 +313,7 @@ class Trajectory:
     def _of_joint(self, what, name):
         model = self.known_model(what)
         if not is_one_of(name, model.rows):
-            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
+            raise InputError(f"no joint is called {name!r}; known: {names_of_joints(model)}")
         return model
 
     def node_positions(self, frame: int) -> NDArray:

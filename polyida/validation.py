@@ -60,6 +60,12 @@ def _takes(function, count):
     return True
 
 
+def instance_of(kind):
+    """Words that ask for an instance in place of its class, with the arguments that it needs."""
+    needed = ", ".join(f"{one.name}=..." for one in signature(kind).parameters.values() if one.default is one.empty)
+    return f"{kind.__name__} is a class: give an instance, {kind.__name__}({needed})"
+
+
 def settle(part, **values):
     """Set fields of a frozen dataclass to their checked values, in its __post_init__."""
     for name, value in values.items():
@@ -173,7 +179,7 @@ def named_keywords(public: Public) -> Public:
 def _complaint(name, known, wrong):
     from difflib import get_close_matches
 
-    lower = {word.lower(): word for word in known}
+    lower = dict.fromkeys(("dt", "step_size") if "h" in known else (), "h") | {word.lower(): word for word in known}
     near = [lower[word] for word in get_close_matches(wrong.lower(), lower, 1)]
     meant = f"did you mean {near[0]!r}? " if near else ""
     return f"{name}: there is no argument {wrong!r}; {meant}it takes {', '.join(known) or 'none'}"

@@ -308,7 +308,47 @@ def _scene(*parts):
     return made
 
 
+def loose_body():
+    """A clamped plate, and a bar that nothing holds."""
+    board = plate()
+    bar = pi.RigidBody.bar(1.0, 1.0, name="bar")
+    return scene(board, pi.Clamp(board.section("left")), bar, pi.PointLoad(bar.at("left"), (1.0, 0.0)))
+
+
+class Undecorated(pi.Joint):
+    """A joint with a field of its own that is no dataclass."""
+
+    stroke: float
+
+
+class Short(pi.Integrator):
+    """An integrator whose steps take too few arguments."""
+
+    def steps(self, model, state):
+        yield state
+
+
+class Empty(pi.Integrator):
+    """An integrator without steps."""
+
+
 MORE = [  # (what is wrong, what the message says)
+    (lambda: swing(until=lambda t: t - 0.1), "solve: until = <function .* must be a function of t, q and v$"),
+    (lambda: swing(until=3), "solve: until = 3 must be a function of t, q and v$"),
+    (lambda: swing(sensors={"time": lambda t: t}), r"solve: sensors\['time'\] = <function .* must be a function of t, q and v$"),
+    (lambda: pi.Event(lambda t, q, v: 0.0, name="hit"), "'hit': when = .* of one argument, a state"),
+    (lambda: pi.Event(lambda s: 0.0, lambda t, q: None, name="hit"), "'hit': then = .* or a function of the state"),
+    (lambda: Undecorated(pi.ground, plate().section("left"), 0.1), "Undecorated: its class has the field 'stroke', but is no dataclass"),
+    (
+        lambda: Undecorated(pi.ground, plate().section("left"), stroke=0.1, name="rod"),
+        r"Undecorated 'rod': .* decorate it with @dataclass\(frozen=True, eq=False\)",
+    ),
+    (lambda: pi.solve(Own(), 0.01, Short(), **REST), r"solve: steps of Short must take \(model, state, t_end, counts\)"),
+    (lambda: pi.solve(Own(), 0.01, Empty(), **REST), "Empty.* is no integrator, it has no method steps"),
+    (lambda: pi.solve(Own, 0.01, ALPHA, **REST), r"solve: Own is a class: give an instance, Own\(\)$"),
+    (lambda: pi.solve(Own(), ALPHA, 0.01, **REST), "solve: t_end and the integrator are exchanged: t_end = 0.01 "),
+    (lambda: pi.GeneralizedAlpha(dt=1e-3), "no argument 'dt'; did you mean 'h'"),
+    (lambda: welded().reaction("pin"), "no joint is called 'pin'; known: 'wall'$"),
     (lambda: factors(uper=(1.0, 1.0)), "'uper' is no part of the scene; plates: 'board'"),
     (lambda: factors(rod=(1.0, 1.0)), "'rod' is a Rigid: only the cells of full plates have factors"),
     (lambda: factors(board=0.5), "board = 0.5 must be a pair"),
@@ -432,6 +472,12 @@ MORE = [  # (what is wrong, what the message says)
 def test_message_tells_what_is_wrong(make, told):
     with pytest.raises(ValueError, match=told):
         make()
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_static_names_the_body_that_nothing_holds(linear):
+    with pytest.raises(pi.StepFailure, match="^'bar': the structure can move freely"):
+        pi.static(loose_body(), linear=linear)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"garbage", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"])

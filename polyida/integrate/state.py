@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import asdict, dataclass, field
-from inspect import signature
 from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from polyida.errors import InputError
 from polyida.model import Model
 from polyida.model.differences import cubic
 from polyida.reprs import brief
-from polyida.validation import is_number, settle, takes
+from polyida.validation import instance_of, is_number, settle, takes
 
 
 @dataclass(frozen=True)
@@ -266,13 +265,14 @@ class Integrator:
     iteration_matrix: Any = None
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Integrate; called once by `solve`, after `require` and `require_reach`.
+        """Integrate; called by `solve` after `require` and `require_reach`, and again behind each event and each switch of `model.gaps`.
 
         Parameters
         ----------
         model : Model
         state : State
-            Consistent initial state, with the memory of an earlier run that is continued.
+            Any consistent state. Its memory is that of the state from which the integrator continues, or has none of the integrator's
+            entries: at the start, behind an event and where forces jump.
         t_end : float, s
         counts : Counts
             To be increased; `counts.steps` is the number of each state as it is yielded.
@@ -337,18 +337,16 @@ class _Adapter(Integrator):
 
 def declared(user: object, part: str = "solve") -> Integrator:
     """A user's integrator with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
-    if isinstance(user, Integrator):
-        return user
-    if not hasattr(user, "steps"):
+    steps = getattr(user, "steps", None)
+    if steps is None or getattr(steps, "__func__", None) is Integrator.steps:
         lacking = "it has no method steps(model, state, t_end, counts)"
         raise InputError(f"{part}: {user!r} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
     if isinstance(user, type):
-        needed = ", ".join(f"{one.name}=..." for one in signature(user).parameters.values() if one.default is one.empty)
-        raise InputError(f"{part}: {user.__name__} is a class: give an instance, {user.__name__}({needed})")
+        raise InputError(f"{part}: {instance_of(user)}")
     name = type(user).__name__
-    if not callable(user.steps):
+    if not callable(steps):
         expected = "must be a function, steps(model, state, t_end, counts), that yields a State a step"
-        raise InputError(f"{part}: steps = {user.steps!r:.100} of {name} {expected}")
-    if not takes(user.steps, 4):
+        raise InputError(f"{part}: steps = {steps!r:.100} of {name} {expected}")
+    if not takes(steps, 4):
         raise InputError(f"{part}: steps of {name} must take (model, state, t_end, counts)")
-    return _Adapter(user)
+    return user if isinstance(user, Integrator) else _Adapter(user)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.assembly.motion import rigid_motions
 from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.sizes import memory_of_rest
@@ -26,7 +27,9 @@ FREE = "the structure can move freely, or nearly so: hold it by joints or a clam
 FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
 REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 SLOW = 0.3  # contraction above which a model's own step matrix is made anew
+MOST = 3  # bodies that a message names
 HALVINGS = 10  # of a part of the load, in a row
+LOOSE = 1e-11  # smallest singular value, in units of K and phi_q, of the motions of a body that is held
 ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
 
 
@@ -219,6 +222,24 @@ class Loading:
         return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True).of(model)
 
 
+def naming_loose(failure, loading, q):
+    """The failure of a structure that can move freely, with the bodies that can move while all others stand still."""
+    model = loading.model
+    if not (model.is_scene and failure.reason == FREE):
+        return failure
+    K, B, motions = loading.stiffness(q, np.zeros(model.m)), model.phi_q(loading.t, q), rigid_motions(model, q).tocsc()
+    loose = []
+    for k, body in enumerate((*model.bodies, *model.few)):
+        own = motions[:, 3 * k : 3 * k + 3].toarray()
+        own /= np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+        if np.linalg.svd(np.concatenate([K @ own / (abs(K).max() or 1.0), B @ own]), compute_uv=False)[-1] < LOOSE:
+            loose.append(body.name)
+    if not loose:
+        return failure
+    names = ", ".join(map(repr, loose[:MOST])) + ", ..." * (len(loose) > MOST)
+    return StepFailure(failure.status, f"{names}: {FREE}", failure.t, **failure.seen)
+
+
 def whole_load(part, model, t, tolerance, max_iterations):
     """The Loading whose factor goes from 0, no load, to 1, the model's load. Raises InputError, in the name of `part`, for wrong settings."""
     if not is_whole(max_iterations):
@@ -308,7 +329,10 @@ def static(
     q = start_of_unknowns(model, q0)
     require_declared(model, loading.t, q, np.zeros(model.n))
     if linear:
-        return loading.small_displacements()
+        try:
+            return loading.small_displacements()
+        except StepFailure as failure:
+            raise naming_loose(failure, loading, np.zeros(model.n)) from None
     system: Any = None
     factor, part, lam = 0.0, 1.0 / steps, None
     parts = halved = in_a_row = 0
@@ -320,7 +344,7 @@ def static(
         except StepFailure as failure:
             if part * steps < 0.5**HALVINGS * 1.5 or parts + halved > steps + ATTEMPTS:
                 if not factor:
-                    raise
+                    raise naming_loose(failure, loading, q) from None
                 hint = f"{failure.reason}; {factor:.6g} of the load is borne: if that is the most, pi.equilibrium_path goes beyond"
                 raise StepFailure(failure.status, hint, failure.t, **failure.seen) from None
             part, halved, in_a_row = part / 2, halved + 1, 0

@@ -14,7 +14,7 @@ from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.row_laws import require_laws, with_velocity_rows
 from polyida.model.states import HELPERS, OwnStates, arguments_of
-from polyida.validation import floats, is_number, is_whole, read_only
+from polyida.validation import floats, instance_of, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of a change of M, over that of M: above it M is not symmetric, or varies
@@ -57,6 +57,8 @@ OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default t
 
 def guard(model, part="solve"):
     """The model of a scene, or a user's model as a Guarded. Raises InputError, in the name of `part`, if it is no model or has no sizes."""
+    if isinstance(model, type) and issubclass(model, Model):
+        raise InputError(f"{part}: {instance_of(model)}")
     if not isinstance(model, Model):
         hint = "; of a Scene, call its build()"
         if model is None:

@@ -35,6 +35,12 @@ def angle_of(motion, joint):
     return np.unwrap(np.concatenate([model.turn(name, q) for q in blocks(motion.q)]))
 
 
+def names_of_joints(model):
+    """The names, for a message: of the joints of a scene, not of its bodies that have rows; of all rows of a user's model."""
+    names = [name for name in model.rows if not model.is_scene or isinstance(model.joints[name], Joint)]
+    return ", ".join(map(repr, names)) or "none"
+
+
 def reaction_of(model, name, t, q, lam, whole=False):
     """Reaction of a joint, (frames, k), over t (frames,), q (frames, n), lam (frames, m); of a user's model by its `reactions`.
 

@@ -228,6 +228,13 @@ def seen_by(function, model, states):
     return (*seen, model.states_of(states.v)) if model.k and not takes(function, 3) else seen
 
 
+def require_of_state(what, function, model):
+    """Raise InputError, which names `what`, unless a function takes t, q and v, or t, q, v and x of a model with first-order states."""
+    if not (callable(function) and (takes(function, 3) or (model.k and takes(function, 4)))):
+        states = ", or of t, q, v and x" * bool(model.k)
+        raise InputError(f"{what} = {function!r:.100} must be a function of t, q and v{states}")
+
+
 class Until:
     """Detects a change of sign of f(t, q, v) from step to step. Raises InputError if f returns no finite number."""
 
@@ -265,7 +272,7 @@ class Until:
         raise InputError(f"until: the function gave {shown} at t = {state.t:.9g} s; it must give {expected}")
 
 
-def require_sensors(part, sensors):
+def require_sensors(part, sensors, model):
     """Raise InputError, in the name of `part`, unless it is {name: function} or None."""
     if sensors is None:
         return
@@ -274,8 +281,8 @@ def require_sensors(part, sensors):
     for name, function in sensors.items():
         if not (isinstance(name, str) and name):
             raise InputError(f"{part}: sensors: the name {name!r:.100} must be a text")
-        if not (callable(function) or isinstance(function, Sensor)):
-            raise InputError(f"{part}: sensors: {name!r} is {function!r:.100}, it must be a function of t, q and v, or of polyida.sensor")
+        if not isinstance(function, Sensor):
+            require_of_state(f"{part}: sensors[{name!r}]", function, model)
 
 
 class Recorder:

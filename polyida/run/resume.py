@@ -21,7 +21,7 @@ from polyida.io.scene_data import UnknownPart
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress
-from polyida.run.accepted import Recorder, require_sensors
+from polyida.run.accepted import Recorder, require_of_state, require_sensors
 from polyida.run.events import Happenings, prepared
 from polyida.run.modes import Modes
 from polyida.run.run import Run
@@ -84,16 +84,10 @@ def resume(
     InputError
         If the file cannot be read or is being written, has no state to continue from, or has reached t_end; and for wrong arguments.
     """
-    for name, value, good, expected in (
-        ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
-        ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
-    ):
-        if not good:
-            raise InputError(f"resume: {name} = {value!r} must be {expected}")
+    if not (t_end is None or is_number(t_end)):
+        raise InputError(f"resume: t_end = {t_end!r} must be a finite time in s")
     require_progress("resume", progress)
     require_bytes("resume", memory_limit)
-    if sensors is not False:
-        require_sensors("resume", sensors)
     stored = read(path)
     with naming(path, everything=False):
         try:
@@ -105,6 +99,10 @@ def resume(
                 plan, restart = _plan(stored, t_end, until), stored.restart
                 model, integrator, happenings, past = _model_and_integrator(stored, model, integrator, events)
             mode = happenings.mode if happenings else guard(model)
+            if until:
+                require_of_state("resume: until", until, mode)
+            if sensors is not False:
+                require_sensors("resume", sensors, mode)
             require_run(mode, plan["t_end"], restart.state.t, integrator).require_reach(mode, restart.state, plan["t_end"])
             recorder = _recorder(stored, mode, sensors)
             machine = dict(stored.about["machine"])

@@ -26,7 +26,7 @@ from polyida.model.check import require_declared
 from polyida.model.guarded import Compiled, guard, unguarded
 from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
-from polyida.run.accepted import Recorder, require_sensors
+from polyida.run.accepted import Recorder, require_of_state, require_sensors
 from polyida.run.events import Happenings, prepared
 from polyida.run.modes import Modes
 from polyida.run.run import Run
@@ -133,6 +133,8 @@ def solve(
     Exception
         What a user's function raises; its attribute `trajectory` is the run so far.
     """
+    if hasattr(t_end, "steps") and is_number(integrator):
+        raise InputError(f"solve: t_end and the integrator are exchanged: t_end = {integrator!r} stands before the integrator")
     happenings = None
     laws = isinstance(model, Model) and guard(model).row_laws
     if events:
@@ -153,7 +155,7 @@ def solve(
         state = require_state("solve", known, state)
     if progress is not None:
         require_progress("solve", progress)
-    require_sensors("solve", sensors)
+    require_sensors("solve", sensors, known)
     begin = t0 if state is None else state.t
     method = require_run(known, t_end, begin, integrator)
     for name, value in (("every", every), ("flush_every", flush_every)):
@@ -161,8 +163,8 @@ def solve(
             raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
     if not isinstance(fsync, bool):
         raise InputError(f"solve: fsync = {fsync!r} must be True or False")
-    if until is not None and not callable(until):
-        raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
+    if until is not None:
+        require_of_state("solve: until", until, known)
     if not is_one_of(precision, PRECISIONS):
         raise InputError(f"solve: precision = {precision!r} must be one of {', '.join(PRECISIONS)}")
     times = None if output is None else floats(output)
