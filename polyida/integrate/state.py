@@ -248,6 +248,9 @@ class Integrator:
     velocity_rows : bool
         True if it satisfies `phi_rate = 0` in the rows `model.velocity_rows`, where phi is 0 and phi_rate not its derivative. `solve` refuses
         models with such rows for other integrators of users.
+    takes_samples : bool
+        True if its steps end at `model.samples(t0, t1)` and go on from `model.sampled(t, q, v)`. `solve` refuses scenes with a Controller for
+        other integrators of users.
     takes_laws : bool
         True if it satisfies the laws of `model.row_laws`, contact and friction. `solve` refuses models with laws for other integrators.
     second_order : bool
@@ -261,7 +264,7 @@ class Integrator:
         The matrix of Newton's method, for `pi.study.conditioning`.
     """
 
-    velocity_rows = takes_laws = second_order = trusted = writes_rows = False
+    velocity_rows = takes_samples = takes_laws = second_order = trusted = writes_rows = False
     iteration_matrix: Any = None
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:

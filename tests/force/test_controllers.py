@@ -198,6 +198,18 @@ def test_each_sample_is_taken_once(integrator):
     assert run.states("control")[:, 0] == pytest.approx(before, abs=1e-12)
 
 
+def test_an_own_integrator_must_say_that_it_takes_samples():
+    class Own(pi.Integrator):
+        def steps(self, model, state, t_end, counts):
+            yield from pi.GeneralizedAlpha(h=0.01).steps(model, state, t_end, counts)
+
+    own = Own()
+    with pytest.raises(pi.InputError, match="Own takes no samples of the controllers 'control'; .* takes_samples = True"):
+        pi.solve(cart(SampledPD), 0.1, own)
+    own.takes_samples = True
+    assert pi.solve(cart(SampledPD), 0.1, own).success
+
+
 def test_a_period_that_times_do_not_resolve_is_refused():
     model = cart(lambda at, name: SampledPD(at, period=1e-13, name=name))
     with pytest.raises(pi.InputError, match="control: period = 1e-13 s must be above 2e-12 s in a run to t_end = 1 s"):
