@@ -63,10 +63,6 @@ class Moment:
         return reaction_of(self._mode, name, np.array([self.t]), self._all.q[None], lam)[0]
 
 
-def _of_state(function):
-    return callable(function) and takes(function, 1)
-
-
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Event:
@@ -107,7 +103,7 @@ class Event:
 
     def __post_init__(self):
         label = labelled("Event", self.name)
-        if not _of_state(self.when):
+        if not takes(self.when, 1):
             raise InputError(f"{label}: when = {self.when!r:.60} must be a function of one argument, a state, that gives a number")
         if not is_one_of(self.direction, DIRECTIONS):
             raise InputError(f"{label}: direction = {self.direction!r:.60} must be one of {', '.join(map(repr, DIRECTIONS))}")
@@ -115,7 +111,7 @@ class Event:
             raise InputError(f"{label}: most = {self.most!r:.60} must be a whole number of at least 1")
         then = tuple(self.then) if isinstance(self.then, (list, tuple)) else (self.then,)
         for one in then:
-            if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or _of_state(one)):
+            if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or takes(one, 1)):
                 advice = "; bodies must be in the scene from the start" if hasattr(one, "mesh") or hasattr(one, "coordinates") else ""
                 raise InputError(f"{label}: then = {one!r:.60} must be {FORMS}, or a list of these{advice}")
         settle(self, then=then)

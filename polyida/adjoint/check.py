@@ -162,7 +162,7 @@ class ReplayedRun:
         return lambda k: float(np.interp(self.history.states(k, k + 1)[0][0], own, others))
 
     def _edges(self, model):
-        """Start and end times of the segments between kinks, for a model."""
+        """Sorted times that bound the segments of the run: start, kinks and samples of `model`, end."""
         return list(edges(model, float(self.run.t[0]), float(self.run.t[-1])))
 
 

@@ -237,7 +237,7 @@ class StageEquations(PythonTable, AdjointTable):
 
     @contextmanager
     def at_work(self):
-        """(addresses of the functions, address of the workspace)."""
+        """Context that gives (addresses of the functions, address of the workspace, here 0)."""
         yield self.functions, 0
 
     def at(self, t, q, v, a, lam, mu):

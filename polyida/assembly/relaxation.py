@@ -105,9 +105,10 @@ def add_scaled(out, factor, numbers):
 
 @part
 def add_relaxation(scene, x, u, half, v, still, r):
-    """Add the forces of relaxation to r (nodes, 2), without inertia.
+    """Add to r (n / 2, 2) the forces of relaxation on the nodes, and behind them the residuals of the relaxing strains, without inertia.
 
-    half: as of `relax`. still: factor of the strain in the states' equations, 0 for the part that is linear in v.
+    x: the relaxation of the scene. half: as of `relax`. v (n / 2, 2): velocities, of the strains these over `unit`. still: factor
+    of the strain in the equations of the relaxing strains, 0 for the part that is linear in v.
     """
     speeds, forces = v.reshape(-1), r.reshape(-1)
     for b in range(x.start.shape[0] - 1):

@@ -86,7 +86,7 @@ class Reduced(FieldBody):
         return _InModes(self, attachments, own, stored)
 
     def fields_to_store(self, prepared: Body, like: Body | None = None) -> dict[str, np.ndarray]:
-        """Return all fields: another computer computes eigenvectors with other signs, or rotated if frequencies coincide.
+        """Return {"stored_fields": all fields}: another computer finds eigenvectors with other signs, or rotated if frequencies coincide.
 
         like: a prepared reduced plate with the same mass matrix; the fields are rotated within their span to be nearest to its fields.
         """
@@ -321,7 +321,7 @@ class PlateMatrices:
 
     @cached_property
     def stiffness(self):
-        """K at rest, sparse."""
+        """Tangent stiffness of the full plate at zero displacement, stabilisation included: (2 N, 2 N) csc, N/m."""
         from scipy.sparse import bsr_array, eye_array, kron
 
         o = self.operator

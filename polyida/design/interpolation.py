@@ -145,7 +145,7 @@ def project(rho: "ArrayLike", beta: float, eta: float = 0.5) -> tuple[np.ndarray
 
 
 def _densities(function, rho, round_off=1e-9):
-    """rho as an array clipped to [0, 1]: a filter may exceed the interval by round-off."""
+    """rho as an array clipped to [0, 1]: a filter may exceed the interval by round-off. Raises InputError if it does by more."""
     array = floats(rho)
     if array is None or (np.abs(array - 0.5) > 0.5 + round_off).any():
         shown = repr(rho)[:80] if array is None else f"{array.min():.6g} to {array.max():.6g}"

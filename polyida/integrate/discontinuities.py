@@ -140,7 +140,7 @@ class Grid(NamedTuple):
         return self.begin + k * self.h if k < self.count else self.end
 
     def times(self, first, last):
-        """The times after `first` to `last` steps, (last - first + 1,)."""
+        """Times of the grid after k steps, k = first .. last, (last - first + 1,); after `count` steps exactly `end`."""
         times = self.begin + np.arange(first, last + 1) * self.h
         times[self.count - first :] = self.end
         return times

@@ -79,7 +79,10 @@ class Watch:
         self.least = least(self.rows)
 
     def _speed_of_least(self, size):
-        """Speed at which s^2 falls, 1/s, since the last examination: it falls in a straight line to the end of a motion."""
+        """Mean rate, 1/s, at which s^2 has fallen to size^2 since the last examination; s is the smallest singular value of the unit rows.
+
+        s^2 falls in proportion to time before a singular position at which the motion ends.
+        """
         since = self.state.t - self.t
         return (self.least**2 - size**2) / since if since else self.speed
 

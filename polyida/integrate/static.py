@@ -27,7 +27,6 @@ FREE = "the structure can move freely, or nearly so: hold it by joints or a clam
 FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
 REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 SLOW = 0.3  # contraction above which a model's own step matrix is made anew
-MOST = 3  # bodies that a message names
 HALVINGS = 10  # of a part of the load, in a row
 LOOSE = 1e-11  # smallest singular value, in units of K and phi_q, of the motions of a body that is held
 ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
@@ -234,10 +233,8 @@ def naming_loose(failure, loading, q):
         own /= np.maximum(np.linalg.norm(own, axis=0), 1e-300)
         if np.linalg.svd(np.concatenate([K @ own / (abs(K).max() or 1.0), B @ own]), compute_uv=False)[-1] < LOOSE:
             loose.append(body.name)
-    if not loose:
-        return failure
-    names = ", ".join(map(repr, loose[:MOST])) + ", ..." * (len(loose) > MOST)
-    return StepFailure(failure.status, f"{names}: {FREE}", failure.t, **failure.seen)
+    names = ", ".join(map(repr, loose[:3])) + ", ..." * (len(loose) > 3)
+    return StepFailure(failure.status, f"{names}: {FREE}", failure.t, **failure.seen) if loose else failure
 
 
 def whole_load(part, model, t, tolerance, max_iterations):

@@ -183,7 +183,7 @@ zeros2, zeros3, zeros4 = _zeros(2), _zeros(3), _zeros(4)
 
 @intrinsic
 def zero_pair(typing_context):
-    """(0, 0)."""
+    """A vector of two zeros, as `load_pair` gives vectors of two numbers."""
     return pair(), lambda context, builder, sig, args: ir.Constant(pair.element, None)
 
 

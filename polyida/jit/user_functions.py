@@ -240,5 +240,5 @@ def over(label, function, *arrays, shape=()):
 
 @intrinsic
 def frozen(typing, array):
-    """The array as a read-only one."""
+    """The same array with a read-only type: code that writes into it is not compiled."""
     return array.copy(readonly=True)(array), lambda context, builder, sig, args: args[0]

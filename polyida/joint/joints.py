@@ -116,7 +116,7 @@ class Slot(Joint):
         require_friction(self)
 
     def rows(self) -> list[Row | Vector]:
-        """`d_A x (x_B - x_A)`, and with friction the way along the line."""
+        """Return the row `d_A x (x_B - x_A)`; with friction also `d_A . (x_B - x_A)`, a row with the law of dry friction."""
         normal = across(self.a, self.b)
         return [normal, sliding(self.a, self.b).rubs(self.friction, on=[normal])] if self.friction else [normal]
 

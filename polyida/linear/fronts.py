@@ -112,7 +112,8 @@ def add_update(update, reach, local, front):
 
 @part
 def eliminate(front, own):
-    """Rows of U, with D on the diagonal, in place of the first `own` rows, the Schur complement in the rest of the upper triangle."""
+    """Eliminate the first `own` rows of `front` in place: they become rows of U with D on the diagonal, the rest of the upper triangle the
+    Schur complement. False if a pivot is zero or not finite."""
     for i in range(0, front.shape[0], 2):
         top = min(i, own)
         for k in range(0, top - 3, 4):

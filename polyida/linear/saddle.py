@@ -254,7 +254,7 @@ class StepMatrix:
         self.whole: Any = None
 
     def factor(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, c_m: complex, c_v: complex) -> None:
-        """Factor S at a state, now or at the first solve. Raises SingularSystem, here or there."""
+        """Factor S at a state; a subclass may wait for the first solve. A singular S raises SingularSystem at the factor or at the solve."""
         self.made_at = np.concatenate([[t], q, v, a, lam])
         self._set_matrix(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
 

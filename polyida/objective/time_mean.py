@@ -95,7 +95,7 @@ class Frames:
 
 
 class TimeMean(Objective):
-    """A mean of order p over time. _of_material: True if it depends on the model beyond the parameters that `Slopes.direct` names."""
+    """Base of means of order p; a subclass writes `_evaluator`. _of_material: True if J depends on parameters that `Slopes.direct` lacks."""
 
     p: float = 1.0
     _of_material = False

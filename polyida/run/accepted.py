@@ -230,7 +230,7 @@ def seen_by(function, model, states):
 
 def require_of_state(what, function, model):
     """Raise InputError, which names `what`, unless a function takes t, q and v, or t, q, v and x of a model with first-order states."""
-    if not (callable(function) and (takes(function, 3) or (model.k and takes(function, 4)))):
+    if not (takes(function, 3) or model.k and takes(function, 4)):
         states = ", or of t, q, v and x" * bool(model.k)
         raise InputError(f"{what} = {function!r:.100} must be a function of t, q and v{states}")
 

@@ -237,9 +237,9 @@ def finite(value):
 
 
 class StudyResult(Result):
-    """Result of a `Study`: its rows, and the figures, notes and pictures that follow from them.
+    """Result of a `Study`: its rows, and what the functions `figures`, `notes` and `draw` of the study make of them.
 
-    A part that raises becomes a note and affects no other part. quick: True for the small selection of tasks.
+    A function that raises becomes a note; the others are called all the same. quick: True for the small selection of tasks.
     """
 
     def __init__(self, study, rows, quick=False):

@@ -201,7 +201,8 @@ def middle_rows(w, instant, q, v, c, d, e, f):
 
 @entry
 def turn(w, first, r, back, c, d, e, f):
-    """Rotate residuals into the frame of the middle stage, or corrections back."""
+    """Rotate r of all stages in place: back = 0 turns residuals into the frame of the middle stage and stores the rotations in w.turn, back = 1
+    turns corrections back by these."""
     r = carray(pointer(r), w.turn.shape)
     for k in range(r.shape[0]):
         if back:

@@ -31,7 +31,10 @@ class Solver(NamedTuple):
 
 @pack
 class StoredFactors(NamedTuple):
-    """Factors of a mode in each slot, (slots, .) each: panels, columns and frames. blocks, numbers, x: scratch of their types."""
+    """Factors of S of a mode of Radau IIA in each slot: panels, compliance columns and frames, (slots, .) each.
+
+    Scratch of one factorization: blocks, S as (nnz, 2, 2), and numbers, both in double precision; x, of the type of the panels.
+    """
 
     panels: np.ndarray
     columns: np.ndarray
