@@ -315,12 +315,6 @@ def loose_body():
     return scene(board, pi.Clamp(board.section("left")), bar, pi.PointLoad(bar.at("left"), (1.0, 0.0)))
 
 
-class Undecorated(pi.Joint):
-    """A joint with a field of its own that is no dataclass."""
-
-    stroke: float
-
-
 class Short(pi.Integrator):
     """An integrator whose steps take too few arguments."""
 
@@ -338,11 +332,6 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: swing(sensors={"time": lambda t: t}), r"solve: sensors\['time'\] = <function .* must be a function of t, q and v$"),
     (lambda: pi.Event(lambda t, q, v: 0.0, name="hit"), "'hit': when = .* of one argument, a state"),
     (lambda: pi.Event(lambda s: 0.0, lambda t, q: None, name="hit"), "'hit': then = .* or a function of the state"),
-    (lambda: Undecorated(pi.ground, plate().section("left"), 0.1), "Undecorated: its class has the field 'stroke', but is no dataclass"),
-    (
-        lambda: Undecorated(pi.ground, plate().section("left"), stroke=0.1, name="rod"),
-        r"Undecorated 'rod': .* decorate it with @dataclass\(frozen=True, eq=False\)",
-    ),
     (lambda: pi.solve(Own(), 0.01, Short(), **REST), r"solve: steps of Short must take \(model, state, t_end, counts\)"),
     (lambda: pi.solve(Own(), 0.01, Empty(), **REST), "Empty.* is no integrator, it has no method steps"),
     (lambda: pi.solve(Own, 0.01, ALPHA, **REST), r"solve: Own is a class: give an instance, Own\(\)$"),

@@ -8,13 +8,11 @@ the forces on the points of b in the rows, m the sum of their moments and of the
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
-from inspect import get_annotations
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from polyida import registry
-from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground, labelled, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
 from polyida.validation import pairs_of, settle
@@ -58,14 +56,6 @@ class Joint:
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
         registry.parts[registry.name_of(cls)] = cls
-
-    def __new__(cls, *values, **named):
-        """Raise InputError if the class has fields of its own and is no dataclass: its __init__ would not know them."""
-        own = [name for name, kind in get_annotations(cls).items() if "ClassVar" not in str(kind)]
-        if own and "__dataclass_fields__" not in vars(cls):
-            needs = "but is no dataclass; decorate it with @dataclass(frozen=True, eq=False)"
-            raise InputError(f"{labelled(cls.__name__, named.get('name'))}: its class has the field {own[0]!r}, {needs}")
-        return super().__new__(cls)
 
     def __post_init__(self):
         require_sides(labelled(type(self).__name__, self.name), self.a, self.b)
