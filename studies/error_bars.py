@@ -76,7 +76,7 @@ def notes(rows):
 
 @study_figure
 def draw(rows):
-    """Ratio of estimate and error against the share of vibrations whose phase is lost; grey: a factor of 1.5."""
+    """Ratio of estimate and error against the relative change by another phase of lost vibrations; grey: a factor of 1.5."""
     timed = [row for row in pick(rows) if row["part"] in ("time", "random")]
     fig, axes = panels(1 if timed else 0, width=6.4)
     for i, part in enumerate(("time", "random")):
@@ -86,7 +86,7 @@ def draw(rows):
             axes[0].plot(np.maximum(column(own, "fast_share"), 1e-4), np.clip(column(own, "ratio"), -2.0, 4.0), label=part, **style)
     if timed:
         axes[0].axhspan(1 / cases.FACTOR, cases.FACTOR, color="0.9", zorder=0)
-        axes[0].set(xscale="log", xlabel="share of vibrations whose phase is lost", ylabel="estimate over error")
+        axes[0].set(xscale="log", xlabel="relative change by another phase of lost vibrations", ylabel="estimate over error")
     legend_above(fig, axes, columns=2)
     return line_picture(fig, "error-bars")
 
