@@ -90,8 +90,9 @@ def test_a_function_of_the_users_own_must_be_given_again(tmp_path):
     assert abs(seen.model.parts["drive"].angle(0.05) - 0.1 * np.sin(0.15)) < 1e-9
     with pytest.raises(pi.InputError, match="'drive' has functions of the user's own"):
         pi.resume(path, until=False)
-    with pytest.raises(pi.InputError, match="resume: until = .* must be a function of t, q and v$"):
-        pi.resume(path, model=build(), until=lambda t: t - 0.15)
+    for until in (lambda t: t - 0.15, 0):
+        with pytest.raises(pi.InputError, match="resume: until = .* must be a function of t, q and v$"):
+            pi.resume(path, model=build(), until=until)
     with pytest.raises(pi.InputError, match="give until="):
         pi.resume(path, model=build())
     assert equal(pi.resume(path, model=build(), until=False), pi.solve(build(), 0.2, ALPHA))

@@ -158,8 +158,8 @@ class AlphaErrors(AlphaAdjoint):
     """Backward sweep over a run that sums the parts of its error.
 
     pieces: (first, last) number of the states of the smooth parts of the run. steps (steps,): shares of steps in the error of time, without the
-    quadrature; far: {number of a state where a contact opens: time along v to its far side}; lost (LAGS,): sums of the part of vibrations whose phase is lost, by its shift. window: steps whose part is not added yet, or that
-    are near to such steps.
+    quadrature. far: {number of a state where a contact opens: time along v to its far side}. lost (LAGS,): for each shift, the sum of the part of the
+    vibrations whose phase is lost. window: steps whose part is not added yet, or that are near to such steps.
     """
 
     observes = True

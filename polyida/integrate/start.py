@@ -351,16 +351,15 @@ def _resolved(settings, model, state, h, a, third, system=None):
 
     system: a factored step matrix `c_m M + c_v C + K` of the method, which F may be computed from.
     """
-    if system is None:
+    if system is None:  # a and q''' may be taped
         resolve = resolution(model, settings, state, h)
         near, third = resolve(a), resolve(resolve(third))
         again = resolve(near)
-    else:  # with beta (1 - alpha_f)/(1 - alpha_m) in place of beta
+    else:  # with beta (1 - alpha_f)/(1 - alpha_m) in place of beta; of both vectors at once
         c_m, mass, border = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
-        once, twice = np.stack([a, third], axis=1), None
-        for _ in range(2):
-            once, twice = system.saddle(state.t, state.q, state.lam, -c_m * (mass @ once), -(border @ once))[0], once
-        (again, third), near = once.T, twice[:, 0]
+        resolve = lambda x: system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -(border @ x))[0]  # noqa: E731
+        once = resolve(np.stack([a, third], axis=1))
+        near, (again, third) = once[:, 0], resolve(once).T
     return 2 * near - again + settings.coefficients.offset * h * third, third
 
 

@@ -188,8 +188,8 @@ class Happenings:
     def _on_root(self, before, after, start, k):
         """A consistent state of a step at which the function of event k is zero; `start` is one near it.
 
-        The polynomial's state at the root satisfies constraints to the order of the step alone: its projection is beside the root, and if the function
-        kept its sign there, it would change it again behind the event.
+        The state of the polynomial satisfies the constraints only to the order of the step. Its projection is beside the root; if the function has
+        its old sign there, the event would happen again.
         """
         for _ in range(SETTLING):
             g, rate = self.value(self.events[k], start), self._rates(start)[k]

@@ -99,7 +99,7 @@ def resume(
                 plan, restart = _plan(stored, t_end, until), stored.restart
                 model, integrator, happenings, past = _model_and_integrator(stored, model, integrator, events)
             mode = happenings.mode if happenings else guard(model)
-            if until:
+            if until is not None and until is not False:
                 require_of_state("resume: until", until, mode)
             if sensors is not False:
                 require_sensors("resume", sensors, mode)

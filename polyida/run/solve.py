@@ -230,14 +230,16 @@ def require_run(model, t_end, begin, integrator):
         )
     if guard(model).velocity_rows.size and not (method.trusted or method.velocity_rows):
         raise InputError(f"solve: {method.class_name()} knows no velocity rows; one that does has the attribute velocity_rows = True")
-    if (names := [own.name for own in model.controllers] if model.is_scene else []) and not (method.trusted or method.takes_samples):
+    controllers = model.controllers if model.is_scene else ()
+    if controllers and not (method.trusted or method.takes_samples):
+        names = ", ".join(repr(own.name) for own in controllers)
         needed = "one whose steps end at model.samples(t0, t1) and go on from model.sampled(t, q, v) has the attribute takes_samples = True"
-        raise InputError(f"solve: {method.class_name()} takes no samples of the controllers {', '.join(map(repr, names))}; {needed}")
+        raise InputError(f"solve: {method.class_name()} takes no samples of the controllers {names}; {needed}")
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
     h, apart = method.fixed_step(), math.ulp(max(abs(begin), abs(t_end)))
     shortest, near = max(SHORTEST, APART * apart), 2.0 * round_off(begin, t_end)
-    for own in model.controllers if model.is_scene else ():
+    for own in controllers:
         if own.period <= near:
             raise InputError(f"{own.name}: period = {own.period!r} s must be above {near:.2g} s in a run to t_end = {t_end:g} s")
     if t_end - begin < shortest:

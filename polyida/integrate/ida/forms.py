@@ -129,7 +129,8 @@ class System:
 class AcceptedStates(Stretch):
     """Accepted states of a System at the times t (k,), from rows y and y' (k, size); a run can go on from each of them.
 
-    work: for each state the counts of the work up to it, except the steps; within: as of State, for the end of a step and t. mu, zero but for truncation, is in the memory.
+    work: for each state the counts of the work up to it, except the steps; within: function of the end of a step and t, as of State, or None. mu,
+    zero but for truncation, is in the memory.
     """
 
     def __init__(self, system, memory, work, t, y, yp, within=None):
