@@ -455,10 +455,8 @@ def apply_point_forces(s, c, w, dq):
             p, q = co * x + si * y, co * y - si * x
             if p == 0.0 and q == 0.0:
                 continue
-            fresh, at, size = end == 0, c.place[f, 2], 2 * (c.place[f, 1] - c.place[f, 0])
-            first, end = c.place[f, 0], c.place[f, 1]
-            along, across = c.compliance_columns[at : at + size // 2], c.compliance_columns[at + size // 2 : at + size]
-            add_columns(along.reshape(size), across.reshape(size), p, q, fresh, w.shift[:size])
+            fresh, first, end = end == 0, c.place[f, 0], c.place[f, 1]
+            add_columns(c.compliance_columns, c.place[f, 2], end - first, p, q, fresh, w.shift)
         for i in range(first, end):
             gx, gy = w.shift[2 * (i - first)], w.shift[2 * (i - first) + 1]
             dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
@@ -466,14 +464,16 @@ def apply_point_forces(s, c, w, dq):
 
 
 @part
-def add_columns(along, across, p, q, fresh, out):
-    """out = or, unless `fresh`, += p along + q across."""
+def add_columns(columns, at, count, p, q, fresh, out):
+    """out = or, unless `fresh`, += p times the column of `count` nodes that begins at `at`, + q times the next one."""
+    along, across = columns[at : at + count], columns[at + count : at + 2 * count]
     if fresh:
-        for i in range(out.shape[0]):
-            out[i] = along[i] * p + across[i] * q
+        for i in range(count):
+            out[2 * i], out[2 * i + 1] = along[i, 0] * p + across[i, 0] * q, along[i, 1] * p + across[i, 1] * q
     else:
-        for i in range(out.shape[0]):
-            out[i] += along[i] * p + across[i] * q
+        for i in range(count):
+            out[2 * i] += along[i, 0] * p + across[i, 0] * q
+            out[2 * i + 1] += along[i, 1] * p + across[i, 1] * q
 
 
 class SceneStepMatrix(StepMatrix):

@@ -14,12 +14,13 @@ cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (
 from typing import NamedTuple
 
 import numpy as np
+from numba import carray
 from scipy.linalg import qr
 
 from polyida.assembly import joints
 from polyida.errors import DONE, InputError
 from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import address, call
+from polyida.jit.intrinsics import address, call, pointer
 from polyida.joint.joint import Joint
 from polyida.linear.saddle import DEPENDENT, coordinate_sizes
 
@@ -192,20 +193,22 @@ def dense_pattern(model, sizes):
 
 
 @part
-def fill_slopes(links, drives, times, k, q, w):
+def fill_slopes(links, drives, times, k, qs, w):
     """Fill w.slopes at state k: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
+    n = qs.shape[1]
+    at = address(qs) + 8 * n * k
     if links is None:
-        return call(drives[0], drives[1], 0, address(times) + 8 * k, address(q), 0, 0, 0, address(w.slopes)) == DONE
-    joints.point_values(links, q.reshape((q.shape[0] // 2, 2)), w.points)
+        return call(drives[0], drives[1], 0, address(times) + 8 * k, at, 0, 0, 0, address(w.slopes)) == DONE
+    joints.point_values(links, carray(pointer(at), (n // 2, 2)), w.points)
     joints.joint_jacobian(links, drives[k], w.points, w.slopes)
     return True
 
 
 @part
-def fill_rows(u, links, drives, times, at, q, w):
-    """The unit rows at q; nan if the model raises."""
+def fill_rows(u, links, drives, times, at, qs, w):
+    """The unit rows at state `at`; nan if the model raises."""
     rows = w.rows[1]
-    if not fill_slopes(links, drives, times, at, q, w):
+    if not fill_slopes(links, drives, times, at, qs, w):
         w.slopes[:] = np.nan
     for k in range(u.start.shape[0] - 1):
         square = 0.0
@@ -315,21 +318,21 @@ def distance(u, w):
 
 
 @part
-def refer(t, q, size, w):
-    """Make the state examined the reference, with this bound of its least singular value."""
+def refer(times, qs, k, size, w):
+    """Make state k, the one examined, the reference, with this bound of its least singular value."""
     w.least[0] = size
     for e in range(w.rows.shape[1]):
         w.rows[0, e] = w.rows[1, e]
     for i in range(w.past.shape[1]):
         w.past[1, i] = w.past[0, i]
-        w.past[0, i] = q[i - 1] if i else t
+        w.past[0, i] = qs[k, i - 1] if i else times[k]
 
 
 @entry
-def begin(u, links, drives, times, q, w):
-    """Make a state at the only one of the times the reference; return True if its rows are proven independent."""
-    fill_rows(u, links, drives, times, 0, q, w)
-    refer(times[0], q, bound(u, w), w)
+def begin(u, links, drives, times, qs, w):
+    """Make the only one of the states the reference; return True if its rows are proven independent."""
+    fill_rows(u, links, drives, times, 0, qs, w)
+    refer(times, qs, 0, bound(u, w), w)
     return w.least[0] > CLOSE
 
 
@@ -340,7 +343,7 @@ def unproven(u, links, drives, times, qs, first, w):
     Factors alone show that the least singular value exceeds the reference's bound, and make the bound larger; the trace costs more.
     """
     for k in range(first, qs.shape[0]):
-        fill_rows(u, links, drives, times, k, qs[k], w)
+        fill_rows(u, links, drives, times, k, qs, w)
         way, size = distance(u, w), RISE * w.least[0]
         if way < SHARE * w.least[0]:
             continue
@@ -348,7 +351,7 @@ def unproven(u, links, drives, times, qs, first, w):
             size = bound(u, w)
             if not (size > CLOSE and (way < w.least[0] + size or same_side(u, w))):
                 return k
-        refer(times[k], qs[k], size, w)
+        refer(times, qs, k, size, w)
     return qs.shape[0]
 
 
@@ -371,7 +374,7 @@ class UnitRows:
     def begin(self, state):
         """Make a state the reference; return True if its rows are proven independent."""
         times = np.array([state.t])
-        return begin(self.pattern, self.links, self._drives(times), times, np.array(state.q), self.workspace)
+        return begin(self.pattern, self.links, self._drives(times), times, np.array([state.q]), self.workspace)
 
     def unproven(self, stretch):
         """Yield the numbers of the states of a stretch without proof. Before it continues, the caller must have shown that state to be regular."""

@@ -155,8 +155,8 @@ def convergence(p, marks, first, last, moved, length, size, accel, change):
 
 
 @part
-def end_step(f, w, k, p, c, y, x, q, v, a, lam):
-    """Accept the trial state, unless its local error is too large, and copy it into a frame (n,), (m,). Returns how the step ended."""
+def end_step(f, w, k, p, c, y, x, row, qs, vs, accelerations, lams):
+    """Accept the trial state, unless its local error is too large, and copy it into a row of the frames. Returns how the step ended."""
     y.marks[AGE] += 1.0
     y.marks[ACCEL], y.marks[ACCEL_CHANGE] = y.marks[NEW_ACCEL], y.marks[NEW_ACCEL_CHANGE]
     if p.control > 0.0:
@@ -165,17 +165,17 @@ def end_step(f, w, k, p, c, y, x, q, v, a, lam):
         if not error <= 1.0:
             return ERROR_LARGE
     remember(p, y, x)
-    if p.unknowns < q.shape[0]:
+    if p.unknowns < qs.shape[1]:
         call(f[table.STRAINS], w, k, address(y.past), address(x.now), address(y.past), address(c), 0, 0)
     y.marks[MOVED] = 0.0
-    for i in range(q.shape[0]):
-        q[i] = y.past[Q, i]
-    for i in range(q.shape[0]):
-        v[i] = y.past[V, i]
-    for i in range(q.shape[0]):
-        a[i] = y.past[A, i]
-    for i in range(lam.shape[0]):
-        lam[i] = y.rows[LAM, i]
+    for i in range(qs.shape[1]):
+        qs[row, i] = y.past[Q, i]
+    for i in range(qs.shape[1]):
+        vs[row, i] = y.past[V, i]
+    for i in range(qs.shape[1]):
+        accelerations[row, i] = y.past[A, i]
+    for i in range(lams.shape[1]):
+        lams[row, i] = y.rows[LAM, i]
     if p.control > 0.0:
         y.marks[SINCE] += 1.0
         if y.marks[SINCE] >= PATIENCE:
@@ -360,7 +360,7 @@ def stretch(f, w, first, p, c, stabilised, y, x, counts, qs, vs, accelerations, 
                 end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
         if end != DONE:
             return k, end, moved
-        end = end_step(f, w, first + k, p, c, y, x, qs[k], vs[k], accelerations[k], lams[k])
+        end = end_step(f, w, first + k, p, c, y, x, k, qs, vs, accelerations, lams)
         if end != DONE:
             return (k if end == ERROR_LARGE else k + 1), end, moved
     return lams.shape[0], DONE, moved
