@@ -21,7 +21,7 @@ from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
-from polyida.objective.objective import Slopes
+from polyida.objective.objective import Slopes, slopes_at
 from polyida.reprs import counted, short, table
 from polyida.validation import is_one_of, named_keywords
 
@@ -153,7 +153,7 @@ class OwnSlopes:
     """An objective's Slopes by the states of a history, some of which are frames of the run."""
 
     def __init__(self, objective, run, frames, totals):
-        self.slopes, self.frames, self.totals = objective.slopes(run), frames, totals
+        self.objective, self.model, self.slopes, self.frames, self.totals = objective, run.model, objective.slopes(run), frames, totals
         self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
 
     def at_states(self, first, end):
@@ -162,7 +162,7 @@ class OwnSlopes:
         numbers = frames[frames >= 0]
         if not len(numbers):
             return Slopes()
-        own = self.slopes(slice(int(numbers[0]), int(numbers[-1]) + 1))
+        own = slopes_at(self.objective, self.slopes, self.model, slice(int(numbers[0]), int(numbers[-1]) + 1))
         self.totals.add_own(own)
         if len(numbers) == len(frames):
             return own

@@ -66,11 +66,11 @@ class ForceElement(OwnPart):
         raise NotImplementedError
 
     def forces_x(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray | None:
-        """Return d forces / dx, (sides, 2, sides, 2), N/m; None: by differences."""
+        """Return d forces / dx, (sides, 2, sides, 2), N/m; None: by differences, as always with states."""
         return None
 
     def forces_v(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray | None:
-        """Return d forces / dv, (sides, 2, sides, 2), N s/m; None: by differences."""
+        """Return d forces / dv, (sides, 2, sides, 2), N s/m; None: by differences, as always with states."""
         return None
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> ArrayLike:
@@ -132,6 +132,9 @@ def require_element(element):
     if bool(names) != writes(element, ForceElement, "rates"):
         lacking = "no rates(t, x, v, s): it must return their derivatives" if names else "rates(), but no states: it must name them"
         raise InputError(f"{label}: its class has {f'the states {names} and ' * bool(names)}{lacking}")
+    for slope in ("forces_x", "forces_v"):
+        if names and writes(element, ForceElement, slope):
+            raise InputError(f"{label}: {slope}() of an element with states is not used; remove it: its slopes are differences of forces()")
     for function, good in (("sizes", lambda x: (x > 0).all()), ("start", lambda x: True)) if names else ():
         values = floats(getattr(element, function)())
         if values is None or values.shape != (len(names),) or not good(values):

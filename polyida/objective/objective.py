@@ -75,6 +75,20 @@ class Slopes:
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 
+def slopes_at(objective: Objective, of: Callable[[slice], Slopes], model: Any, part: slice) -> Slopes:
+    """The Slopes of a slice of frames, by the function `of` that `objective.slopes(run)` returned; InputError for wrong types and shapes."""
+    result, label = of(part), f"gradient: slopes(run)(part) of {type(objective).__name__}"
+    if not isinstance(result, Slopes):
+        raise InputError(f"{label} must return polyida.objective.Slopes, not {result!r:.100}")
+    count, n, m = part.stop - part.start, model.n, model.m
+    shapes = {"q": (count, n), "v": (count, n), "a": (count, n), "lam": (count, m), "t": (count,)}
+    for name, shape in shapes.items():
+        value = getattr(result, name)
+        if not (value is None or callable(value) or np.shape(value) == shape):
+            raise InputError(f"{label}: {name} has the shape {np.shape(value)}; it must be {shape}, a row for each frame of the slice")
+    return result
+
+
 def _times(factor, x):
     """factor x of an array or a function; None of None."""
     if callable(x):
@@ -195,17 +209,17 @@ class Sum(Objective):
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the sum of the terms' slopes."""
-        each = [(weight, part.slopes(run)) for weight, part in self.terms]
+        each = [(weight, term, term.slopes(run)) for weight, term in self.terms]
 
         def of(part):
             total = Slopes()
-            for weight, slopes in each:
-                total = total.plus(slopes(part).times(weight))
+            for weight, term, slopes in each:
+                total = total.plus(slopes_at(term, slopes, run.model, part).times(weight))
             return total
 
-        if all(hasattr(slopes, "value") for _, slopes in each):
-            of.value = float(sum(weight * slopes.value for weight, slopes in each))  # type: ignore[attr-defined]
-        rules = [(weight, slopes.quadrature) for weight, slopes in each if hasattr(slopes, "quadrature")]
+        if all(hasattr(slopes, "value") for *_, slopes in each):
+            of.value = float(sum(weight * slopes.value for weight, _, slopes in each))  # type: ignore[attr-defined]
+        rules = [(weight, slopes.quadrature) for weight, _, slopes in each if hasattr(slopes, "quadrature")]
         if rules:
             of.quadrature = lambda pieces: np.sum([w * lacks(pieces) for w, lacks in rules], axis=0)  # type: ignore[attr-defined]
         return of

@@ -118,6 +118,7 @@ def test_strongly_damped_elements_take_as_many_steps_of_ida_as_with_the_exact_ma
     [
         ({"states": ("s", "s")}, "different names"),
         ({"states": ()}, "rates(), but no states"),
+        ({"forces_x": lambda *_: None}, "forces_x() of an element with states is not used"),
         ({"rates": pi.ForceElement.rates}, "no rates"),
         ({"sizes": lambda self: [0.0]}, "1 positive numbers"),
         ({"start": lambda self: [0.0, 1.0]}, "1 finite numbers"),

@@ -204,6 +204,19 @@ def test_own_slopes_are_looked_at(slopes, match, motion):
         of.UserObjective(lambda run: 0.0, lambda run: slopes).slopes(motion)
 
 
+@pytest.mark.parametrize("term", [1.0, 2.0])
+def test_slopes_of_a_wrong_shape_are_refused_by_name(term):
+    class Height(of.Objective):
+        def __call__(self, run):
+            return float(run.q[-1, 0])
+
+        def slopes(self, run):
+            return lambda part: of.Slopes(q=np.ones(run.model.n))
+
+    with pytest.raises(pi.InputError, match=r"of Height: q has the shape .* it must be \("):
+        pi.gradient(pi.solve(scene(), 2e-3, pi.GeneralizedAlpha(1e-3)), term * Height())
+
+
 def test_masses_and_their_slopes():
     model = scene()
     run = pi.solve(model, 4e-3, pi.GeneralizedAlpha(1e-3, tolerance=1e-10))
