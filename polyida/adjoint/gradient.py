@@ -185,7 +185,7 @@ def _gradients_of_run(run, objectives, names, memory_limit, progress):
 def _of_model(run, objective, names):
     """The Gradient of an objective that depends on no frame."""
     totals = Totals(run.model, names, run.plan.get("began") != "state")
-    totals.add_own(slopes_at(objective, objective.slopes(run), run.model, slice(0, len(run))))
+    totals.add_own(slopes_at(objective, objective.slopes(run), run, slice(0, len(run))))
     if totals.with_v0:
         totals.sums["v0"] = np.zeros(run.model.n)
     return Gradient(objective(run), totals.slopes(), Counts(), totals.left_out)
@@ -245,7 +245,7 @@ def gradients_of_state(subject, objectives, names=None):
     equilibrium = subject.state if isinstance(subject, Modes) else subject
     system, gradients = lru_cache(maxsize=1)(partial(_static_system, equilibrium, counts)), []
     for objective in objectives:
-        own, totals = slopes_at(objective, objective.slopes(subject), subject.model, slice(0, 1)), totals.empty()
+        own, totals = slopes_at(objective, objective.slopes(subject), subject, slice(0, 1)), totals.empty()
         totals.add_own(own)
         if isinstance(equilibrium, Equilibrium) and any(slope is not None and slope.any() for slope in (own.q, own.lam)):
             _add_static(equilibrium, system(), own, totals, counts)

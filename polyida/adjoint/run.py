@@ -153,7 +153,7 @@ class OwnSlopes:
     """An objective's Slopes by the states of a history, some of which are frames of the run."""
 
     def __init__(self, objective, run, frames, totals):
-        self.objective, self.model, self.slopes, self.frames, self.totals = objective, run.model, objective.slopes(run), frames, totals
+        self.objective, self.run, self.slopes, self.frames, self.totals = objective, run, objective.slopes(run), frames, totals
         self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
 
     def at_states(self, first, end):
@@ -162,7 +162,7 @@ class OwnSlopes:
         numbers = frames[frames >= 0]
         if not len(numbers):
             return Slopes()
-        own = slopes_at(self.objective, self.slopes, self.model, slice(int(numbers[0]), int(numbers[-1]) + 1))
+        own = slopes_at(self.objective, self.slopes, self.run, slice(int(numbers[0]), int(numbers[-1]) + 1))
         self.totals.add_own(own)
         if len(numbers) == len(frames):
             return own

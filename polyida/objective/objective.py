@@ -75,12 +75,13 @@ class Slopes:
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 
-def slopes_at(objective: Objective, of: Callable[[slice], Slopes], model: Any, part: slice) -> Slopes:
+def slopes_at(objective: Objective, of: Callable[[slice], Slopes], run: Any, part: slice) -> Slopes:
     """The Slopes of a slice of frames, by the function `of` that `objective.slopes(run)` returned; InputError for wrong types and shapes."""
     result, label = of(part), f"gradient: slopes(run)(part) of {type(objective).__name__}"
     if not isinstance(result, Slopes):
         raise InputError(f"{label} must return polyida.objective.Slopes, not {result!r:.100}")
-    count, n, m = part.stop - part.start, model.n, model.m
+    frames = run_of("gradient", run)
+    count, n, m = len(range(*part.indices(len(frames.t)))), frames.q.shape[1], frames.lam.shape[1]
     shapes = {"q": (count, n), "v": (count, n), "a": (count, n), "lam": (count, m), "t": (count,)}
     for name, shape in shapes.items():
         value = getattr(result, name)
@@ -214,7 +215,7 @@ class Sum(Objective):
         def of(part):
             total = Slopes()
             for weight, term, slopes in each:
-                total = total.plus(slopes_at(term, slopes, run.model, part).times(weight))
+                total = total.plus(slopes_at(term, slopes, run, part).times(weight))
             return total
 
         if all(hasattr(slopes, "value") for *_, slopes in each):
