@@ -22,7 +22,7 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts, State, declared
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.mesh import PolygonMesh
-from polyida.mesh.mesher import remeshed
+from polyida.mesh.refinement import remeshed
 from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import backward, require_progress

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.mesh import topology
+from polyida.mesh.domains import nearest
 
 
 @dataclass
@@ -27,8 +28,10 @@ def compact(points, cell, corner, rank):
     return Polygons(points[used], nodes, np.concatenate([[0], np.cumsum(count)]), rank[used])
 
 
-def collapse(polygons, project, share=0.1):
+def collapse(polygons, project, size, share=0.1):
     """Return the polygons with edges shorter than share of the mean edge collapsed to the node of highest rank, or to the mean.
+
+    Lengths are compared over the wanted size of cells there, size(points).
 
     Two fixed nodes merge only if they coincide, two boundary nodes never through the inside: that would pinch the domain. project(points)
     moves merged wall nodes to their wall.
@@ -36,7 +39,8 @@ def collapse(polygons, project, share=0.1):
     for _ in range(50):
         n = len(polygons.points)
         edges = topology.edges(polygons.nodes, polygons.offsets, n)
-        length = np.linalg.norm(polygons.points[edges[:, 0]] - polygons.points[edges[:, 1]], axis=1)
+        sizes = size(polygons.points[edges].mean(axis=1))
+        length = np.linalg.norm(polygons.points[edges[:, 0]] - polygons.points[edges[:, 1]], axis=1) / (sizes / sizes.max())
         rim = np.sort(topology.boundary_edges(polygons.nodes, polygons.offsets, n), axis=1).astype(np.int64)
         on_rim = np.zeros(n, dtype=bool)
         on_rim[rim] = True
@@ -109,7 +113,7 @@ def relax(polygons, project, smallest_turn=0.03, sweeps=20):
     return polygons
 
 
-def corner_seeds(domain, corners, spacing):
+def corner_seeds(domain, corners, sizes):
     """Return seeds around each re-entrant corner, at one distance from it: with their images the corner is a Voronoi vertex.
 
     Each of the k cells there has the angle theta / k < 180 degrees of the interior angle theta, small enough that the images of the outer two
@@ -117,7 +121,7 @@ def corner_seeds(domain, corners, spacing):
     """
     rays = (np.arange(720) + 0.5) * (2 * np.pi / 720)
     seeds = [np.zeros((0, 2))]
-    for corner in corners:
+    for corner, spacing in zip(corners, sizes):
         inside = domain.distance(corner + 1e-3 * spacing * np.stack([np.cos(rays), np.sin(rays)], axis=1)) < 0.0
         starts = np.flatnonzero(inside & ~np.roll(inside, 1))
         theta = inside.mean() * 2 * np.pi
@@ -129,28 +133,39 @@ def corner_seeds(domain, corners, spacing):
     return seeds[domain.distance(seeds) < 0.0] if len(seeds) else seeds
 
 
-def place_corners(polygons, corners, spacing):
-    """Move the nearest wall node within half a cell to each corner that has no node yet, and fix it there."""
-    for corner in corners:
+def place_corners(polygons, corners, sizes):
+    """Move the nearest wall node within half a cell to each corner that has no node yet, and fix it there; without one, the nearest edge gets a node."""
+    for corner, size in zip(corners, sizes):
         away = np.linalg.norm(polygons.points - corner, axis=1)
         away[polygons.rank == 0] = np.inf
-        nearest = int(np.argmin(away))
-        if polygons.rank[nearest] == 1 and away[nearest] < 0.5 * spacing:
-            polygons.points[nearest], polygons.rank[nearest] = corner, 2
+        near = int(np.argmin(away))
+        if away[near] < 1e-9 * size or (polygons.rank[near] == 1 and away[near] < 0.5 * size):
+            polygons.points[near], polygons.rank[near] = corner, 2
+            continue
+        rim = topology.boundary_edges(polygons.nodes, polygons.offsets, len(polygons.points))
+        start, along = polygons.points[rim[:, 0]], np.diff(polygons.points[rim], axis=1)[:, 0]
+        edge, share = nearest(corner[None], start, along)
+        if np.linalg.norm(start[edge] + share * along[edge] - corner) < 0.5 * size:
+            points, rank = np.concatenate([polygons.points, corner[None]]), np.append(polygons.rank, np.int8(2))
+            polygons = Polygons(points, *topology.inserted(polygons.nodes, polygons.offsets, rim[edge], [len(rank) - 1]), rank)
     return polygons
 
 
 def split_concave_cells(polygons, smallest_turn=1e-3):
     """Return the polygons with every cell that has an angle of 180 degrees or more cut into convex cells."""
-    turn = topology.turns(polygons.points, polygons.nodes, polygons.offsets)
-    worst = np.minimum.reduceat(turn, polygons.offsets[:-1])
-    if (worst > smallest_turn).all():
-        return polygons
-    cells = []
-    for i, cell in enumerate(np.split(polygons.nodes, polygons.offsets[1:-1])):
-        cells.extend([cell] if worst[i] > smallest_turn else _cut(polygons.points, cell, smallest_turn))
-    offsets = np.concatenate([[0], np.cumsum([len(cell) for cell in cells])])
-    return Polygons(polygons.points, np.concatenate(cells), offsets, polygons.rank)
+    cells, _ = convex_cells(polygons.points, polygons.nodes, polygons.offsets, smallest_turn)
+    return Polygons(polygons.points, np.concatenate(cells), np.concatenate([[0], np.cumsum([len(cell) for cell in cells])]), polygons.rank)
+
+
+def convex_cells(points, nodes, offsets, smallest_turn=1e-3):
+    """Return (nodes of each convex cell or piece of a concave one, number of its cell)."""
+    worst = np.minimum.reduceat(topology.turns(points, nodes, offsets), offsets[:-1])
+    cells, numbers = [], []
+    for i, cell in enumerate(np.split(nodes, offsets[1:-1])):
+        pieces = [cell] if worst[i] > smallest_turn else _cut(points, cell, smallest_turn)
+        cells.extend(pieces)
+        numbers.extend([i] * len(pieces))
+    return cells, np.array(numbers)
 
 
 def _cut(points, cell, smallest_turn):
@@ -165,8 +180,11 @@ def _cut(points, cell, smallest_turn):
 
     def merit(k):
         corners = [points[piece] for piece in pieces(k)]
+        turns = [topology.ring_turns(c) for c in corners]
         smallest = min(topology.areas(c, np.arange(len(c)), np.array([0, len(c)]))[0] for c in corners)
-        return -10.0 if smallest <= 0.0 else min(float(topology.ring_turns(c).min()) for c in corners)  # -10: a piece is inside out
+        if smallest <= 0.0 or any(abs(t.sum() - 2.0 * np.pi) > 1e-6 or t.max() > np.pi - 1e-9 for t in turns):
+            return -10.0  # a piece is inside out, crosses itself or folds back
+        return min(float(t.min()) for t in turns)
 
     best = max(range(2, len(ring) - 1), key=merit)
     return [part for piece in pieces(best) for part in _cut(points, piece, smallest_turn)]

@@ -13,17 +13,13 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
-from polyida.mesh.domains import Domain, Moved, Rectangle, meet, nearest, project
-from polyida.mesh.outline import Outline, outline_of
+from polyida.mesh.domains import Domain, Moved, Rectangle, meet, project
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.sections import ON_CIRCLE, automatic, edges_within
+from polyida.mesh.sections import ON_CIRCLE, automatic
 from polyida.validation import is_whole, named_keywords, positive, vector2
 
-ATTEMPTS = 8  # with different seeds, if a part of the boundary gets no cells
+SHIFTS = 1e-3, *[0.5] * 7  # of given seeds, over the size of cells there, in attempts until all parts of the boundary have cells
 SAMPLES = 20_000  # points that estimate the area of a domain
-PARTS = 4  # cells in place of one that is refined
-BLEND = 40  # largest number of iterations that follow the wanted sizes of cells
-NEAR = 20  # cells whose wanted sizes are averaged: sizes that jump leave distorted cells, which cost more than refinement gains
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
@@ -31,7 +27,7 @@ class Unresolved(InputError):
     """The cells are too few to follow the boundary."""
 
 
-def _whole(function, name, value, least):
+def whole(function, name, value, least):
     if not is_whole(value, least, 10**9):
         raise InputError(f"{function}: {name} = {value!r} must be a whole number from {least} to {10**9}")
     return operator.index(value)
@@ -65,8 +61,8 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
     """
     if not isinstance(domain, Domain):
         raise InputError(f"polygonize needs a domain such as Rectangle or Link, not {domain!r}")
-    cells, seed = _whole("polygonize", "cells", cells, 1), _whole("polygonize", "seed", seed, 0)
-    iterations = _whole("polygonize", "iterations", iterations, 1)
+    cells, seed = whole("polygonize", "cells", cells, 1), whole("polygonize", "seed", seed, 0)
+    iterations = whole("polygonize", "iterations", iterations, 1)
     # mesh near the origin, where coordinates keep their digits in Voronoi's squares; a shift by whole powers of two has no round-off
     size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
     shift = size * np.round(domain.lower / size)
@@ -75,88 +71,13 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
             f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
             "too far for the digits of its walls; mesh it at the origin and move the plate by its origin="
         )
-    return _numbered(_polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations), shift)
+    return numbered(voronoi_polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations), shift)
 
 
-def _numbered(polygons, shift=0.0):
+def numbered(polygons, shift=0.0):
     points, nodes, offsets, _ = topology.renumber(polygons.points, polygons.nodes, polygons.offsets)
     rim = topology.boundary_edges(nodes, offsets, len(points))
     return PolygonMesh(points + shift, nodes, offsets, automatic(points, rim))
-
-
-@named_keywords
-def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
-    """Return a mesh of the same outline with about four cells in place of each chosen one.
-
-    The mesher starts from the centroids of the other cells and four points in each chosen one. Lloyd's iterations, with the wanted size of cells,
-    averaged over neighbours, as density, blend the sizes.
-
-    Parameters
-    ----------
-    mesh : PolygonMesh
-    cells : (k,) int, or (n_cells,) bool
-        The cells to be refined, such as those with the largest shares in `bars.cells["arm"]`.
-
-    Returns
-    -------
-    PolygonMesh
-        With the sections of the mesh that lie on its boundary. Loads and supports of files are left out.
-
-    Raises
-    ------
-    InputError
-        For cells that do not exist, and if the mesher fails.
-
-    Examples
-    --------
-    >>> shares = np.abs(bars.cells["arm"])
-    >>> finer = pi.mesh.refine(mesh, np.argsort(shares)[-20:])
-    """
-    if not isinstance(mesh, PolygonMesh):
-        raise InputError(f"refine: mesh is {type(mesh).__name__}, it must be a PolygonMesh")
-    chosen, array = np.zeros(mesh.n_cells, bool), np.asarray(cells)
-    whole = array.dtype.kind in "iu" and array.ndim == 1 and array.size and array.min() >= 0 and array.max() < mesh.n_cells
-    if not (whole or (array.dtype == bool and array.shape == chosen.shape)):
-        raise InputError(
-            f"refine: cells = {cells!r:.80} must be indices from 0 to {mesh.n_cells - 1}, or a mask of all {mesh.n_cells} cells"
-        )
-    chosen[array] = True
-    return remeshed(mesh, np.where(chosen, PARTS, 1))
-
-
-def remeshed(mesh, parts):
-    """A mesh of the same outline and sections: cells of a mesh with `parts` (n_cells,) int new ones each; or about `parts`, a number, of equal size."""
-    from scipy.spatial import cKDTree
-
-    outer, *holes = outline_of(mesh)
-    domain = Outline(outer, holes)
-    if np.ndim(parts):
-        centres, areas, tree = mesh.cell_centroids, mesh.cell_areas / parts, cKDTree(mesh.cell_centroids)
-        way = np.repeat(0.5 * np.sqrt(areas), parts)[:, None]
-        number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-        angle = 0.7 + 2.0 * np.pi * number / np.repeat(parts, parts)
-        alone = np.repeat(parts == 1, parts)[:, None]
-        seeds = np.repeat(centres, parts, axis=0) + np.where(alone, 0.0, 1.4 * way * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-        seeds = seeds[domain.distance(seeds) < 0.0]
-
-        def density(points):
-            away, near = tree.query(points, min(NEAR, len(areas)))
-            weights = 1.0 / np.maximum(away, 1e-6 * way.min()).reshape(len(points), -1)
-            logs = np.log(areas[near]).reshape(weights.shape)
-            return np.exp(-2.0 * (weights * logs).sum(axis=1) / weights.sum(axis=1))
-
-        new = _numbered(_polygons(domain, len(seeds), 0, BLEND, start=seeds, density=density))
-    else:
-        new = polygonize(domain, parts)
-    sections = dict(new.sections)
-    for name, nodes in mesh.sections.items():
-        start, end = mesh.points[edges_within(mesh, nodes).T]
-        if name not in sections and len(start):
-            rim = new.points[new.boundary_nodes]
-            edge, share = nearest(rim, start, end - start)
-            away = np.hypot(*(rim - start[edge] - share[:, None] * (end - start)[edge]).T)
-            sections[name] = new.boundary_nodes[away < 1e-9 * np.ptp(mesh.points)]
-    return PolygonMesh(new.points, new.nodes, new.offsets, sections)
 
 
 @named_keywords
@@ -190,9 +111,9 @@ def rectangle(
         For wrong values.
     """
     length, height = positive("rectangle", "length", length, "metres"), positive("rectangle", "height", height, "metres")
-    cells, seed = _whole("rectangle", "cells", cells, 1), _whole("rectangle", "seed", seed, 0)
-    iterations, origin = _whole("rectangle", "iterations", iterations, 1), vector2("rectangle", "origin", origin)
-    half = _polygons(Rectangle(length, 0.5 * height), (cells + 1) // 2, seed, iterations)
+    cells, seed = whole("rectangle", "cells", cells, 1), whole("rectangle", "seed", seed, 0)
+    iterations, origin = whole("rectangle", "iterations", iterations, 1), vector2("rectangle", "origin", origin)
+    half = voronoi_polygons(Rectangle(length, 0.5 * height), (cells + 1) // 2, seed, iterations)
     off_axis = np.flatnonzero(half.points[:, 1] != 0.0)  # nodes on y = 0 belong to both halves
     image = np.arange(len(half.points))
     image[off_axis] = len(half.points) + np.arange(len(off_axis))
@@ -258,7 +179,7 @@ def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike
 def _structured(function, length, height, nx, ny, origin, cut=False):
     """Mesh with nodes numbered across the shorter direction first."""
     length, height = positive(function, "length", length, "metres"), positive(function, "height", height, "metres")
-    nx, ny, origin = _whole(function, "nx", nx, 1), _whole(function, "ny", ny, 1), vector2(function, "origin", origin)
+    nx, ny, origin = whole(function, "nx", nx, 1), whole(function, "ny", ny, 1), vector2(function, "origin", origin)
     x, y = np.meshgrid(length * (np.arange(nx + 1) / nx), height * (np.arange(ny + 1) / ny - 0.5), indexing="ij")
     number = np.arange(x.size).reshape(x.shape)
     if ny > nx:
@@ -274,50 +195,63 @@ def _structured(function, length, height, nx, ny, origin, cut=False):
     return PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height))
 
 
-def _polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None, density=None):
+def voronoi_polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None, size=None):
     """Polygons of a domain before numbering, with boundary nodes on the walls and exact corners.
 
-    If the boundary is not resolved, the next random seeds of the same stream are tried. start (cells, 2): seeds in place of random ones; density: as
-    of `_lloyd`.
+    If the boundary is not resolved, the next random seeds of the same stream are tried. start (cells, 2): seeds in place of random ones, which are
+    shifted at random; size: wanted sizes of cells, m, a function of points (n, 2), in place of one size.
     """
     rng = np.random.default_rng(seed)
-    size = domain.upper - domain.lower
-    inside = domain.distance(domain.lower + rng.random((SAMPLES, 2)) * size) < 0.0
-    area = float(np.prod(size)) * max(inside.mean(), 1.0 / SAMPLES)  # accurate to about 1 %: no result depends on its digits
-    corners, spacing = domain.corners(), np.sqrt(area / cells)
+    extent = domain.upper - domain.lower
+    inside = domain.distance(domain.lower + rng.random((SAMPLES, 2)) * extent) < 0.0
+    area = float(np.prod(extent)) * max(inside.mean(), 1.0 / SAMPLES)  # accurate to about 1 %: no result depends on its digits
+    size = size or (lambda points: np.full(len(points), np.sqrt(area / cells)))
+    corners = domain.corners()
 
-    def attempt():
-        fixed = cleanup.corner_seeds(domain, corners, spacing)[: cells - 1]
-        free = (
-            _random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
-            if start is None
-            else start + 1e-3 * spacing * rng.random(start.shape)
-        )
-        seeds, diagram = _lloyd(fixed, free, domain, area, iterations, tolerance, density)
-        polygons = cleanup.place_corners(_snapped(seeds, diagram, domain, spacing, corners), corners, spacing)
-        polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), lambda points: _to_boundary(points, domain))
+    def attempt(shift):
+        fixed = cleanup.corner_seeds(domain, corners, size(corners))[: cells - 1]
+        if start is None:
+            free = _random_seeds(domain, cells - len(fixed), rng, fixed, size)
+        else:
+            free = _apart(start, fixed, size)
+            free = free + shift * size(free)[:, None] * (rng.random(free.shape) - 0.5)
+            free = free[domain.distance(free) < 0.0]
+        seeds, diagram = _lloyd(fixed, free, domain, size, iterations, tolerance)
+        polygons = cleanup.place_corners(_snapped(seeds, diagram, domain, size, corners), corners, size(corners))
+        polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), lambda points: _to_boundary(points, domain), size)
         polygons = cleanup.split_concave_cells(cleanup.relax(polygons, lambda points: _to_boundary(points, domain)))
         _require_resolved(polygons, domain, corners, area)
         return polygons
 
-    for _ in range(ATTEMPTS - 1):
+    for shift in SHIFTS[:-1]:
         with suppress(Unresolved):
-            return attempt()
-    return attempt()
+            return attempt(shift)
+    return attempt(SHIFTS[-1])
+
+
+def _apart(seeds, fixed, size):
+    """The seeds that are not between the fixed ones around a corner."""
+    for one in fixed:
+        seeds = seeds[np.linalg.norm(seeds - one, axis=1) > 0.6 * size(one[None])]
+    return seeds
 
 
 def _require_resolved(polygons, domain, corners, area):
-    """Raise Unresolved if a wall or corner has no nodes, an edge leaves the boundary, or the mesh is pinched or too small."""
+    """Raise Unresolved if a wall or corner has no nodes, an edge leaves its wall or cuts a corner, or the mesh is pinched or too small."""
     size = float(np.max(domain.upper - domain.lower))
     rim = topology.boundary_edges(polygons.nodes, polygons.offsets, len(polygons.points))
     start, end = polygons.points[rim[:, 0]], polygons.points[rim[:, 1]]
     areas = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
     resolved = [np.linalg.norm(start - corner, axis=1).min() < 1e-9 * size for corner in corners]
+    along = np.zeros(len(rim), bool)
     for wall in domain.walls:  # no nodes are needed on a wall that is not part of the boundary
         part = np.mean(domain.on_boundary(wall.samples(domain.lower, domain.upper)))
         needed = 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
-        resolved.append(np.sum(np.abs(wall.distance(start)) < 1e-9 * size) >= needed)
+        begins, ends = (np.abs(wall.distance(nodes)) < 1e-9 * size for nodes in (start, end))
+        resolved.append(np.sum(begins) >= needed)
+        along |= begins & ends
     resolved += [
+        along.all(),
         np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
         len(np.unique(rim[:, 0])) == len(rim),
         (areas > 0.0).all(),
@@ -327,7 +261,7 @@ def _require_resolved(polygons, domain, corners, area):
         raise Unresolved(f"{len(areas)} cells are too few to follow the boundary of the domain; use more cells")
 
 
-def _snapped(seeds, diagram, domain, spacing, corners):
+def _snapped(seeds, diagram, domain, size, corners):
     """Polygons of the seeds' cells; nodes between a seed and its image move to that wall, nodes of two walls to their corner."""
     own = diagram.ridges < diagram.n
     cell = np.concatenate([np.repeat(diagram.ridges[own[:, side], side], 2) for side in (0, 1)])
@@ -351,15 +285,15 @@ def _snapped(seeds, diagram, domain, spacing, corners):
     rim = touched.any(axis=1)
     points[rim], rank[rim] = _to_boundary(points[rim], domain), 1
     # nodes that touch two walls move to their intersection, unless one of the walls is not part of the boundary there
-    size = float(np.max(domain.upper - domain.lower))
+    extent = float(np.max(domain.upper - domain.lower))
     for i, first in enumerate(domain.walls):
         for j, second in enumerate(domain.walls[:i]):
             both = np.flatnonzero(touched[:, i] & touched[:, j])
             if both.size:
                 meeting = meet(points[both], first, second)
-                real = np.linalg.norm(meeting - points[both], axis=1) < 0.5 * spacing
+                real = np.linalg.norm(meeting - points[both], axis=1) < 0.5 * size(points[both])
                 if not domain.convex:
-                    real &= (np.linalg.norm(meeting[:, None] - corners, axis=2) < 1e-6 * size).any(axis=1)
+                    real &= (np.linalg.norm(meeting[:, None] - corners, axis=2) < 1e-6 * extent).any(axis=1)
                 points[both[real]] = meeting[real]
                 rank[both[real]] = 2
     return cleanup.compact(points, cell[order], corner[order], rank)
@@ -389,21 +323,18 @@ class Cells:
     n: int
 
 
-def _random_seeds(domain, count, rng, fixed, spacing):
+def _random_seeds(domain, count, rng, fixed, size):
     """count uniform points inside the domain, not between the fixed seeds around a corner."""
     seeds = np.zeros((0, 2))
     for _ in range(1000):
         trial = domain.lower + rng.random((2 * count + 10, 2)) * (domain.upper - domain.lower)
-        trial = trial[domain.distance(trial) < 0.0]
-        for seed in fixed:
-            trial = trial[np.linalg.norm(trial - seed, axis=1) > 0.6 * spacing]
-        seeds = np.concatenate([seeds, trial])
+        seeds = np.concatenate([seeds, _apart(trial[domain.distance(trial) < 0.0], fixed, size)])
         if len(seeds) >= count:
             return seeds[:count]
     raise InputError("domain is empty, or too thin within its bounding box to place seeds")
 
 
-def _bounded_cells(seeds, domain, spacing, reach):
+def _bounded_cells(seeds, domain, size, reach):
     """Cells of the seeds, and the reach within which seeds are reflected: doubled until every cell is bounded and ends near the wall."""
     from scipy.spatial import QhullError, Voronoi, cKDTree
 
@@ -429,25 +360,26 @@ def _bounded_cells(seeds, domain, spacing, reach):
                 own = diagram.ridge_points.min(axis=1) < n
                 ends = np.array(diagram.ridge_vertices)[own]
                 wall = np.concatenate([np.full(n, -1), index])
-                if ends.min() >= 0 and (reach >= 2.0 * span or domain.distance(diagram.vertices[np.unique(ends)]).max() < 0.5 * spacing):
+                vertices = diagram.vertices[np.unique(ends[ends >= 0])]
+                if ends.min() >= 0 and (reach >= 2.0 * span or (domain.distance(vertices) < 0.5 * size(vertices)).all()):
                     return Cells(diagram.vertices, diagram.ridge_points[own], ends, diagram.points, wall, n), reach
         if reach >= 2.0 * span:
             raise Unresolved(f"{n} cells are too few to close them all at the boundary; use more cells")
         reach *= 2.0
 
 
-def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
+def _lloyd(fixed, free, domain, size, iterations, tolerance):
     """(seeds, cells): fixed seeds stay, free ones move to their centroids until sqrt(sum A_i^2 |c_i - s_i|^2) n / A^1.5 < tolerance.
 
-    The move is multiplied by 1.7, which about halves the number of iterations, if the seed then stays inside the domain. density: function of points
-    (n, 2) that weighs the centroids; areas become proportional to its power -1/2.
+    The move is multiplied by 1.7, which about halves the number of iterations, if the seed then stays inside the domain. Centroids are weighed with
+    the power -4 of the wanted size, which cells then have.
     """
     seeds = np.concatenate([fixed, free])
-    spacing = np.sqrt(area / len(seeds))
-    reach = 2.0 * spacing
+    largest = float(np.max(size(seeds)))
+    reach = 2.0 * largest
     step = 1e-6 * float(np.max(domain.upper - domain.lower))
     for _ in range(iterations):
-        cells, reach = _bounded_cells(seeds, domain, spacing, reach)
+        cells, reach = _bounded_cells(seeds, domain, size, reach)
         sizes, areas, moments = np.zeros(cells.n), np.zeros(cells.n), np.zeros((cells.n, 2))
         a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
         for side in (0, 1):  # of each ridge: a triangle seed-a-b
@@ -456,7 +388,7 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
             u, v = a[own] - seeds[cell], b[own] - seeds[cell]
             triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
             sizes += np.bincount(cell, triangle, cells.n)
-            triangle = triangle if density is None else triangle * density(seeds[cell] + (u + v) / 3.0)
+            triangle = triangle * (size(seeds[cell] + (u + v) / 3.0) / largest) ** -4.0
             areas += np.bincount(cell, triangle, cells.n)
             for k in (0, 1):
                 moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
@@ -464,7 +396,7 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
         move[: len(fixed)] = 0.0
         error = np.sqrt(np.sum(sizes**2 * np.sum(move**2, axis=1))) * len(seeds) / sizes.sum() ** 1.5
         stretched = seeds + 1.7 * move
-        inside = domain.distance(stretched) < -0.1 * spacing
+        inside = domain.distance(stretched) < -0.1 * size(stretched)
         seeds = np.where(inside[:, None], stretched, seeds + move)
         # seeds that left the domain (centroids beside a concave wall) are mirrored back through the wall that they crossed
         out = domain.distance(seeds) >= 0.0
@@ -478,4 +410,4 @@ def _lloyd(fixed, free, domain, area, iterations, tolerance, density=None):
             seeds[out] = stray
         if error < tolerance:
             break
-    return seeds, _bounded_cells(seeds, domain, spacing, reach)[0]
+    return seeds, _bounded_cells(seeds, domain, size, reach)[0]

@@ -61,6 +61,20 @@ def edges(nodes, offsets, n_nodes):
     return np.stack([keys // n_nodes, keys % n_nodes], axis=1).astype(np.int32)
 
 
+def inserted(nodes, offsets, edges, new):
+    """Return (nodes, offsets) with the nodes `new` (k,) between the ends of edges (k, 2), in every cell that has the edge."""
+    total = int(nodes.max()) + 1
+    keys, wanted = (
+        pairs[:, 0].astype(np.int64) * total + pairs[:, 1] for pairs in (np.sort(directed_edges(nodes, offsets)), np.sort(edges))
+    )
+    order = np.argsort(wanted)
+    place = np.minimum(np.searchsorted(wanted, keys, sorter=order), len(wanted) - 1)
+    found = wanted[order][place] == keys
+    at = np.flatnonzero(found)
+    added = np.concatenate([[0], np.cumsum(np.bincount(corner_cells(offsets)[at], minlength=len(offsets) - 1))])
+    return np.insert(nodes, at + 1, np.asarray(new)[order[place[at]]]), offsets + added
+
+
 def boundary_edges(nodes, offsets, n_nodes):
     """Return the directed edges (n_boundary_edges, 2) whose reverse belongs to no cell."""
     pairs = directed_edges(nodes, offsets)

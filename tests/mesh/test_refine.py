@@ -51,6 +51,66 @@ def test_holes_and_own_sections_stay():
     assert np.abs(foot[:, 1]).max() < 1e-15 and foot[:, 0].max() <= own.points[lower, 0].max() + 1e-9 and len(foot) > len(lower)
 
 
+@pytest.mark.parametrize(("width", "depth"), [(0.1, 0.25), (0.15, 0.3), (0.2, 0.3)])
+def test_cells_around_the_tip_of_a_notch_are_refined_again_and_again(width, depth):
+    """Cells at a corner have the sizes of their neighbours, not of the mean cell."""
+    notch = [(0.5 + width / 2, 0.5), (0.5, 0.5 - depth), (0.5 - width / 2, 0.5)]
+    mesh = pi.mesh.polygonize(pi.mesh.Outline([(0.0, 0.0), (1.0, 0.0), (1.0, 0.5), *notch, (0.0, 0.5)]), 60, seed=1)
+    for _ in range(2):
+        cells = mesh.n_cells
+        mesh = pi.mesh.refine(mesh, np.argsort(np.linalg.norm(mesh.cell_centroids - notch[1], axis=1))[: cells // 4])
+        assert mesh.area == pytest.approx(0.5 - width * depth / 2, rel=1e-12) and mesh.quality().convex
+        assert all(np.linalg.norm(mesh.points - place, axis=1).min() < 1e-12 for place in notch)
+        assert 1.5 * cells < mesh.n_cells < 2.1 * cells and {"left", "right", "bottom"} <= set(mesh.sections)
+
+
+@pytest.mark.parametrize("height", [0.014, 0.018])
+def test_a_corner_of_an_edge_that_is_nearly_straight_stays(height):
+    corners = [(0.0, 0.0), (1.0, height), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)]
+    for cells in (20, 40):
+        mesh = pi.mesh.polygonize(pi.mesh.Outline(corners), cells, seed=1)
+        for _ in range(2):
+            mesh = pi.mesh.refine(mesh, np.arange(0, mesh.n_cells, 4))
+            assert mesh.area == pytest.approx(2.0 - height, rel=1e-12)
+            assert all(np.linalg.norm(mesh.points - place, axis=1).min() < 1e-12 for place in corners)
+
+
+def cracked():
+    """A square with a crack of no width from its middle to the right."""
+    mesh = pi.mesh.quads(1.0, 1.0, 8, 8)
+    lips = np.flatnonzero((mesh.points[:, 1] == 0.0) & (mesh.points[:, 0] > 0.5))
+    upper = np.arange(mesh.n_nodes)
+    upper[lips] = mesh.n_nodes + np.arange(len(lips))
+    above = np.repeat(mesh.cell_centroids[:, 1] > 0.0, 4)
+    return np.concatenate([mesh.points, mesh.points[lips]]), np.where(above, upper[mesh.nodes], mesh.nodes), mesh.offsets
+
+
+def in_pieces():
+    """Two squares that touch in a corner, and one apart."""
+    mesh = pi.mesh.quads(1.0, 1.0, 4, 4)
+    kept = [mesh.cell(k) for k, (x, y) in enumerate(mesh.cell_centroids) if (x < 0.5) == (y < 0.0)]
+    used, nodes = np.unique(np.concatenate([*kept, mesh.nodes + mesh.n_nodes]), return_inverse=True)
+    return np.concatenate([mesh.points, mesh.points + [2.0, 0.0]])[used], nodes, np.arange(0, len(nodes) + 1, 4)
+
+
+def comb():
+    """One cell with teeth."""
+    points = [(0, 0), (5, 0), (5, 3), (4, 3), (4, 1), (3, 1), (3, 3), (2, 3), (2, 1), (1, 1), (1, 3), (0, 3)]
+    return np.array(points, float), np.arange(12), [0, 12]
+
+
+@pytest.mark.parametrize("drawn", [cracked, in_pieces, comb])
+def test_outlines_that_no_domain_has_are_refined_in_place(drawn):
+    points, nodes, offsets = drawn()
+    mesh = pi.mesh.PolygonMesh(points, nodes, offsets, {"wall": np.flatnonzero(points[:, 0] == 0.0)})
+    area, wall = mesh.area, np.ptp(points[mesh.sections["wall"]], axis=0)
+    for _ in range(3):
+        cells, pieces = mesh.n_cells, mesh.quality().pieces
+        mesh = pi.mesh.refine(mesh, np.arange(0, cells, 3))
+        assert mesh.area == pytest.approx(area, rel=1e-12) and mesh.quality().convex and mesh.quality().pieces == pieces
+        assert np.allclose(np.ptp(mesh.points[mesh.sections["wall"]], axis=0), wall, atol=1e-12) and mesh.n_cells > 1.3 * cells
+
+
 @pytest.mark.parametrize("cells", [[200], [-1], [0.5], np.zeros(3, bool), "left"])
 def test_wrong_cells_are_refused(cells):
     with pytest.raises(pi.InputError, match="refine: cells"):
