@@ -397,12 +397,16 @@ class AlphaAdjoint(RunAdjoint):
         return q[1:] - (q[:-1] + h * v[:-1] + h * h * ((0.5 - beta) * ahead[:-1] + beta * ahead[1:]))
 
     def stretches_backward(self, sweeps):
-        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state for each objective."""
+        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state for each objective,
+        none if the class `observes`.
+        """
         each = [(AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)) for _ in sweeps]
         for segment in reversed(self.history.segments):
             bars = yield from self._steps(segment, sweeps, *zip(*each))
             if self.observes:
                 self.observe_start(segment, bars[0])
+                if not segment.first:  # the multipliers of all steps are known, and nobody reads the bars of the run's first state
+                    return []
             each = []
             for sweep, after, (before, lam, entries) in zip(sweeps, bars, self._segment_start(segment, bars)):
                 if self.events.speeds:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polyida.adjoint.alpha_errors import FAST, AlphaErrors
 from polyida.adjoint.gradient import adjoint_of
 from polyida.adjoint.parameter import parts_with, with_part
-from polyida.adjoint.run import given_velocity
+from polyida.adjoint.run import given_velocity, together
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
@@ -375,12 +375,12 @@ def _placed(x, n, before, after):
 def _estimate(run, objective, memory_limit, progress):
     """The ErrorBars of a run of generalized-alpha."""
     sweep = AlphaErrors(run, objective, memory_limit)
-    sweep.sweep_backward(progress)
+    together([sweep], progress)
     time, steps = sweep.of_time()
     share, why = sweep.reasons(time)
     if sweep.far:
         near = AlphaErrors(run, objective, memory_limit, near_side=True)
-        near.sweep_backward(lambda t: None)
+        together([near], lambda t: None)
         if abs(near.of_time()[0] - time) > FAST * abs(time):
             why += (f"contacts open, where forces have two slopes: with those of the near side it is {_number(near.of_time()[0])}",)
     cells = {name: mesh.parts.sum(axis=0) for name, mesh in sweep.meshes.items()}

@@ -269,10 +269,6 @@ class RunAdjoint:
         other.objective_slopes = OwnSlopes(objective, run, self.history.frames, other.totals)
         return other
 
-    def sweep_backward(self, progress):
-        """The bars of q, v, a and lam of the run's first state; progress is called with t."""
-        return together([self], progress)[0]
-
     def start_bars(self, bars):
         """The bars of the first state with the objective's slopes there and `first_state_bar`."""
         own = self.objective_slopes.at_states(0, 1)
