@@ -12,8 +12,8 @@ trapezoidal rule lacks in a mean over time,
 
 The states of the run put into the equations of a step leave what Newton's method left: `J* - J = sum w . r + mu . phi`.
 
-Modes whose phase is lost, `omega^3 h^2 T / 12 > 1`, make the first estimate useless. tau less its average over time by a Gaussian of width
-`(h^2 T / 12)^(1/3)` is the part of these modes. As their phase is unknown, their share is the largest that this part has in the same sum when it
+Modes whose phase is lost, `omega^3 h^2 T / 12 > 1`, make the first estimate useless. tau less its linear fit in time, weighted by a Gaussian of
+width `(h^2 T / 12)^(1/3)`, is the part of these modes. As their phase is unknown, their share is the largest that this part has in the same sum when it
 is shifted by up to half a period of the slowest of them.
 
 A step ends just before a contact opens. The force there has two slopes: that of the closed contact would act over the whole step behind, which may
@@ -40,7 +40,6 @@ from polyida.system import RATE, RESIDUAL
 WIDTHS = 3.0  # of the Gaussian, on each side; half a period of a mode with omega = 1 / width has pi
 LAGS = 25  # shifts of the part of the modes whose phase is lost, an odd number
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
-STARTING = 10  # steps of a start, whose transient lam at an instant sees
 TOGETHER = 128  # coordinates that are averaged at once
 BEYOND = 1e-3  # of a step: from its end, just before a contact opens, to where that is open
 AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J depend on an instant
@@ -78,18 +77,21 @@ def nearest(t, middle, width):
 
 
 @entry
-def shifted(t, h, widths, tau, factors, first, last, sums):
-    """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its average over time, of the steps at each lag.
+def shifted(t, h, widths, tau, factors, first, last, ends, sums):
+    """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its linear fit in time, of the steps at each lag.
 
-    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): over h^4 and h^3 an average is taken.
-    The lags are from -WIDTHS to WIDTHS widths; a lag that leaves the steps adds nothing.
+    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): over h^4 and h^3 a fit is made.
+    The lags are from -WIDTHS to WIDTHS widths; one that leaves the steps adds nothing. If the run `ends` with the steps, fast goes on there by its odd
+    image: factors of an objective at the end cancel, which a jump or a kink would spoil.
     """
-    n, at = tau.shape[2], np.empty((last - first, LAGS), np.int64)  # at: the step at each lag, -1 for none
-    low, high, longest = first, last, 0
+    n, at, beyond = tau.shape[2], np.empty((last - first, LAGS), np.int64), t.shape[0] - 1  # at: the step at each lag, -1 for none
+    low, high, longest, image = first, last, 0, np.zeros((last - first, LAGS), np.bool_)
     for k in range(first, last):
         for lag in range(LAGS):
             time = t[k] + WIDTHS * widths[k] * (2.0 * lag / (LAGS - 1) - 1.0)
-            j = min(np.searchsorted(t, time), t.shape[0] - 1)
+            if ends and time > t[beyond]:
+                image[k - first, lag], time, high = True, 2.0 * t[beyond] - time, beyond + 1
+            j = min(np.searchsorted(t, time), beyond)
             j -= j > 0 and time - t[j - 1] < t[j] - time
             at[k - first, lag] = j if abs(time - t[j]) <= h[j] else -1
             low, high = min(low, j), max(high, j + 1)
@@ -99,13 +101,16 @@ def shifted(t, h, widths, tau, factors, first, last, sums):
         longest = max(longest, seen[k - low, 1] - seen[k - low, 0])
     shares, fast_part = np.empty((2, high - low, longest)), np.empty((2, high - low, TOGETHER))
     for k in range(low, high):
-        begin, end, weight = seen[k - low, 0], seen[k - low, 1], 0.0
+        begin, end, sum_0, sum_1, sum_2 = seen[k - low, 0], seen[k - low, 1], 0.0, 0.0, 0.0
         for j in range(begin, end):
             s = (t[j] - t[k]) / widths[k]
             g = np.exp(-0.5 * s * s) * h[j]
-            weight += g
+            sum_0, sum_1, sum_2 = sum_0 + g, sum_1 + g * s, sum_2 + g * s * s
+        weight = sum_0 * sum_2 - sum_1 * sum_1
+        for j in range(begin, end):
+            s = (t[j] - t[k]) / widths[k]
+            g = np.exp(-0.5 * s * s) * h[j] * ((sum_2 - sum_1 * s) / weight if end - begin > 1 else 1.0 / sum_0)
             shares[0, k - low, j - begin], shares[1, k - low, j - begin] = g * (h[k] / h[j]) ** 4, g * (h[k] / h[j]) ** 3
-        shares[:, k - low] /= weight
     for begin in range(0, n, TOGETHER):  # as many coordinates as stay in the processor's cache
         size = min(TOGETHER, n - begin)
         for k in range(low, high):
@@ -123,10 +128,15 @@ def shifted(t, h, widths, tau, factors, first, last, sums):
                 if j < 0:
                     continue
                 for e in range(2):
-                    total = 0.0
+                    total, scale, way = 0.0, (h[k] / h[j]) ** (4 - e), -1.0 if image[k - first, lag] else 1.0
                     for i in range(size):
                         total += factors[e, k, begin + i] * fast_part[e, j - low, i]
-                    sums[lag] -= total * (h[k] / h[j]) ** (4 - e)
+                    sums[lag] -= way * scale * total
+                    if image[k - first, lag]:
+                        total, scale = 0.0, (h[k] / h[beyond]) ** (4 - e)
+                        for i in range(size):
+                            total += factors[e, k, begin + i] * fast_part[e, beyond - low, i]
+                        sums[lag] -= 2.0 * scale * total
 
 
 @entry
@@ -229,7 +239,7 @@ class AlphaErrors(AlphaAdjoint):
         numbers_of_method = np.array([segment.h, c.beta, c.gamma])
         truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], *keep, tau, self.steps[first:end])
         self.t[first:end], self.h[first:end] = begin + h, h
-        self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0])
+        self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0], piece == self.pieces[-1])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
         self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
@@ -266,8 +276,10 @@ class AlphaErrors(AlphaAdjoint):
             return
         self.steps[segment.first] += float(bars.v @ (v - begun.v))
 
-    def _shift(self, t, h, tau, factors, closed):
-        """Add to `lost` the steps whose neighbours within the shift and the average are known; closed: True if a piece begins with the first one here."""
+    def _shift(self, t, h, tau, factors, closed, ends):
+        """Add to `lost` the steps whose neighbours within the shift and the fit are known; closed: True if a piece begins with the first one here;
+        ends: True if the run ends with this piece.
+        """
         self.open += len(t)
         if self.window:
             t, h, tau, factors = (
@@ -277,7 +289,7 @@ class AlphaErrors(AlphaAdjoint):
         known = t - 2.0 * WIDTHS * widths >= t[0]
         first = 0 if closed else min(self.open, int(np.argmax(known)) if known.any() else len(t))
         if first < self.open:
-            shifted(t, h, widths, tau, factors, first, self.open, self.lost)
+            shifted(t, h, widths, tau, factors, first, self.open, ends, self.lost)
         last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + 2.0 * WIDTHS * widths.max(), side="right"))
         kept = t[:last], h[:last], tau[:, :last].copy(), factors[:, :last].copy()
         self.window, self.open = (None, 0) if closed else (kept, first)
@@ -306,15 +318,12 @@ class AlphaErrors(AlphaAdjoint):
         """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted)."""
         share = float(np.abs(self.lost).max() / abs(time)) if time else 0.0
         result, begin = [], [first for first, _ in self.pieces]
+        instant = self.of_forces and self.at_instants > AT_INSTANT * self.of_forces
         if share > FAST:
+            left = ", or that starts of the method leave in lam and a," if instant else ""
             result.append(
-                f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12) change it by up to {100 * share:.0f} %"
+                f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12){left} change it by up to {100 * share:.0f} %"
             )
-        if self.of_forces and self.at_instants > AT_INSTANT * self.of_forces:
-            text = "the objective is of lam or a at an instant, and "
-            if any(one.first not in begin for one in self.history.segments):
-                result.append(f"{text}the step size changes")
-            starts = sum(abs(self.steps[first : min(first + STARTING, last - STARTING)].sum()) for first, last in self.pieces)
-            if starts > FAST * abs(time):
-                result.append(f"{text}sees the first steps behind a start")
+        if instant and any(one.first not in begin for one in self.history.segments):
+            result.append("the objective is of lam or a at an instant, and the step size changes")
         return share, tuple(result)

@@ -254,7 +254,7 @@ def _require_resolved(polygons, domain, corners, area):
         along.all(),
         np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
         len(np.unique(rim[:, 0])) == len(rim),
-        (areas > 0.0).all(),
+        (areas > 1e-9 * areas.mean()).all(),
         abs(areas.sum() - area) < 0.2 * area,
     ]
     if not all(resolved):

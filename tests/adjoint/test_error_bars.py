@@ -80,6 +80,27 @@ def test_errors_of_a_rigid_mechanism_are_estimated_to_one_percent():
     assert np.abs(ratios(run, objectives, references(model, 0.4, objectives, 1.25e-4)) - 1).max() < 0.01
 
 
+@pytest.mark.parametrize("h", [4e-3, 1e-3])
+def test_a_force_at_the_end_of_a_run_without_vibrations_is_trusted(h):
+    """Its multipliers grow as h^-2 in the last steps and cancel: what is shifted beyond the end must not be left out of their sum."""
+    model, _ = rigid_crank()
+    force, run = at_end(model, "lam", 0), pi.solve(model, 0.4, pi.GeneralizedAlpha(h=h, tolerance=TIGHT))
+    assert 0.9 < ratios(run, [force], references(model, 0.4, [force], 1.25e-4))[0] < 1.1
+
+
+@pytest.mark.parametrize(("h", "rho_inf", "trusted"), [(0.04, 0.9, False), (0.02, 0.9, False), (0.005, 0.9, True), (0.04, 0.5, True)])
+def test_what_a_start_leaves_in_a_force_at_the_end(h, rho_inf, trusted):
+    """A pendulum that falls for 1 s: with rho_inf = 0.9 the force is wrong by what the start leaves for 300 steps."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.PointMass(bar.at("right"), 0.5, name="tip"))
+    model = scene.build()
+    force, run = at_end(model, "lam", 0), pi.solve(model, 1.0, pi.GeneralizedAlpha(h=h, tolerance=TIGHT, rho_inf=rho_inf))
+    bars, value = pi.error_of(run, force), references(model, 1.0, [force], h / 8, rho_inf=rho_inf)[0]
+    assert bars.trusted == trusted and (abs(bars.time / (value - bars.value) - 1) < 0.1) == trusted
+
+
 @pytest.mark.parametrize("h, aim", [(2.5e-3, 0.1), (1.25e-3, 0.05)])
 def test_errors_of_a_damped_plate(h, aim):
     model, objectives = damped_arm()
