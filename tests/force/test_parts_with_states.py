@@ -94,13 +94,7 @@ def test_maxwell_meets_its_closed_form(integrator, tolerance):
 def test_a_linear_controller_of_scipy_is_the_pid_with_a_filter():
     kp, ki, kd, lag = 20.0, 30.0, 4.0, 0.05
     K = StateSpace([[0.0, 0.0], [0.0, -1.0 / lag]], [[1.0], [1.0]], [[ki, -kd / lag**2]], [[kp + kd / lag]])
-    runs = [
-        pi.solve(model, END, pi.RadauIIA(rtol=1e-9))
-        for model in (rotor(pi.LinearController, A=K), rotor(pi.PID, kp=kp, ki=ki, kd=kd, filter=lag))
-    ]
-    # both with the target 0 from a turned start: with it the derivatives of error and angle agree
-    assert angle(runs[0]) == pytest.approx(angle(runs[1]), abs=1e-12) == 0.0
-    pushed = []
+    pushed = []  # with the target 0 the derivatives of error and angle agree
     for part, settings in ((pi.LinearController, dict(A=K.A, B=K.B, C=K.C, D=K.D)), (pi.PID, dict(kp=kp, ki=ki, kd=kd, filter=lag))):
         model = rotor(part, **settings)
         v0 = np.zeros(model.n)
@@ -209,13 +203,13 @@ def test_a_matrix_of_a_controller_of_another_size_is_refused_by_name():
 
 
 def test_systems_of_scipy_and_python_control_go_in_as_they_are():
-    K = StateSpace([[-2.0]], [[1.0]], [[3.0]], [[4.0]])
+    K, at = StateSpace([[-2.0]], [[1.0]], [[3.0]], [[4.0]]), pi.RigidBody.bar(1.0, 1.0, name="bar").at("left")
     for system in (K, SimpleNamespace(A=K.A, B=K.B, C=K.C, D=K.D, dt=0)):  # of python-control
-        (part,) = (part for part in rotor(pi.LinearController, A=system).parts.values() if isinstance(part, pi.LinearController))
+        part = pi.LinearController(at, system)
         assert (part.A, part.B, part.C, part.D) == (-2.0, 1.0, 3.0, 4.0)
     for system in (K.to_discrete(0.01), SimpleNamespace(A=K.A, B=K.B, C=K.C, D=K.D, dt=True)):
         with pytest.raises(pi.InputError, match="drive.*in discrete time.*polyida.Controller"):
-            rotor(pi.LinearController, A=system)
+            pi.LinearController(at, system, name="drive")
 
 
 @pytest.mark.parametrize("integrator, most", [(pi.GeneralizedAlpha(h=1e-3), 2.2), (pi.EnergyMomentum(h=1e-3), 5.0)])

@@ -1,5 +1,7 @@
 """Every kind of joint: its formula, derivatives, virtual work, and how it moves with the scene."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -17,10 +19,15 @@ def level(request):
     return request.param
 
 
+@pytest.fixture(scope="module")
+def made(scenes):
+    """Function (kind, level) -> two plates with such a joint, driven by a profile whose derivatives are all at work."""
+    return cache(lambda kind, level: scenes.jointed(kind, WAVE, level=level, cells=8).build())
+
+
 @pytest.fixture
-def model(scenes, kind, level):
-    """Two plates with the joint of a kind, driven by a profile whose derivatives are all at work."""
-    return scenes.jointed(kind, WAVE, level=level).build()
+def model(made, kind, level):
+    return made(kind, level)
 
 
 @pytest.fixture

@@ -130,10 +130,10 @@ def test_on_the_ground_it_is_what_the_ground_bears(kind):
 
 
 INTEGRATORS = {"alpha": pi.GeneralizedAlpha(h=1e-2, tolerance=1e-12), "radau": pi.RadauIIA(h=2e-2)}
-SLOPES = ("rail", "slot", "turning rail", "prismatic", "path", "distance", "weld", "clamp", "motor")
+SLOPES = ("rail", "slot", "turning rail", "prismatic", "path", "distance", "motor")
 
 
-@pytest.mark.parametrize("kind, method", [(kind, "alpha") for kind in SLOPES] + [(kind, "radau") for kind in SLOPES[:2]])
+@pytest.mark.parametrize("kind, method", [*((kind, "alpha") for kind in SLOPES), ("rail", "radau")])
 def test_slopes_of_reactions(kind, method):
     make, components = JOINTS[kind]
     scene = pi.Scene(gravity=(0.0, -G))
