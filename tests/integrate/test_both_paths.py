@@ -28,8 +28,8 @@ def test_the_same_iterations_in_every_step(monkeypatch, form):
     found, settings = [], pi.GeneralizedAlpha(h=1e-3, form=form)
     for model in models(plates.double_plate_motors(cells=16)):
         counts, start = pi.Counts(), consistent_state(model, 0.0, np.zeros(model.n), np.zeros(model.n))
-        found.append([(counts.newton_iterations, counts.factorizations) for _ in settings.steps(model, start, 0.4, counts)])
-    assert found[0] == found[1] and len(found[0]) == 400
+        found.append([(counts.newton_iterations, counts.factorizations) for _ in settings.steps(model, start, 0.2, counts)])
+    assert found[0] == found[1] and len(found[0]) == 200
 
 
 def require_the_same_states(scene, **settings):

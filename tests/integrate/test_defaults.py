@@ -47,13 +47,13 @@ def test_joints(jointed, kind, integrator):
 
 
 @pytest.mark.parametrize("kinks", [(0.05, 0.055), ()], ids=["kinks told", "kinks found"])
-@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
-def test_a_pulse_is_seen(scenes, integrator, kinks):
+def test_a_pulse_is_seen(scenes, kinks):
     """A plate at rest, struck for 5 ms; without the pulse the error would be all of the motion, 5e-2."""
     scene, plate = scenes.cantilever()
     blow = lambda t: float(np.sin(np.pi * (t - 0.05) / 5e-3) ** 2) if 0.05 < t < 0.055 else 0.0  # noqa: E731
     scene.add(pi.PointLoad(plate.section("right"), (0.0, -40.0), pi.profile.from_function(blow, kinks=kinks), name="blow"))
-    assert error(fine(scene.build(), 0.1), integrator) < WORST
+    exact = fine(scene.build(), 0.1)
+    assert max(error(exact, integrator) for integrator in OWN.values()) < WORST
 
 
 @pytest.mark.parametrize(

@@ -188,8 +188,7 @@ def test_idas_forms_in_the_limit(scenes, scene, form, slope):
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("scaling", ["characteristic", "none"])
-@pytest.mark.parametrize("given", ["scene", "pendulum"])
+@pytest.mark.parametrize("scaling, given", [("characteristic", "scene"), ("none", "pendulum")])
 def test_the_whole_matrix_gives_the_run_of_the_border(scene, form, scaling, given):
     model, state = scene if given == "scene" else pendulum_state()
     border, whole = (
@@ -201,8 +200,7 @@ def test_the_whole_matrix_gives_the_run_of_the_border(scene, form, scaling, give
     assert whole.counts.factorizations > 0
 
 
-@pytest.mark.parametrize("settings", [{}, {"form": "index3"}, {"stages": 2}], ids=str)
-@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("settings, scaling", list(zip([{}, {"form": "index3"}, {"stages": 2}], SCALINGS)), ids=str)
 @pytest.mark.parametrize("given", ["scene", "pendulum"])
 def test_radaus_whole_matrices_give_the_run_of_the_border(scene, settings, scaling, given):
     model, state = scene if given == "scene" else pendulum_state()
