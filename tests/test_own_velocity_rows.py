@@ -78,8 +78,11 @@ INTEGRATORS = {  # with a tolerance
 }
 
 
-@pytest.mark.parametrize("name", INTEGRATORS)
-@pytest.mark.parametrize("kind", [Skate, WrittenSkate, CompiledSkate])
+@pytest.mark.parametrize(
+    "kind, name",
+    [(Skate, name) for name in INTEGRATORS]
+    + [(kind, name) for kind in (WrittenSkate, CompiledSkate) for name in ("alpha", "Radau", "IDA kkt", "energy")],
+)
 def test_a_skate_on_a_slope_draws_cycloids(kind, name):
     """Neimark and Fufaev (1972): x = g / (2 w^2) sin^2(w t), y = g / (2 w^2) (w t - sin(2 w t) / 2)."""
     (integrator, tolerance), w, t = INTEGRATORS[name], 1.5, 1.0

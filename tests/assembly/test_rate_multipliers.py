@@ -42,8 +42,7 @@ def system(scenes, kind, damped, c):
 
 
 @pytest.mark.parametrize("c", [2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
-@pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])
-@pytest.mark.parametrize("kind", KINDS, indirect=True)
+@pytest.mark.parametrize("kind, damped", zip(KINDS, (True, False, True, False)), indirect=["kind"])
 def test_the_corrections_are_those_of_the_whole_matrix(system, damped, c):
     """With motors, a mass at a point and damping; the rows hold to round-off although the factor is in single precision."""
     model, random, (t, q, lam), (S, D, B), step = system
@@ -60,20 +59,9 @@ def test_the_corrections_are_those_of_the_whole_matrix(system, damped, c):
         assert np.abs(one - other).max() < 2e-4 * np.abs(other).max()
     assert np.abs(B @ dq + r3).max() < 1e-11 * np.abs(dq).max()
     assert np.abs(c * B @ dq + B @ (B.T @ dmu) + r4).max() < 1e-11 * abs(c) * np.abs(dq).max()
-
-
-@pytest.mark.parametrize("c", [2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
-@pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])
-@pytest.mark.parametrize("kind", KINDS, indirect=True)
-def test_the_values_are_those_of_the_transposed_forces(system, damped, c):
-    """`w . (c M + C) B^T mu = mu . B (c M + C)^T w`, with the transposed matrix of numpy."""
-    model, random, (t, q, _), (_, D, B), step = system
-    w, values = random.standard_normal(model.n).astype(type(c)), np.empty((model.n_points, 2), type(c))
-    rates = rate_multipliers(model)
-    values_of(
-        model.arrays.links, step.corotated, step.workspace, rates, slowing(model, t, q), model.rotation(q), c, w.reshape(-1, 2), values
-    )
-    Bz = model.slope_values(t, q)
-    links = model.arrays.links
+    # `w . (c M + C) B^T mu = mu . B (c M + C)^T w`, with the transposed matrix of numpy
+    w, values = random.standard_normal(n).astype(type(c)), np.empty((model.n_points, 2), type(c))
+    values_of(*where[:5], model.rotation(q), c, w.reshape(-1, 2), values)
+    Bz, links = model.slope_values(t, q), model.arrays.links
     found = [Bz[e0:e1] @ values.ravel()[links.row_columns[e0:e1]] for e0, e1 in zip(links.row_start, links.row_start[1:])]
     assert np.allclose(found, B @ (D.T @ w), rtol=1e-10, atol=1e-10 * np.abs(B @ (D.T @ w)).max())

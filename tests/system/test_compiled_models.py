@@ -97,8 +97,11 @@ def by_numba(kind):
     return compiled(type(kind.__name__, (kind,), {}))
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("kind", [Slider, Exact, Whole, Free])
+@pytest.mark.parametrize(
+    "kind, method",
+    [(Slider, method) for method in METHODS]
+    + [(kind, method) for kind in (Exact, Whole, Free) for method in ("fixed steps", "whole matrix", "IDA, index 1")],
+)
 def test_the_motion_is_that_of_the_functions_in_python(kind, method):
     start = {"q0": [1.0, 0.5]} if kind is Free else START
     runs = [pi.solve(model(), 0.3, METHODS[method], **start) for model in (kind, by_numba(kind))]
