@@ -6,7 +6,6 @@ import pytest
 import polyida as pi
 from polyida import compiled
 from polyida.model.guarded import guard
-from polyida.problems import get
 from polyida.system.python import small_table
 
 
@@ -110,14 +109,6 @@ def test_the_motion_is_that_of_the_functions_in_python(kind, method):
         one, other = (getattr(run, name)[-1] for run in runs)
         assert np.abs(one - other).max(initial=0.0) < 1e-6 * max(1.0, np.abs(one).max(initial=0.0)), name
     assert runs[0].counts.steps == runs[1].counts.steps
-
-
-def test_a_problem_s_own_model_is_compiled_as_it_stands():
-    problem, ends = get("pendulum"), []
-    for kind in (type(problem.model), by_numba(type(problem.model))):
-        run = pi.solve(kind(), problem.t_end / 50, pi.GeneralizedAlpha(h=problem.t_end / 1e4), q0=problem.q0, v0=problem.v0)
-        ends.append(np.concatenate([run.q[-1], run.lam[-1]]))
-    assert np.abs(ends[0] - ends[1]).max() < 1e-9 * np.abs(ends[0]).max()
 
 
 @pytest.mark.parametrize("kind", [Slider, Exact])
