@@ -244,10 +244,6 @@ def long(self, t, q, v, x):
     return np.array([1.0, 2.0])
 
 
-def no_number(self, t, q, v, x):
-    return np.sqrt(-1.0 - x**2)
-
-
 def plain(self, t, q, v):
     return 1.0 * q
 
@@ -256,7 +252,6 @@ def plain(self, t, q, v):
     "changes, words",
     [
         ({"rates": long}, "rates must return an array of shape (1,)"),
-        ({"rates": no_number}, "rates gave numbers that are not finite"),
         ({"force": plain}, "force must take the states as its last argument"),
         ({"force_q": stiffness}, "cannot have force_q"),
         ({"k": 0}, "k = 0"),
@@ -287,6 +282,8 @@ def test_a_run_stops_where_rates_fail():
     for model in written(rates=rates):
         with np.errstate(all="ignore"):
             run = pi.solve(model(), END, pi.GeneralizedAlpha(h=0.01))
+            with pytest.raises(pi.InputError, match=f"{model.__name__}.*rates gave numbers that are not finite"):
+                pi.solve(model(), END, pi.GeneralizedAlpha(h=0.01), t0=0.6)
         assert run.status == "not finite" and f"{model.__name__}.rates" in run.message
 
 

@@ -42,7 +42,7 @@ def system(scenes, kind, damped, c):
 
 
 @pytest.mark.parametrize("c", [2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
-@pytest.mark.parametrize("kind, damped", zip(KINDS, (True, False, True, False)), indirect=["kind"])
+@pytest.mark.parametrize("kind, damped", list(zip(KINDS, (True, False, True, False))), indirect=["kind"])
 def test_the_corrections_are_those_of_the_whole_matrix(system, damped, c):
     """With motors, a mass at a point and damping; the rows hold to round-off although the factor is in single precision."""
     model, random, (t, q, lam), (S, D, B), step = system

@@ -199,15 +199,22 @@ def scaling(self, t, x, v):
     return v
 
 
+def setting(self, t, x, v):
+    v[0] = 0.0
+    return v
+
+
 @pytest.mark.parametrize(
     "functions, words",
     [
         ({"forces": scaling}, "scaling writes into its arguments, or into arrays of self; take a copy first"),
+        ({"forces": setting}, "setting writes into its arguments, or into arrays of self; take a copy first"),
         ({"forces": lambda self, t, x, v: np.nonsense(v)}, "cannot be compiled by numba: AttributeError: .*nonsense"),
         ({"forces": lambda self, t, x, v: np.zeros((1, 2)) * x.nonsense}, "cannot be compiled by numba.*nonsense"),
         ({"forces": lambda self, t, x, v: v * self.nonsense}, "Other has no field `nonsense`; its fields: at, c, w, name$"),
         ({"forces": lambda self, t, x, v: v * self.at.x}, "`self.at` cannot be read in compiled code; numbers, arrays, .* functions can$"),
         ({"forces": lambda self, t, x, v: 0.0}, "must return an array of 2 dimensions of real numbers"),
+        ({"forces": lambda self, t, x, v: x * 1j}, "must return an array of 2 dimensions of real numbers"),
         ({"forces": lambda self, t, x, v: np.zeros((2, 2))}, "forces must return real numbers of shape"),
         ({"forces": lambda self, t, x: x}, "|".join(["positional argument", "its arguments must be"])),
         ({"forces": lambda self, t, places, v: v}, "its arguments must be .self, t, x, v., not 'places'"),

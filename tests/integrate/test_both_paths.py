@@ -17,7 +17,7 @@ def models(scene):
     return compiled, plain
 
 
-FEW = pytest.mark.parametrize("kind", ["motor between", "slot"], indirect=True)
+FEW = "motor between", "slot"
 DAMPED = {"viscosity": 1e-3, "mass_damping": 2.0}
 RADAU = [{"stages": 2}, {"form": "index3"}, {"form": "index3", "project": False}]
 
@@ -45,8 +45,12 @@ def test_the_same_states(scenes, kind):
     require_the_same_states(scenes.jointed(kind))
 
 
-@FEW
-@pytest.mark.parametrize("settings", [{"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}], ids=str)
+@pytest.mark.parametrize(
+    "kind, settings",
+    list(zip(FEW * 2, [{"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}])),
+    indirect=["kind"],
+    ids=str,
+)
 def test_the_same_states_with_other_settings(scenes, kind, settings):
     require_the_same_states(scenes.jointed(kind), **settings)
 
@@ -66,8 +70,12 @@ def test_the_same_stages(scenes, kind):
     require_the_same_stages(scenes.jointed(kind, cells=12))
 
 
-@FEW
-@pytest.mark.parametrize("settings, damping", [*((settings, {}) for settings in RADAU), ({}, DAMPED), ({"stages": 2}, DAMPED)], ids=str)
+@pytest.mark.parametrize(
+    "kind, settings, damping",
+    [(kind, *more) for kind, more in zip(FEW * 3, [*((settings, {}) for settings in RADAU), ({}, DAMPED), ({"stages": 2}, DAMPED)])],
+    indirect=["kind"],
+    ids=str,
+)
 def test_the_same_stages_with_other_settings_and_damping(scenes, kind, settings, damping):
     require_the_same_stages(scenes.jointed(kind, cells=12, material=damping), **settings)
 

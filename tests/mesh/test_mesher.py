@@ -69,7 +69,7 @@ DOMAINS = {  # domain, cells, area, tolerance of the chords, holes
 
 
 class TestDomains:
-    @pytest.mark.parametrize("seed, name", enumerate(DOMAINS))
+    @pytest.mark.parametrize("seed, name", list(enumerate(DOMAINS)))
     def test_mesh_follows_its_domain(self, name, seed):
         domain, cells, area, chords, holes = DOMAINS[name]
         mesh = polygonize(domain, cells, seed=seed)

@@ -87,7 +87,7 @@ class TestOutline:
             ),
             (lambda: Outline(ELL, holes=3.0), "holes are 3.0"),
             (lambda: Outline(ELL, corner=0.0), "corner is 0.0"),
-            (lambda: polygonize(Outline(ELL, holes=[circle(32, 0.02, (0.5, 0.5))]), 20), "use more cells"),
+            (lambda: polygonize(Outline(ELL, holes=[circle(32, 0.02, (0.5, 0.5))]), 8), "use more cells"),
         ],
     )
     def test_bad_ones(self, make, message):
