@@ -8,8 +8,8 @@ import polyida as pi
 
 G = 9.81
 INTEGRATORS = {
-    "alpha": lambda: pi.GeneralizedAlpha(h=5e-4),
-    "energy": lambda: pi.EnergyMomentum(h=5e-4),
+    "alpha": lambda: pi.GeneralizedAlpha(h=1e-3),
+    "energy": lambda: pi.EnergyMomentum(h=1e-3),
     "IDA": lambda: pi.IDA(rtol=1e-9, atol=1e-11),
     "Radau": lambda: pi.RadauIIA(rtol=1e-9),
 }

@@ -40,8 +40,12 @@ def turning(scenes):
     return scene.build()
 
 
-def test_second_order_of_a_motor_s_smooth_turn(scenes):
-    found = orders(scenes, turning(scenes), 0.3, (60, 120, 240), 1920, tolerance=1e-6)
+@pytest.mark.parametrize(
+    "make, settings", [(turning, {}), (bending, {}), (bending, {"rho_inf": 0.5}), (bending, {"rho_inf": 0.0}), (bending, {"linear": "kkt"})]
+)
+def test_second_order_of_smooth_motions(scenes, make, settings):
+    """From the first step on."""
+    found = orders(scenes, make(scenes), 0.3, (60, 120, 240), 960, tolerance=1e-6, **settings)
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
 
 

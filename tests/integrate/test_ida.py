@@ -222,18 +222,6 @@ def test_second_multiplier_vanishes_beside_the_velocity(form):
     assert correction < 1e-4 * max(np.abs(s.v).max() for s in states)
 
 
-def test_not_a_number_makes_it_try_a_smaller_step():
-    class Fragile(Oscillator):
-        calls = 0
-
-        def force(self, t, q, v):
-            self.calls += 1
-            return np.full(2, np.nan) if self.calls == 60 else super().force(t, q, v)
-
-    states, counts = run(Fragile(), IDA(rtol=1e-7), 4.0, q0=[1.0, 0.0])
-    assert states[-1].q[0] == pytest.approx(np.cos(4.0), abs=1e-4) and counts.rejected >= 1
-
-
 def test_what_sundials_says_goes_into_the_message_and_what_a_model_prints_is_kept(capsys):
     class Blind(Oscillator):
         def force(self, t, q, v):

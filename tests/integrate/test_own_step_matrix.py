@@ -79,7 +79,7 @@ class Own(Chain):
 )
 def test_integrators_take_the_step_matrix_of_a_model(integrator):
     own = Own()
-    run, other = (pi.solve(model, 0.3, integrator, v0=UP) for model in (own, Chain()))
+    run, other = (pi.solve(model, 0.15, integrator, v0=UP) for model in (own, Chain()))
     assert run.success and np.abs(run.q[-1] - other.q[-1]).max() < 1e-4
     kinds = [kind for kind, _, c in own.calls if c]
     assert "factor" in kinds and "solve" in kinds
