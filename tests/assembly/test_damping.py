@@ -18,16 +18,15 @@ def test_viscosity_does_not_brake_a_rigid_spin(scenes):
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize(
-    "integrator", [pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9), pi.EnergyMomentum(h=5e-4), pi.RadauIIA(rtol=1e-7)]
-)
-def test_integrators_agree_on_a_damped_cantilever(scenes, damping, integrator):
+def test_integrators_agree_on_a_damped_cantilever(scenes, damping):
     scene, upper = scenes.cantilever(material=damping)
     scene.add(pi.PointLoad(upper.section("right"), (0.0, -1.0), pi.profile.ramp(0.0, 1.0, 0.1), name="tip"))
     model = scene.build()
-    run, fine = pi.solve(model, 0.2, integrator), pi.solve(model, 0.2, pi.GeneralizedAlpha(h=1e-4))
-    assert run.success, run.message
-    assert np.abs(run.q[-1] - fine.q[-1]).max() < 1e-4 * np.abs(fine.q[-1]).max() + 1e-7
+    fine = pi.solve(model, 0.2, pi.GeneralizedAlpha(h=1e-4))
+    for integrator in (pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9), pi.EnergyMomentum(h=5e-4), pi.RadauIIA(rtol=1e-7)):
+        run = pi.solve(model, 0.2, integrator)
+        assert run.success, run.message
+        assert np.abs(run.q[-1] - fine.q[-1]).max() < 1e-4 * np.abs(fine.q[-1]).max() + 1e-7
 
 
 def test_mass_damping_brakes_a_free_plate_as_it_should(scenes):
