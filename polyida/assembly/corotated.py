@@ -29,7 +29,7 @@ from polyida.assembly.equilibrium import combined, step_blocks, symmetric_parts
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
 from polyida.jit import entry, leaf, pack, part, shared
-from polyida.jit.intrinsics import as_columns
+from polyida.linear.columns import solve_columns
 from polyida.linear.dense import factor
 from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of
@@ -160,12 +160,6 @@ def solve_panels(fronts, panels, x):
     solve_fronts(fronts, panels, x)
 
 
-@shared
-def solve_panels_columns(fronts, panels, x):
-    """x[:, c] <- S_ref^-1 x[:, c] in the factor's order, x (n, COLUMNS)."""
-    solve_fronts(fronts, panels, as_columns(x))
-
-
 @part
 def solve_in_place(c, team, x):
     """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
@@ -210,7 +204,7 @@ def solve_turned_columns(c, w, lanes, sizes, r, x, which):
             first[e], second[e] = co * p + si * q, co * q - si * p
         for e in range(count, lanes.shape[1]):
             first[e] = second[e] = 0.0
-    solve_panels_columns(c.fronts, c.panels, lanes)
+    solve_columns(c.fronts, c.panels, lanes)
     for i in range(turn.shape[0]):
         first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
         for e in range(count):

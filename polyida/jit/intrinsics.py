@@ -3,11 +3,10 @@
 The kernels of elements process LANES cells with the same number of vertices side by side. With an explicit vector type the machine code does
 not depend on an auto-vectoriser, and stays portable: LLVM splits vectors to fit the machine. Formulas of vectors are plain Python functions
 decorated by `traced`: they run once, on stand-ins that emit the instructions. numba infers no types in them, so kernels compile fast, and the
-same functions work on numpy arrays. Columns make code for arrays of numbers work on four right-hand sides at once. Accesses are not checked
-for bounds. Only the public numba.extending and llvmlite.ir are used.
+same functions work on numpy arrays. Vectors of 2 COLUMNS float32 hold two rows of COLUMNS right-hand sides (linear/columns.py). Accesses are not
+checked for bounds. Only the public numba.extending and llvmlite.ir are used.
 """
 
-import operator
 from inspect import signature
 
 from llvmlite import ir
@@ -15,17 +14,17 @@ from numba import types
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES = 8
-COLUMNS = 4  # right-hand sides of which one element of an array holds the numbers
+COLUMNS = 4  # right-hand sides that are solved for together
 
-INT32, INT64 = ir.IntType(32), ir.IntType(64)
+INT32, INT64, SINGLE, DOUBLE = ir.IntType(32), ir.IntType(64), ir.FloatType(), ir.DoubleType()
 
 
 class Vector(types.Type):
-    """`count` float64 held in registers."""
+    """`count` numbers of an LLVM type held in registers."""
 
-    def __init__(self, count):
-        super().__init__(name=f"Vector{count}")
-        self.element = ir.VectorType(ir.DoubleType(), count)
+    def __init__(self, count, number=DOUBLE):
+        super().__init__(name=f"Vector{count}{number}")
+        self.element = ir.VectorType(number, count)
 
 
 @register_model(Vector)
@@ -36,7 +35,7 @@ class VectorModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, fe_type.element)
 
 
-lanes, pair = Vector(LANES), Vector(2)
+lanes, pair, columns = Vector(LANES), Vector(2), Vector(2 * COLUMNS, SINGLE)
 
 
 class Traced:
@@ -47,7 +46,7 @@ class Traced:
 
     def _both(self, other):
         """The two values; a number beside a vector is spread over its lanes."""
-        values = [self.value, other.value if isinstance(other, Traced) else ir.Constant(ir.DoubleType(), float(other))]
+        values = [self.value, other.value if isinstance(other, Traced) else ir.Constant(DOUBLE, float(other))]
         for vector in (value.type for value in values if isinstance(value.type, ir.VectorType)):
             return [_spread(self.builder, value, vector) for value in values]
         return values
@@ -71,6 +70,10 @@ class Traced:
         return self._emit("fsub", self._both(other)[::-1])
 
     __radd__, __rmul__ = __add__, __mul__
+
+    def shuffled(self, other, pattern):
+        """The lanes of the pattern, of self and behind it other."""
+        return Traced(self.builder, _shuffle(self.builder, self.value, other.value, pattern))
 
     def least(self, other):
         """The smaller of the two in each lane; self if one is NaN."""
@@ -135,7 +138,7 @@ def _address(context, builder, array_type, array, index, element):
 
 
 def _read(builder, pointer, element):
-    return builder.load(pointer, align=4 if INT32 in (element, getattr(element, "element", None)) else 8)
+    return builder.load(pointer, align=8 if DOUBLE in (element, getattr(element, "element", None)) else 4)
 
 
 def _loader(result, element, count, doc):
@@ -161,7 +164,8 @@ load3 = _loader(types.UniTuple(lanes, 3), lanes.element, 3, "Three consecutive v
 load4 = _loader(types.UniTuple(lanes, 4), lanes.element, 4, "Four consecutive vectors.")
 load8 = _loader(types.UniTuple(lanes, 8), lanes.element, 8, "Eight consecutive vectors.")
 load_pair = _loader(pair, pair.element, 1, "Two numbers of the flat array.")
-load_float = _loader(types.float64, ir.DoubleType(), 1, "One number of the flat array.")
+load_float = _loader(types.float64, DOUBLE, 1, "One number of the flat array.")
+load_columns = _loader(columns, columns.element, 1, "The 2 COLUMNS numbers of two rows of a flat float32 array (., COLUMNS).")
 load_integer = _loader(types.intp, INT32, 1, "One int32 of the flat array.")
 
 
@@ -181,10 +185,30 @@ def _zeros(count):
 zeros2, zeros3, zeros4 = _zeros(2), _zeros(3), _zeros(4)
 
 
+def _zero(vector, doc):
+    """Intrinsic () -> a zero vector."""
+
+    def zero(typing_context):
+        return vector(), lambda context, builder, sig, args: ir.Constant(vector.element, None)
+
+    zero.__doc__ = doc
+    return intrinsic(zero)
+
+
+zero_pair = _zero(pair, "A vector of two zeros, as `load_pair` gives vectors of two numbers.")
+zero_columns = _zero(columns, "The same as `load_columns` gives vectors.")
+
+
 @intrinsic
-def zero_pair(typing_context):
-    """A vector of two zeros, as `load_pair` gives vectors of two numbers."""
-    return pair(), lambda context, builder, sig, args: ir.Constant(pair.element, None)
+def load_spread(typing_context, array, start):
+    """array[start] COLUMNS times and array[start + 1] COLUMNS times, of a float32 array, as `load_columns` gives vectors."""
+    two = ir.VectorType(SINGLE, 2)
+
+    def generate(context, builder, sig, args):
+        numbers = _read(builder, _address(context, builder, sig.args[0], args[0], args[1], two), two)
+        return _shuffle(builder, numbers, numbers, [0] * COLUMNS + [1] * COLUMNS)
+
+    return columns(array, types.intp), generate
 
 
 @intrinsic
@@ -196,12 +220,13 @@ def spread(typing_context, value):
 @intrinsic
 def store(typing_context, array, start, values):
     """Write a tuple of vectors to consecutive places of the flat array."""
+    element = values.dtype.element
 
     def generate(context, builder, sig, args):
         for k in range(len(values)):
-            where = builder.add(args[1], args[1].type(k * LANES))
-            pointer = _address(context, builder, sig.args[0], args[0], where, lanes.element)
-            builder.store(builder.extract_value(args[2], k), pointer, align=8)
+            where = builder.add(args[1], args[1].type(k * element.count))
+            pointer = _address(context, builder, sig.args[0], args[0], where, element)
+            builder.store(builder.extract_value(args[2], k), pointer, align=8 if element.element == DOUBLE else 4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, values), generate
@@ -218,7 +243,7 @@ def _rows(context, builder, array_type, array, places, width):
     place_type, place_array, start, offset = places
     integers = ir.VectorType(INT32, LANES)
     numbers = _read(builder, _address(context, builder, place_type, place_array, start, integers), integers)
-    row = ir.VectorType(ir.DoubleType(), width)
+    row = ir.VectorType(DOUBLE, width)
     for k in range(LANES):
         number = builder.add(builder.sext(builder.extract_element(numbers, INT32(k)), offset.type), offset)
         yield _address(context, builder, array_type, array, builder.mul(number, number.type(width)), row)
@@ -300,15 +325,13 @@ def integer_of(typing_context, number):
 @intrinsic
 def float_of(typing_context, bits):
     """The float64 behind `integer_of`."""
-    return types.float64(types.int64), lambda context, builder, sig, args: builder.bitcast(args[0], ir.DoubleType())
+    return types.float64(types.int64), lambda context, builder, sig, args: builder.bitcast(args[0], DOUBLE)
 
 
 @intrinsic
 def real(typing_context, number):
     """The float64 at an address."""
-    return types.float64(types.int64), lambda context, builder, sig, args: builder.load(
-        builder.inttoptr(args[0], ir.DoubleType().as_pointer())
-    )
+    return types.float64(types.int64), lambda context, builder, sig, args: builder.load(builder.inttoptr(args[0], DOUBLE.as_pointer()))
 
 
 def pointer_to(item):
@@ -344,79 +367,3 @@ def leave(typing_context, numbers, at, number):
 
 
 pointer, complex_pointer, integers = (pointer_to(kind) for kind in (types.float64, types.complex128, types.int64))
-
-
-class Columns(types.Type):
-    """COLUMNS float32 held in a register."""
-
-    element = ir.VectorType(ir.FloatType(), COLUMNS)
-
-    def __init__(self):
-        super().__init__(name="Columns")
-
-
-@register_model(Columns)
-class ColumnsModel(models.PrimitiveModel):
-    """An LLVM vector."""
-
-    def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, fe_type.element)
-
-
-def _in_columns(builder, value):
-    """A number in each column; columns unchanged."""
-    narrow = isinstance(value.type, ir.DoubleType)
-    return _spread(builder, builder.fptrunc(value, ir.FloatType()) if narrow else value, Columns.element)
-
-
-def _register(function, result, lower):
-    """Let compiled code call an operator for two Columns, or Columns and a number."""
-
-    @type_callable(function)
-    def typed(context):
-        def typer(a, b):
-            both = all(isinstance(kind, (Columns, types.Float)) for kind in (a, b))
-            return result if both and any(isinstance(kind, Columns) for kind in (a, b)) else None
-
-        return typer
-
-    for kinds in ((Columns, Columns), (Columns, types.Float), (types.Float, Columns)):
-        lower_builtin(function, *kinds)(lower)
-
-
-def _arithmetic(instruction):
-    return lambda context, builder, sig, args: getattr(builder, instruction)(
-        *(_in_columns(builder, value) for value in args), flags=("contract", "reassoc", "nsz")
-    )
-
-
-def _differs(context, builder, sig, args):
-    bits = builder.fcmp_unordered("!=", *(_in_columns(builder, value) for value in args))
-    return builder.icmp_unsigned("!=", builder.bitcast(bits, ir.IntType(COLUMNS)), ir.IntType(COLUMNS)(0))
-
-
-for names, instruction in ((("add", "iadd"), "fadd"), (("sub", "isub"), "fsub"), (("mul", "imul"), "fmul")):
-    for name in names:
-        _register(getattr(operator, name), Columns(), _arithmetic(instruction))
-_register(operator.ne, types.boolean, _differs)  # in any column
-
-
-@intrinsic
-def zero_of(typing_context, value):
-    """Zero of the type of a value."""
-    return value(value), lambda context, builder, sig, args: ir.Constant(args[0].type, None)
-
-
-@intrinsic
-def as_columns(typing_context, array):
-    """A contiguous array (n, COLUMNS) of float32 as an array (n,) of Columns. The caller keeps the memory alive."""
-    kind = types.Array(Columns(), 1, "C")
-
-    def generate(context, builder, sig, args):
-        given, result = context.make_array(array)(context, builder, args[0]), context.make_array(kind)(context, builder)
-        length, size, single = builder.extract_value(given.shape, 0), INT64(4 * COLUMNS), types.UniTuple(types.intp, 1)
-        result.data, result.itemsize, result.nitems = builder.bitcast(given.data, result.data.type), size, length
-        result.shape, result.strides = (context.make_tuple(builder, single, [number]) for number in (length, size))
-        return result._getvalue()
-
-    return kind(array), generate

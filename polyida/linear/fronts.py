@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from polyida import jit
-from polyida.jit.intrinsics import zero_of
 from polyida.linear.lu import SingularSystem
 
 entry = partial(jit.entry, fastmath=jit.FAST)
@@ -197,7 +196,7 @@ def store_update(front, own, updates):
 
 @entry
 def solve_fronts(s, panels, x):
-    """x <- S^-1 x in float32, complex64 or Columns, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
+    """x <- S^-1 x in float32 or complex64, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
     work = np.empty(s.size, x.dtype)
     for f in range(s.children.shape[0]):
         if descend(s, panels, x, work, f):
@@ -216,7 +215,7 @@ def descend(s, panels, x, work, f):
     for k in range(own):
         work[k] = x[at + k]
     for k in range(own, n):
-        work[k] = zero_of(x[at])
+        work[k] = 0.0
     forward(panels, s.panel[f], work, own, n)
     for k in range(own):
         x[at + k] = work[k]

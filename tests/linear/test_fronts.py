@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from scipy.sparse import block_diag, bsr_array, coo_array, csr_array, eye_array, kron
 
+from polyida.jit.intrinsics import COLUMNS
+from polyida.linear.columns import solve_columns
 from polyida.linear.dissection import LEAF, symbolic
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.linear.lu import SingularSystem
@@ -69,6 +71,22 @@ def test_solution_is_that_of_the_matrix(name, sign):
     panels = factorize(s, sign * blocks)
     x = np.random.default_rng(2).standard_normal(matrix.shape[0])
     assert np.linalg.norm(solved(s, panels, sign * (matrix @ x)) - x) < 3e-6 * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_columns_are_solved_as_one_right_hand_side_is(name):
+    pattern, points = CASES[name]
+    pattern.sort_indices()
+    blocks, matrix = spd_blocks(pattern)
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    panels, x = factorize(s, blocks), np.random.default_rng(2).standard_normal((matrix.shape[0], COLUMNS))
+    x[:, 1] *= 1e6
+    x[:, 2] = 0.0
+    b = np.zeros(x.shape, np.float32)
+    b[s.order] = matrix @ x
+    solve_columns(s, panels, b)
+    for column, result in zip(x.T, b[s.order].T):
+        assert np.linalg.norm(result - column) <= 3e-6 * np.linalg.norm(column)
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -1,0 +1,214 @@
+"""The solve with a multifrontal factor (fronts.py) for COLUMNS right-hand sides at once, with one pass through the factor.
+
+The right-hand sides stand beside each other, x (n, COLUMNS) float32. A vector holds the two rows of a node, 2 COLUMNS numbers; each entry of U is
+spread over the columns. As in fronts.py, four rows of U are used at a time. Fronts on which x is zero cost as much as others.
+"""
+
+import numpy as np
+
+from polyida.jit import part, shared
+from polyida.jit.intrinsics import COLUMNS, columns, load_columns, load_spread, store, traced, zero_columns
+
+NODE = 2 * COLUMNS  # numbers of a node
+LOW, HIGH = list(range(COLUMNS)), list(range(COLUMNS, NODE))  # places of its rows
+
+
+def both(row):
+    """The first or second row of a node, in place of both."""
+    return lambda x: x.shuffled(x, row + row)
+
+
+first_row, second_row = both(LOW), both(HIGH)
+
+
+def joined(a, b):
+    """A node of rows that are each in place of both."""
+    return a.shuffled(b, LOW + [NODE + k for k in HIGH])
+
+
+def folded(x):
+    """The sum of the rows, in place of both."""
+    return x + x.shuffled(x, HIGH + LOW)
+
+
+@traced(6, columns)
+def forward_rows(x, y, a1, a2, a3, b2, b3, c3):
+    """Four rows of U^-T, each in place of both rows of a node, and the two nodes of them."""
+    p, r = first_row(x), first_row(y)
+    q = second_row(x) - a1 * p
+    r = r - a2 * p - b2 * q
+    s = second_row(y) - a3 * p - b3 * q - c3 * r
+    return p, q, r, s, joined(p, q), joined(r, s)
+
+
+@traced(1, columns)
+def less_four(x, a, b, c, d, p, q, r, s):
+    """x less four rows of U."""
+    return x - (a * p + b * q + c * r + d * s)
+
+
+@traced(3, columns)
+def forward_two_rows(x, a1):
+    """Two rows of U^-T, each in place of both, and the node of them."""
+    p = first_row(x)
+    q = second_row(x) - a1 * p
+    return p, q, joined(p, q)
+
+
+@traced(1, columns)
+def less_two(x, a, b, p, q):
+    """x less two rows of U."""
+    return x - (a * p + b * q)
+
+
+@traced(4, columns)
+def products_of_four(sums, x, a, b, c, d):
+    """Sums over rows of U times x."""
+    return tuple(total + row * x for total, row in zip(sums, (a, b, c, d)))
+
+
+@traced(2, columns)
+def products_of_two(sums, x, a, b):
+    """The same of two rows."""
+    return sums[0] + a * x, sums[1] + b * x
+
+
+@traced(2, columns)
+def backward_rows(x, y, sums, a0, b1, c2, d3, a1, a2, a3, b2, b3, c3):
+    """The two nodes of four rows of U^-1 D^-1, less the sums over the other places."""
+    p, q, r, s = (folded(total) for total in sums)
+    s = second_row(y) * d3 - s
+    r = first_row(y) * c2 - r - c3 * s
+    q = second_row(x) * b1 - q - b2 * r - b3 * s
+    p = first_row(x) * a0 - p - a1 * q - a2 * r - a3 * s
+    return joined(p, q), joined(r, s)
+
+
+@traced(1, columns)
+def backward_two_rows(x, sums, a0, b1, a1):
+    """The node of two rows of U^-1 D^-1, less the sums."""
+    p, q = (folded(total) for total in sums)
+    q = second_row(x) * b1 - q
+    p = first_row(x) * a0 - p - a1 * q
+    return joined(p, q)
+
+
+@traced(1, columns)
+def sum_of(x, y):
+    """x + y."""
+    return x + y
+
+
+@shared
+def solve_columns(s, panels, x):
+    """x[:, c] <- S^-1 x[:, c] in the places of s.order, x (n, COLUMNS)."""
+    work = np.empty((s.size, COLUMNS), np.float32)
+    for f in range(s.children.shape[0]):
+        descend(s, panels, x, work, f)
+    for f in range(s.children.shape[0] - 1, -1, -1):
+        ascend(s, panels, x, work, f)
+
+
+@part
+def descend(s, panels, x, work, f):
+    """The forward half on front f."""
+    first, own, low = s.first[f], s.first[f + 1] - s.first[f], s.start[f]
+    nodes = own + s.start[f + 1] - low
+    for k in range(own):
+        store(work, k * NODE, (load_columns(x, (first + k) * NODE),))
+    for k in range(own, nodes):
+        store(work, k * NODE, (zero_columns(),))
+    forward(panels, s.panel[f], work, own, nodes)
+    for k in range(own):
+        store(x, (first + k) * NODE, (load_columns(work, k * NODE),))
+    for k in range(own, nodes):
+        place = s.rows[low + k - own] * NODE
+        store(x, place, (sum_of(load_columns(x, place), load_columns(work, k * NODE)),))
+
+
+@part
+def ascend(s, panels, x, work, f):
+    """The backward half on front f."""
+    first, own, low = s.first[f], s.first[f + 1] - s.first[f], s.start[f]
+    nodes = own + s.start[f + 1] - low
+    for k in range(own):
+        store(work, k * NODE, (load_columns(x, (first + k) * NODE),))
+    for k in range(own, nodes):
+        store(work, k * NODE, (load_columns(x, s.rows[low + k - own] * NODE),))
+    backward(panels, s.panel[f + 1], work, own, nodes)
+    for k in range(own):
+        store(x, (first + k) * NODE, (load_columns(work, k * NODE),))
+
+
+@part
+def forward(panels, at, w, own, nodes):
+    """w <- U^-T w on the front's own nodes, and less their part on the others, `nodes` in all; the panel starts at `at`."""
+    for k in range(0, own - 1, 2):
+        m = 2 * (nodes - k)
+        b, c, d = at + m, at + 2 * m, at + 3 * m
+        p, q, r, s, x, y = forward_rows(
+            load_columns(w, k * NODE),
+            load_columns(w, (k + 1) * NODE),
+            panels[at + 1],
+            panels[at + 2],
+            panels[at + 3],
+            panels[b + 2],
+            panels[b + 3],
+            panels[c + 3],
+        )
+        store(w, k * NODE, (x,))
+        store(w, (k + 1) * NODE, (y,))
+        for j in range(4, m, 2):
+            here = (2 * k + j) * COLUMNS
+            rows = load_spread(panels, at + j), load_spread(panels, b + j), load_spread(panels, c + j), load_spread(panels, d + j)
+            store(w, here, (less_four(load_columns(w, here), rows[0], rows[1], rows[2], rows[3], p, q, r, s),))
+        at += 4 * m
+    if own % 2:
+        k = own - 1
+        m = 2 * (nodes - k)
+        p, q, x = forward_two_rows(load_columns(w, k * NODE), panels[at + 1])
+        store(w, k * NODE, (x,))
+        for j in range(2, m, 2):
+            here = (2 * k + j) * COLUMNS
+            store(w, here, (less_two(load_columns(w, here), load_spread(panels, at + j), load_spread(panels, at + m + j), p, q),))
+
+
+@part
+def backward(panels, at, w, own, nodes):
+    """w <- U^-1 D^-1 w on the front's own nodes, the others of `nodes` given; its panel ends at `at`."""
+    if own % 2:
+        k = own - 1
+        m = 2 * (nodes - k)
+        at -= 2 * m
+        two = zero_columns(), zero_columns()
+        for j in range(2, m, 2):
+            x = load_columns(w, (2 * k + j) * COLUMNS)
+            two = products_of_two(two, x, load_spread(panels, at + j), load_spread(panels, at + m + j))
+        store(w, k * NODE, (backward_two_rows(load_columns(w, k * NODE), two, panels[at], panels[at + m + 1], panels[at + 1]),))
+    for k in range(own // 2 * 2 - 2, -1, -2):
+        m = 2 * (nodes - k)
+        at -= 4 * m
+        b, c, d = at + m, at + 2 * m, at + 3 * m
+        sums = zero_columns(), zero_columns(), zero_columns(), zero_columns()
+        for j in range(4, m, 2):
+            x = load_columns(w, (2 * k + j) * COLUMNS)
+            sums = products_of_four(
+                sums, x, load_spread(panels, at + j), load_spread(panels, b + j), load_spread(panels, c + j), load_spread(panels, d + j)
+            )
+        x, y = backward_rows(
+            load_columns(w, k * NODE),
+            load_columns(w, (k + 1) * NODE),
+            sums,
+            panels[at],
+            panels[b + 1],
+            panels[c + 2],
+            panels[d + 3],
+            panels[at + 1],
+            panels[at + 2],
+            panels[at + 3],
+            panels[b + 2],
+            panels[b + 3],
+            panels[c + 3],
+        )
+        store(w, k * NODE, (x,))
+        store(w, (k + 1) * NODE, (y,))
