@@ -17,8 +17,8 @@ K^T w: from the recursion it would carry the error of w, divided by h^2.
 
 Several objectives are columns: all of them have the matrices of a step in common. The driver calls the entry ADJOINT of the model's table
 (adjoint/tables.py) with right, below, bar, w, mu and products, (columns, .) each. The entry solves the system above at the end of step k. w and mu
-hold a prediction before the call and the solution after it. bar is P_q + j_q. products (3, columns, n) receives K^T w + B^T mu, C^T w, and M w,
-which is not used here.
+hold a prediction before the call and the solution after it. bar is P_q + j_q. products (3, columns, n) receives K^T w + B^T mu and C^T w; M w is not
+used here.
 """
 
 from dataclasses import replace
@@ -37,17 +37,18 @@ from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.start import started
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
-from polyida.jit.intrinsics import address, call
+from polyida.jit.intrinsics import address, call, pointer
 from polyida.linear.lu import FactorCache
 from polyida.system import ADJOINT
 from polyida.system.python import small_own, small_table
 
 # constants of compiled code
-Q, V, A, AHEAD = range(4)  # rows of Memory.bars; but for AHEAD, columns of FrameSlopes.place
-LAM = AHEAD  # of FrameSlopes.place
+Q, V, A, AHEAD = range(4)  # of Memory.bars; but for AHEAD, columns of `slope_addresses`
+LAM = AHEAD  # of `slope_addresses`
+PAST = 3  # steps from which the next one is predicted
 SEEN, SHARE = range(2)  # of Memory.marks
 MARKS = 3
-STIFF, DAMPED = range(2)  # of Trial.products
+STIFF, DAMPED = range(2)  # of Memory.products
 WILD = 16.0  # a prediction with larger coefficients of differences is useless: w has grown from zero
 OF_NEWTON = 1e-2  # accepted error of w over Newton's tolerance
 SAMPLES = 300  # coordinates used to fit the coefficients
@@ -91,45 +92,25 @@ class Method(NamedTuple):
 
 
 @pack
-class FrameSlopes(NamedTuple):
-    """The objectives' slopes at the steps' ends, (., count, .): of those that have some. place (columns, 4): their index there, or -1."""
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    place: np.ndarray
-
-
-@pack
 class Memory(NamedTuple):
-    """State of the sweep: bars (columns, 4, n); w (columns, 3, n) and mu (columns, 3, m): those of the last step with first and second backward
-    differences.
+    """State of the sweep: right (columns, n), below (columns, m); bars (4, columns, n), with the objectives' slopes at the end of the next step;
+    products (3, columns, n).
 
     marks (columns, MARKS): SEEN, number of steps since the prediction started; from SHARE on the coefficients of both differences in a prediction.
     """
 
+    right: np.ndarray
+    below: np.ndarray
     bars: np.ndarray
-    w: np.ndarray
-    mu: np.ndarray
+    products: np.ndarray
     marks: np.ndarray
 
 
 @pack
-class Trial(NamedTuple):
-    """Arguments of ADJOINT in a step: right, bar, w (columns, n), below, mu (columns, m), products (3, columns, n)."""
-
-    right: np.ndarray
-    bar: np.ndarray
-    w: np.ndarray
-    below: np.ndarray
-    mu: np.ndarray
-    products: np.ndarray
-
-
-@pack
 class SweepOutput(NamedTuple):
-    """Results of the steps: w (columns, count, n), mu (columns, count, m), and y and z (columns, count, n), or (columns, 0, n) if they are not needed."""
+    """Results of the steps: w (count + PAST, columns, n) and mu (count + PAST, columns, m), at last those of the steps behind, and y and z
+    (columns, count, n), or (columns, 0, n) if they are not needed.
+    """
 
     w: np.ndarray
     mu: np.ndarray
@@ -138,75 +119,69 @@ class SweepOutput(NamedTuple):
 
 
 @fast
-def begin(p, j, k, y, z, c):
+def begin(p, j, k, y, out, c):
     """Set the right-hand sides of step k in column c, and predict w and mu."""
-    right, bar, below, bars = z.right[c], z.bar[c], z.below[c], y.bars[c]
+    right, below, q, v, a, ahead = y.right[c], y.below[c], y.bars[Q, c], y.bars[V, c], y.bars[A, c], y.bars[AHEAD, c]
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
-        right[i] = -bars[Q, i] - p.to_v * bars[V, i] - p.to_a * bars[A, i] - b * bars[AHEAD, i]
-        bar[i] = bars[Q, i]
+        right[i] = -q[i] - p.to_v * v[i] - p.to_a * a[i] - b * ahead[i]
     for i in range(below.shape[0]):
         below[i] = 0.0
-    add_slope(j.q, j.place[c, Q], k, -1.0, right)
-    add_slope(j.q, j.place[c, Q], k, 1.0, bar)
-    add_slope(j.v, j.place[c, V], k, -p.to_v, right)
-    add_slope(j.a, j.place[c, A], k, -p.to_a, right)
-    add_slope(j.lam, j.place[c, LAM], k, -1.0, below)
-    first, second = y.marks[c, SHARE], y.marks[c, SHARE + 1]
-    predict(first, second, y.w[c], z.w[c])
-    predict(first, second, y.mu[c], z.mu[c])
+    add_slope(j[c, LAM], k, -1.0, below)
+    predict(y.marks[c], out.w[:, c], k)
+    predict(y.marks[c], out.mu[:, c], k)
 
 
 @fast
-def predict(first, second, past, out):
-    """The next value, from the last one and its differences."""
-    for i in range(out.shape[0]):
-        out[i] = past[0, i] + first * past[1, i] + second * past[2, i]
-
-
-@fast
-def add_slope(j, place, k, factor, out):
-    """out += factor j[place, k], unless place is -1."""
-    if place >= 0:
-        for i in range(out.shape[0]):
-            out[i] += factor * j[place, k, i]
-
-
-@fast
-def finish(p, j, k, y, z, out, c):
-    """Write w, mu, y and z of step k in column c, and the bars of the step's start."""
-    bars, bar, stiff, damped, w = y.bars[c], z.bar[c], z.products[STIFF, c], z.products[DAMPED, c], out.w[c, k]
-    h, scale = p.h, 1.0 / (1.0 - p.alpha_m)
-    add_slope(j.v, j.place[c, V], k, 1.0, bars[V])
-    for i in range(bars.shape[1]):
-        b, d = -bar[i] - stiff[i], -bars[V, i] - damped[i]
-        a = (h * h * p.beta * b + h * p.gamma * d - bars[AHEAD, i]) * scale
-        bars[Q, i] = -b
-        bars[V, i] = -d - h * b
-        bars[A, i] = -p.alpha_f * a
-        bars[AHEAD, i] = p.alpha_m * a - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * d
-        w[i] = z.w[c, i]
-        if out.y.shape[1]:
-            out.y[c, k, i], out.z[c, k, i] = b, d
-    for i in range(out.mu.shape[2]):
-        out.mu[c, k, i] = z.mu[c, i]
-
-
-@fast
-def shift(now, past):
-    """Store one more value, with its backward differences."""
+def predict(marks, x, k):
+    """Predict x[k] from the values of the steps behind and their differences."""
+    first, second, now, last, before, earlier = marks[SHARE], marks[SHARE + 1], x[k], x[k + 1], x[k + 2], x[k + 3]
     for i in range(now.shape[0]):
-        change = now[i] - past[0, i]
-        past[0, i], past[1, i], past[2, i] = now[i], change, change - past[1, i]
+        change = last[i] - before[i]
+        now[i] = last[i] + first * change + second * (change - (before[i] - earlier[i])) if marks[SEEN] > 0.0 else 0.0
 
 
 @fast
-def fit(marks, past, w):
-    """The coefficients of the differences that fit the change of w best; 0 while too few steps are known."""
+def add_slopes(j, k, bars, c):
+    """Add the slopes of an objective at the end of step k to the bars of column c."""
+    for kind in (Q, V, A):
+        add_slope(j[c, kind], k, 1.0, bars[kind, c])
+
+
+@fast
+def add_slope(j, k, factor, out):
+    """out += factor times row k of the array at address j, unless j is 0."""
+    if j:
+        slopes, at = pointer(j), k * out.shape[0]
+        for i in range(out.shape[0]):
+            out[i] += factor * slopes[at + i]
+
+
+@fast
+def finish(p, k, y, out, c):
+    """Write the bars of the start of step k in column c, and y and z of the step."""
+    q, v, a, ahead, stiff, damped = y.bars[Q, c], y.bars[V, c], y.bars[A, c], y.bars[AHEAD, c], y.products[STIFF, c], y.products[DAMPED, c]
+    h, scale, keep = p.h, 1.0 / (1.0 - p.alpha_m), out.y.shape[1] > 0
+    for i in range(q.shape[0]):
+        b, d = -q[i] - stiff[i], -v[i] - damped[i]
+        x = (h * h * p.beta * b + h * p.gamma * d - ahead[i]) * scale
+        q[i] = -b
+        v[i] = -d - h * b
+        a[i] = -p.alpha_f * x
+        ahead[i] = p.alpha_m * x - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * d
+        if keep:
+            out.y[c, k, i], out.z[c, k, i] = b, d
+
+
+@fast
+def fit(marks, x, k):
+    """The coefficients of the differences that fit the change to x[k] best; 0 while too few steps are known."""
+    marks[SEEN] += 1.0
     aa = ab = bb = ad = bd = 0.0
-    n = w.shape[0]
+    now, last, before, earlier, n = x[k], x[k + 1], x[k + 2], x[k + 3], x.shape[1]
     for i in range(0, n, n // SAMPLES | 1):
-        first, second, d = past[1, i], past[2, i], w[i] - past[0, i]
+        first, d = last[i] - before[i], now[i] - last[i]
+        second = first - (before[i] - earlier[i])
         aa += first * first
         ab += first * second
         bb += second * second
@@ -221,25 +196,23 @@ def fit(marks, past, w):
 
 
 @entry
-def stretch(f, workspace, p, j, first, last, y, z, out):
+def stretch(f, workspace, p, j, first, last, y, out):
     """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before).
 
-    f: addresses of the table's functions; workspace: address of the model's.
+    f: addresses of the table's functions; workspace: address of the model's; j: of `slope_addresses`.
     """
-    right, below, bar = address(z.right), address(z.below), address(z.bar)
-    w, mu, products, columns = address(z.w), address(z.mu), address(z.products), z.w.shape[0]
+    right, below, bar, products, columns = address(y.right), address(y.below), address(y.bars[Q]), address(y.products), y.right.shape[0]
     for k in range(last - 1, first - 1, -1):
         for c in range(columns):
-            begin(p, j, k, y, z, c)
-        ended = call(f[ADJOINT], workspace, k, right, below, bar, w, mu, products)
+            begin(p, j, k, y, out, c)
+        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.mu[k]), products)
         if ended != DONE:
             return k + 1, ended
         for c in range(columns):
-            finish(p, j, k, y, z, out, c)
-            y.marks[c, SEEN] += 1.0
-            fit(y.marks[c], y.w[c], z.w[c])
-            shift(z.w[c], y.w[c])
-            shift(z.mu[c], y.mu[c])
+            finish(p, k, y, out, c)
+            if k > 0:
+                add_slopes(j, k - 1, y.bars, c)
+            fit(y.marks[c], out.w[:, c], k)
     return first, DONE
 
 
@@ -271,9 +244,12 @@ class Sweep:
         c, n, m = settings.coefficients, model.n, model.m
         self.model, self.settings, self.counts, self.columns = model, settings, counts, columns
         self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h))
-        self.memory = Memory(*(np.zeros((columns, *size)) for size in ((4, n), (3, n), (3, m), (MARKS,))))
-        self.trial = Trial(*(np.zeros((columns, size)) for size in (n, n, n, m, m)), np.zeros((3, columns, n)))
         self.table, self.before = adjoint_table(model, settings, h, counts, columns), np.inf
+        products = np.zeros((3, columns, n)) if self.table.products is None else self.table.products.reshape(3, columns, n)
+        self.memory = Memory(
+            *(np.zeros(size) for size in ((columns, n), (columns, m), (4, columns, n))), products, np.zeros((columns, MARKS))
+        )
+        self.past = [np.zeros((PAST, columns, size)) for size in (n, m)]
 
     def back(self, t, q, v, a, lam, slopes, bars, keep=False, slips=None):
         """The SweepResult of each column over steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
@@ -283,12 +259,12 @@ class Sweep:
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             self._forget()
-        self.memory.bars[:], self.before = bars, t[0] - self.method.h
-        table, states, done = self.table, (t, q, v, a, lam), len(t)
-        w, mu = (np.empty((self.columns, *shape)) for shape in (q.shape, lam.shape))
+        table, states, done, columns = self.table, (t, q, v, a, lam), len(t), range(self.columns)
+        w, mu = (np.concatenate([np.empty((done, *past.shape[1:])), past]) for past in self.past)
         kept = np.empty((2, self.columns, done if keep else 0, self.model.n))
-        self.out = SweepOutput(w, mu, *kept)
-        self.frame_slopes = frame_slopes(slopes, q, lam)
+        out, (j, _arrays) = SweepOutput(w, mu, *kept), slope_addresses(slopes)
+        self.memory.bars[:], self.before = np.swapaxes(bars, 0, 1), t[0] - self.method.h
+        add_last_slopes(j, done - 1, self.memory.bars)
         table.set_states(*states, slips)
 
         def exact_table():
@@ -297,38 +273,37 @@ class Sweep:
             exact.set_states(*states)
             return exact
 
-        sweep_with_fallback(
-            table,
-            exact_table,
-            done,
-            lambda *at: stretch(*at[:2], self.method, self.frame_slopes, *at[2:], self.memory, self.trial, self.out),
-        )
+        sweep_with_fallback(table, exact_table, done, lambda *at: stretch(*at[:2], self.method, j, *at[2:], self.memory, out))
+        self.past = [x[:PAST].copy() for x in (w, mu)]
         return [
             SweepResult(
-                AdjointState(*self.memory.bars[c].copy()),
-                w[c],
-                mu[c],
+                AdjointState(*self.memory.bars[:, c].copy()),
+                w[:done, c],
+                mu[:done, c],
                 None if table.kappa is None else table.kappa[c],
                 None if table.slips is None else tuple(part[c] for part in table.slips),
                 kept[:, c] if keep else None,
             )
-            for c in range(self.columns)
+            for c in columns
         ]
 
     def _forget(self):
         """Restart the prediction."""
-        self.memory.w[:], self.memory.mu[:], self.memory.marks[:] = 0.0, 0.0, 0.0
+        self.memory.marks[:] = 0.0
 
 
-def frame_slopes(slopes, q, lam):
-    """The FrameSlopes of the objectives' Slopes at states with these q and lam (count, .)."""
-    arrays, place = [], np.full((len(slopes), 4), -1)
-    for number, (name, shape) in enumerate((("q", q.shape), ("v", q.shape), ("a", q.shape), ("lam", lam.shape))):
-        known = [(c, part) for c, one in enumerate(slopes) if (part := getattr(one, name)) is not None]
-        place[[c for c, _ in known], number] = range(len(known))
-        parts = [np.ascontiguousarray(part, float)[None] for _, part in known]
-        arrays.append(parts[0] if len(parts) == 1 else np.concatenate([*parts, np.zeros((0, *shape))]))
-    return FrameSlopes(*arrays, place)
+def slope_addresses(slopes):
+    """Addresses (columns, 4) of the arrays of the objectives' Slopes in q, v, a and lam, (count, .) each, 0 of one that is None, and the arrays."""
+    parts = [[getattr(one, name) for name in ("q", "v", "a", "lam")] for one in slopes]
+    arrays = [[None if part is None else np.ascontiguousarray(part, float) for part in one] for one in parts]
+    return np.array([[0 if part is None else part.ctypes.data for part in one] for one in arrays]), arrays
+
+
+@entry
+def add_last_slopes(j, k, bars):
+    """Add the slopes of all objectives at the end of step k."""
+    for c in range(j.shape[0]):
+        add_slopes(j, k, bars, c)
 
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once

@@ -50,9 +50,13 @@ def viscosity_of(model):
     return model.arrays.plates.body_viscosity if model.damped else np.zeros(0)
 
 
-def scratch(model, tied=False, columns=1):
-    """Scratch of a scene's size; tied: True if there are multipliers of the rates of the rows, which add to C^T w."""
-    nodes, few = (columns, model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
+def scratch(model, tied=False, results=None):
+    """Scratch of a scene's size; tied: True if there are multipliers of the rates of the rows, which add to C^T w.
+
+    results (3, columns, nodes, 2): arrays for stiff, slowing and heavy; by default new ones for one column.
+    """
+    results = np.zeros((3, 1, model.n_nodes, 2)) if results is None else results
+    nodes, few = results.shape[1:], (int(np.ptp(model.arrays.compact.block)), 2, 2)
     coupled = (len(model.arrays.links.coupling.columns), 2, 2)
     return Scratch(
         np.zeros(nodes[1:]),
@@ -61,10 +65,10 @@ def scratch(model, tied=False, columns=1):
         np.zeros(coupled if len(model.laws.energies) else (0, 2, 2)),
         np.zeros(few),
         np.zeros(few if model.damped else (0, 2, 2)),
-        np.zeros(nodes),
-        np.zeros(nodes),
-        np.zeros(nodes if tied or model.needs.velocity_forces else (columns, 0, 2)),
-        np.zeros((columns, model.m)),
+        results[0],
+        results[2],
+        results[1] if tied or model.needs.velocity_forces else np.zeros((nodes[0], 0, 2)),
+        np.zeros((nodes[0], model.m)),
     )
 
 
@@ -100,14 +104,17 @@ def few_products(c, few, w, r):
 
 
 @shared
-def body_products(s, viscosity, u, v, which, w, rotation, x):
-    """Fill x.stiff, x.heavy and x.slowing of the columns in `which` with the parts of the bodies; rotation: x.rotation, or (0, 2) if it is known."""
+def body_products(s, viscosity, u, v, which, moving, w, rotation, x):
+    """Fill x.stiff and x.slowing of the columns in `which`, and x.heavy of those in `moving`, with the parts of the bodies; rotation: x.rotation,
+    or (0, 2) if it is known.
+    """
     clear(rotation)
     for c in which:
         clear(x.stiff[c])
-        clear(x.heavy[c])
         clear(x.slowing[c])
-    plate_products(s.plates, viscosity, u, v, which, w, rotation, x)
+    for c in moving:
+        clear(x.heavy[c])
+    plate_products(s.plates, viscosity, u, v, which, moving, w, rotation, x)
     for k in range(which.shape[0]):
         c, turns = which[k], rotation if k == 0 else rotation[:0]
         compact.momentum(s.compact, w[c], x.heavy[c])
@@ -121,7 +128,7 @@ def body_products(s, viscosity, u, v, which, w, rotation, x):
 
 
 @part
-def plate_products(s, viscosity, u, v, which, w, rotation, x):
+def plate_products(s, viscosity, u, v, which, moving, w, rotation, x):
     """Add the parts of the plates."""
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
@@ -131,7 +138,7 @@ def plate_products(s, viscosity, u, v, which, w, rotation, x):
         indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
         if viscosity.shape[0] == 0:
             cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, which, w, x.stiff, rotation)
-        cell_products.mass_products(indptr, indices, mass, s.body_density[b], n0, which, w, x.heavy)
+        cell_products.mass_products(indptr, indices, mass, s.body_density[b], n0, moving, w, x.heavy)
         for k in range(which.shape[0]):
             c, turns = which[k], rotation if k == 0 else rotation[:0]
             if viscosity.shape[0]:
@@ -199,7 +206,8 @@ def reaction_product(model, t, lam, w):
 def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
     """All products of one column at one state, into x; slopes is workspace for phi_z."""
     hold_state(s, laws, drives, u, v, lam, x)
-    body_products(s, viscosity, u, v, np.zeros(1, np.int64), w, x.rotation, x)
+    which = np.zeros(1, np.int64)
+    body_products(s, viscosity, u, v, which, which, w, x.rotation, x)
     joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
     point_products(s.links, laws, slopes, 0, w[0], mu, x)
 

@@ -124,7 +124,8 @@ class RadauAdjoint(RunAdjoint):
 
     def _empty_sweep(self):
         n, m, s = self.model.n, self.model.m, self.settings.stages
-        return Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), np.zeros((3, s, n)))
+        products = np.zeros((3, s, n)) if self.table.products is None else self.table.products.reshape(3, s, n)
+        return Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), products)
 
     def beside(self, run, objective):
         """The sweep for another objective, which shares the stages and the factors with this one."""

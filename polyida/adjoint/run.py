@@ -188,10 +188,11 @@ def _find(name, known, with_v0=False):
 class AdjointTable:
     """Interface of the tables of a backward sweep, with defaults for a table without a stored factor.
 
-    kappa, slips: of the stabilised form, kappa of velocity rows too; set by PythonAdjoint only.
+    kappa, slips: of the stabilised form, kappa of velocity rows too; set by PythonAdjoint only. products: the array of the products that the entry
+    ADJOINT gets as its last argument, if the table does not fill any other one.
     """
 
-    kappa = slips = None
+    kappa = slips = products = None
 
     def beside(self):
         """The table for the sweep of another objective over the same steps, with the same factors."""

@@ -37,7 +37,7 @@ from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import COLUMNS, pointer
-from polyida.linear.dense import clear, copy_matrix, magnitude
+from polyida.linear.dense import clear, magnitude
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
 from polyida.system import ADJOINT
@@ -105,7 +105,8 @@ class SceneAdjointWork(NamedTuple):
     q, v, lam (count, s, .): of the stages. enough: accepted error of w over |w|. first, second, third: products of the stages and w.
     slopes (s, .): phi_z; turn (s, nodes, 2): rotation from a stage to the middle one; r, dw (s, columns, nodes, 2), rows, change (1 or 2, s, columns, m):
     residuals, and corrections of w and of the multipliers. which (columns,): first the numbers of the columns that have not converged;
-    small (columns,): True for those of them that have in this iteration.
+    small (columns,): True for those of them that have in this iteration; left (columns,): the numbers of the others. M w of a column that has
+    converged is not needed with one stage.
     marks, rates (columns, 3) belong to a factor: SOLVES; SLOWEST, the largest accepted contraction; STEPS, WORK, number of steps and of solves with
     the factor; LATELY, mean number of solves in the last steps; CONTRACTION, MEASURED at that number of steps; MOVED, |dw| of the last correction.
     sizes (columns, 2): LARGEST, the largest |w| of a solve without constraints, UNCONSTRAINED, that of the last one.
@@ -135,6 +136,7 @@ class SceneAdjointWork(NamedTuple):
     change: np.ndarray
     which: np.ndarray
     small: np.ndarray
+    left: np.ndarray
     marks: np.ndarray
     rates: np.ndarray
     sizes: np.ndarray
@@ -342,11 +344,13 @@ def weighted_rows(s, slopes, factors, forces):
 
 
 @part
-def multiply(w, k, now, multipliers, bar, which, anew):
-    """All products of w and the multipliers at the stages in the columns of `which`; anew: True if the bodies' rotations must be computed."""
+def multiply(w, k, now, multipliers, bar, which, moving, anew):
+    """All products of w and the multipliers at the stages in the columns of `which`, but M w in those of `moving`; anew: True if the bodies' rotations
+    must be computed.
+    """
     for i in range(w.r.shape[0]):
         x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
-        products.body_products(w.scene, w.viscosity, u, v, which, now[i], x.rotation if anew else x.rotation[:0], x)
+        products.body_products(w.scene, w.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
         for c in which:
             products.point_products(w.scene.links, w.laws, w.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
             for e in range(w.rows.shape[3]):
@@ -360,13 +364,13 @@ def set_residuals(w, right, below, c):
     """rows = residuals of the equations in a column, and r (s, columns, nodes, 2) = minus the residuals, rotated to the middle stage."""
     stages = w.r.shape[0]
     for i in range(stages):
-        stiff, r = stage(w, i).stiff[c], w.r[i, c]
+        stiff, own, r = stage(w, i).stiff[c], stage(w, i).heavy[c], w.r[i, c]
         for a in range(r.shape[0]):
             for e in range(2):
-                r[a, e] = right[i, c, a, e] - stiff[a, e]
+                r[a, e] = right[i, c, a, e] - stiff[a, e] - w.to_a[i, i] * own[a, e]
         for j in range(stages):
             heavy, slowing, to_v, to_a = stage(w, j).heavy[c], stage(w, j).slowing[c], w.to_v[i, j], w.to_a[i, j]
-            for a in range(r.shape[0]):
+            for a in range(r.shape[0] if j != i else 0):
                 for e in range(2):
                     r[a, e] -= to_a * heavy[a, e]
             for a in range(slowing.shape[0]):
@@ -436,7 +440,7 @@ def count_work(marks, solves):
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, out):
-    """Solve step k by refinement. Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included."""
+    """Solve step k by refinement. out is SceneAdjoint.products, with the results of w's Scratch. Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included."""
     if w.marks[LATELY] * w.marks[STEPS] > w.marks[WORK] + RENEWAL:
         return REFACTOR
     _, stages, columns, m = w.rows.shape
@@ -451,7 +455,7 @@ def solve(w, k, right, below, bar, now, multipliers, out):
         products.hold_state(w.scene, w.laws, drives, pairs(w, w.q[k, i]), speed, w.lam[k, i], x)
         joints.joint_jacobian(w.scene.links, drives, x.points[DZ], w.slopes[i])
         evaluate_mu_terms(w, w.tied, k, i)
-    multiply(w, k, now, multipliers, bar, which, True)
+    multiply(w, k, now, multipliers, bar, which, which, True)
     for i in range(stages if stages > 1 else 0):
         own, mid = stage(w, i).rotation, stage(w, middle).rotation
         for a in range(shape[2]):
@@ -484,24 +488,20 @@ def solve(w, k, right, below, bar, now, multipliers, out):
             if hopeless and not small:
                 return REFACTOR
             w.small[e] = small
-        multiply(w, k, now, multipliers, bar, which, False)
         left = 0
         for e in range(which.shape[0]):
             if not w.small[e]:
-                which[left] = which[e]
+                w.left[left] = which[e]
                 left += 1
+        multiply(w, k, now, multipliers, bar, which, which if stages > 1 else w.left[:left], False)
+        for e in range(left):
+            which[e] = w.left[e]
         which = which[:left]
         if not left:
             stage_products = carray(pointer(out), (3, *shape))
             for i in range(stages):
-                x = stage(w, i)
-                for c in range(columns):
-                    copy_matrix(x.stiff[c], stage_products[0, i, c])
-                    copy_matrix(x.heavy[c], stage_products[2, i, c])
-                    if x.slowing.shape[1]:
-                        copy_matrix(x.slowing[c], stage_products[1, i, c])
-                    else:
-                        clear(stage_products[1, i, c])
+                for c in range(columns if not stage(w, i).slowing.shape[1] else 0):
+                    clear(stage_products[1, i, c])
             count_work(w.marks, work)
             w.marks[SLOWEST] = OLD
             return DONE
@@ -523,7 +523,8 @@ class SceneAdjoint(AdjointTable):
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
         each = s, columns
         self.helpers = Helpers(threads()) if s == 1 and model.n >= forward.SHARED and threads() > 1 else None
-        scratches = [scratch(model, tied, columns) for _ in range(s)]
+        self.products = np.zeros((3, *each, *nodes))
+        scratches = [scratch(model, tied, self.products[:, i]) for i in range(s)]
         self.w: dict[str, Any] = {
             "scene": arrays_of(model),
             "viscosity": viscosity_of(model),
@@ -538,6 +539,7 @@ class SceneAdjoint(AdjointTable):
             "change": np.zeros((kinds, *each, model.m)),
             "which": np.zeros(columns, np.int64),
             "small": np.zeros(columns, bool),
+            "left": np.zeros(columns, np.int64),
             "sizes": np.zeros((columns, 2)),
         }
         self.mu_terms = {}

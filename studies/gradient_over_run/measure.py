@@ -91,8 +91,9 @@ def several_row(scene, dof, t_end, repeats):
 
 @entry
 def _products(count, s, u, v, w, x):
+    which = np.zeros(1, np.int64)
     for _ in range(count):
-        products.body_products(s, s.plates.body_viscosity[:0], u, v, np.zeros(1, np.int64), w, x.rotation[:0], x)
+        products.body_products(s, s.plates.body_viscosity[:0], u, v, which, which, w, x.rotation[:0], x)
 
 
 @entry
