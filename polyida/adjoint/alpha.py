@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.adjoint.history import step_history, stored_state
-from polyida.adjoint.parameter import AdjointMultipliers, stacked
+from polyida.adjoint.parameter import AdjointMultipliers, SharedStates, stacked
 from polyida.adjoint.run import RunAdjoint, add_together, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
@@ -262,7 +262,8 @@ class Sweep:
         table, states, done, columns = self.table, (t, q, v, a, lam), len(t), range(self.columns)
         w, mu = (np.concatenate([np.empty((done, *past.shape[1:])), past]) for past in self.past)
         kept = np.empty((2, self.columns, done if keep else 0, self.model.n))
-        out, (j, _arrays) = SweepOutput(w, mu, *kept), slope_addresses(slopes)
+        out = self.out = SweepOutput(w, mu, *kept)
+        j, _arrays = slope_addresses(slopes)
         self.memory.bars[:], self.before = np.swapaxes(bars, 0, 1), t[0] - self.method.h
         add_last_slopes(j, done - 1, self.memory.bars)
         table.set_states(*states, slips)
@@ -409,7 +410,8 @@ class AlphaAdjoint(RunAdjoint):
             slip = self._slips(segment.h, *motion) if self.stabilised else None
             keep = bool(self.events.speeds or self.observes)
             results = shared.back(inner, self.linearised(first + 1, q, v), v, a, rows, slopes_here, bars, keep, slip)
-            add_together(sweeps, [AdjointMultipliers(inner, q, v, a, rows, each.w, each.mu, each.kappa) for each in results], t)
+            works = [AdjointMultipliers(inner, q, v, a, rows, each.w, each.mu, each.kappa) for each in results]
+            add_together(sweeps, SharedStates(works, shared.out.w[: len(t)]), t)
             for sweep, slopes, result in zip(sweeps, slopes_here, results):
                 if self.stabilised:
                     (ahead, slipped, eta), still = result.slips, np.zeros_like(q)

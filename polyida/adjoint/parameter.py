@@ -34,6 +34,14 @@ class AdjointMultipliers(NamedTuple):
     nu: NDArray | None = None
 
 
+class SharedStates(list):
+    """AdjointMultipliers of several objectives at the same states. w (k, columns, n): all their w; by default a copy of these."""
+
+    def __init__(self, works, w=None):
+        super().__init__(works)
+        self.w = np.stack([work.w for work in works], axis=1) if w is None else w
+
+
 def stacked(entries):
     """One AdjointMultipliers of those of single states, or None for none."""
     if not entries:
@@ -43,7 +51,7 @@ def stacked(entries):
 
 @dataclass(eq=False)
 class CachedByMultipliers:
-    """`make(model, work)`, cached for the last AdjointMultipliers. together: function (model, works) -> the results of several at the same states."""
+    """`make(model, work)`, cached for the last AdjointMultipliers. together: function (model, SharedStates) -> the results of all."""
 
     make: Callable[[Any, Any], Any]
     model: Any
@@ -87,7 +95,7 @@ class Parameter:
         """
         raise NotImplementedError
 
-    def prepare(self, works: list) -> None:
+    def prepare(self, works: SharedStates) -> None:
         """Compute together what `slope` shares between several AdjointMultipliers at the same states, of which it is asked next."""
 
     def of_model(self, function: Callable[[Any], float]) -> float:

@@ -13,6 +13,7 @@ from polyida.adjoint.parameter import (
     CachedByMultipliers,
     Parameter,
     PartParameter,
+    SharedStates,
     equation_values,
     select_entries,
     total,
@@ -96,7 +97,7 @@ def plate_parameters(model, slopes, relaxing):
     """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start; relaxing: of
     AdjointMultipliers -> `relaxation_works`."""
     together = partial(_stiffness_works, relaxing), _mass_works
-    stiffness, mass = (CachedByMultipliers(lambda model, work, each=each: each(model, [work])[0], model, each) for each in together)
+    stiffness, mass = (CachedByMultipliers(lambda model, work, each=each: each(model, SharedStates([work]))[0], model, each) for each in together)
 
     def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
         if (motion := slopes(t, q, bar)) is None:
@@ -122,25 +123,21 @@ def _plate_total(name, factors, by_cell, work):
 
 
 def _stiffness_works(relaxing, model, works):
-    """[{plate: works of the elastic forces of its cells, and of those of relaxation in viscoelastic plates}] of AdjointMultipliers."""
-    found = stiffness_work(model, works[0].q, works[0].v, _stacked_w(works))
+    """[{plate: works of the elastic forces of its cells, and of those of relaxation in viscoelastic plates}] of SharedStates."""
+    found = stiffness_work(model, works[0].q, works[0].v, works.w)
     relaxed = [relaxing(work)[1] if model.strains else {} for work in works]
     return [{name: each[c] + more.get(name, 0.0) for name, each in found.items()} for c, more in enumerate(relaxed)]
 
 
 def _mass_works(model, works):
-    """[{plate: works of M on accelerations less gravity, plus drag times velocities in a damped plate}] of AdjointMultipliers."""
+    """[{plate: works of M on accelerations less gravity, plus drag times velocities in a damped plate}] of SharedStates."""
     work, b = works[0], works[0].a
     for body in model.bodies:
         if drag := body.plate.material.mass_damping:
             of_body, b = slice(2 * body.pairs.start, 2 * body.pairs.stop), np.array(b) if b is work.a else b
             b[:, of_body] += drag * work.v[:, of_body]
-    found = mass_work(model, b, _stacked_w(works), gravity_over(model.gravity, work.t))
+    found = mass_work(model, b, works.w, gravity_over(model.gravity, work.t))
     return [{name: each[c] for name, each in found.items()} for c in range(len(works))]
-
-
-def _stacked_w(works):
-    return works[0].w[None] if len(works) == 1 else np.stack([work.w for work in works])
 
 
 def load_work(model, name, work, value=None):

@@ -111,7 +111,7 @@ class Totals:
         return other
 
     def prepare(self, works):
-        """Compute together what several AdjointMultipliers at the same states share, before `add` for each."""
+        """Compute together what the AdjointMultipliers of SharedStates share, before `add` for each."""
         for parameter in self.parameters.values():
             parameter.prepare(works)
 
@@ -337,7 +337,7 @@ class RunAdjoint:
 
 
 def add_together(sweeps, works, times):
-    """Add the AdjointMultipliers of each sweep, all at the same states; times: of these."""
+    """Add the AdjointMultipliers of each sweep, which are SharedStates; times: of these."""
     sweeps[0].totals.prepare(works)
     for sweep, work in zip(sweeps, works):
         sweep.add(work, times)

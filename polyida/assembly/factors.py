@@ -151,47 +151,43 @@ def _cells_of(operator, column, vectors):
 
 
 def stiffness_work(model, q, v, w):
-    """{plate: (..., cells)}, J: sums over frames of `w . f_e(q, v)`; q, v (frames, n), w (..., frames, n).
+    """{plate: (..., cells)}, J: sums over frames of `w . f_e(q, v)`; q, v (frames, n), w (frames, ..., n).
 
     f_e: elastic force of cell e at factor 1, with its viscosity and stabilisation.
     """
-    contributions, along = model.once(CellContributions, of_shape=True), _columns(model, w)
-    lanes, pairs = (np.zeros((len(along), len(x))) for x in (contributions.lane_cells, contributions.plates.mass))
-    _force_works(contributions.plates, *(_nodal(model, x) for x in (q, v)), along, lanes, pairs)
+    contributions, along = model.once(CellContributions, of_shape=True), _nodal(model, w)
+    lanes, pairs = (np.zeros((along.shape[1], len(x))) for x in (contributions.lane_cells, contributions.plates.mass))
+    _force_works(contributions.plates, *(_nodal(model, x)[:, 0] for x in (q, v)), along, lanes, pairs)
     count = contributions.first[-1]
     factors = contributions.of_cells(contributions.plates.body_stabilisation)
     works = np.array([np.bincount(contributions.lane_cells, each, count) for each in lanes])
     works += [factors * contributions.stabilisation.slopes(each, count) for each in pairs]
-    return contributions.by_plate(works.reshape(*np.shape(w)[:-2], count))
+    return contributions.by_plate(works.reshape(*np.shape(w)[1:-1], count))
 
 
 def mass_work(model, b, w, pull=None):
-    """{plate: (..., cells)}: sums over frames of `w . M_e (b - pull)`; b (frames, n), w (..., frames, n), pull (frames, 2): the same at all nodes.
+    """{plate: (..., cells)}: sums over frames of `w . M_e (b - pull)`; b (frames, n), w (frames, ..., n), pull (frames, 2): the same at all nodes.
 
     M_e: mass matrix of cell e at factor 1.
     """
-    contributions, along = model.once(CellContributions, of_shape=True), _columns(model, w)
-    pairs = np.zeros((len(along), len(contributions.plates.mass)))
-    _mass_works(contributions.plates, _nodal(model, b) - (0.0 if pull is None else pull[:, None]), along, pairs)
+    contributions, along = model.once(CellContributions, of_shape=True), _nodal(model, w)
+    pairs = np.zeros((along.shape[1], len(contributions.plates.mass)))
+    _mass_works(contributions.plates, _nodal(model, b), np.zeros((len(along), 2)) if pull is None else pull, along, pairs)
     density = contributions.of_cells(contributions.plates.body_density)
     works = np.array([density * contributions.mass.slopes(each, contributions.first[-1]) for each in pairs])
-    return contributions.by_plate(works.reshape(*np.shape(w)[:-2], -1))
+    return contributions.by_plate(works.reshape(*np.shape(w)[1:-1], -1))
 
 
 def _nodal(model, x):
-    return np.ascontiguousarray(x, float).reshape(-1, model.n_nodes, 2)
-
-
-def _columns(model, w):
-    """w (..., frames, n) as (columns, frames, nodes, 2)."""
-    return np.ascontiguousarray(w, float).reshape(-1, np.shape(w)[-2], model.n_nodes, 2)
+    """x (frames, ..., n) as (frames, columns, nodes, 2)."""
+    return np.ascontiguousarray(x, float).reshape(len(x), -1, model.n_nodes, 2)
 
 
 @entry
 def _force_works(s, q, v, w, lanes, pairs):
     """Add over frames: w[c] . f of the cells in their lanes, products for the stabilisation on the pattern."""
     for frame in range(q.shape[0]):
-        u, speed, along = q[frame], v[frame], w[:, frame]
+        u, speed, along = q[frame], v[frame], w[frame]
         for o in range(s.body_operator.shape[0]):
             p, e, n0 = s.at[o], s.at[o + 1], s.body_node[o]
             own = lanes[:, LANES * p[0] : LANES * e[0]]
@@ -201,11 +197,11 @@ def _force_works(s, q, v, w, lanes, pairs):
 
 
 @entry
-def _mass_works(s, b, w, pairs):
-    """Add sums over frames of products for the mass on the pattern."""
-    right = kernels.by_node(b)
-    for c in range(w.shape[0]):
-        left = kernels.by_node(w[c])
+def _mass_works(s, b, pull, w, pairs):
+    """Add sums over frames of products of w with b - pull for the mass on the pattern."""
+    right, still = kernels.by_node(b, 0, pull), np.zeros((w.shape[0], 2))
+    for c in range(w.shape[1]):
+        left = kernels.by_node(w, c, still)
         for o in range(s.body_operator.shape[0]):
             p, e = s.at[o], s.at[o + 1]
             kernels.products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.body_node[o], right, left, pairs[c, p[6] : e[6]])

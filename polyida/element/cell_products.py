@@ -235,12 +235,12 @@ def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, 
 
 
 @entry
-def by_node(x):
-    """Vectors (frames, N, 2) as (N, 2 frames)."""
-    out = np.empty((x.shape[1], 2 * x.shape[0]))
-    for i in range(x.shape[1]):
+def by_node(x, c, less):
+    """Vectors of column c of x (frames, columns, N, 2), less those of the frames (frames, 2), as (N, 2 frames)."""
+    out = np.empty((x.shape[2], 2 * x.shape[0]))
+    for i in range(x.shape[2]):
         for k in range(x.shape[0]):
-            out[i, 2 * k], out[i, 2 * k + 1] = x[k, i, 0], x[k, i, 1]
+            out[i, 2 * k], out[i, 2 * k + 1] = x[k, c, i, 0] - less[k, 0], x[k, c, i, 1] - less[k, 1]
     return out
 
 
