@@ -97,7 +97,9 @@ def plate_parameters(model, slopes, relaxing):
     """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start; relaxing: of
     AdjointMultipliers -> `relaxation_works`."""
     together = partial(_stiffness_works, relaxing), _mass_works
-    stiffness, mass = (CachedByMultipliers(lambda model, work, each=each: each(model, SharedStates([work]))[0], model, each) for each in together)
+    stiffness, mass = (
+        CachedByMultipliers(lambda model, work, each=each: each(model, SharedStates([work]))[0], model, each) for each in together
+    )
 
     def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
         if (motion := slopes(t, q, bar)) is None:

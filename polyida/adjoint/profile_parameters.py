@@ -240,11 +240,12 @@ class ProfileNumber(Parameter):
         used, orders = np.flatnonzero(each.any(axis=1)), np.flatnonzero(each.any(axis=0))
         if not len(used):
             return 0.0 * self.value
-        at = orders.tobytes(), work.t[used].tobytes()
+        times, places = np.unique(work.t[used], return_inverse=True)  # entries of a start have one time
+        at = orders.tobytes(), times.tobytes()
         if at not in self._known:  # several objectives have the same times
             self._known.clear()
-            self._known[at] = self._slopes(orders, work.t[used])
-        return np.tensordot(each[np.ix_(used, orders)], self._known[at], 2)
+            self._known[at] = self._slopes(orders, times)
+        return np.tensordot(each[np.ix_(used, orders)], self._known[at][places], 2)
 
     def start(self, t, q, bar):
         """Slope if driven joints change the given motions."""
