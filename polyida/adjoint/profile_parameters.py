@@ -6,7 +6,7 @@ entries of that sum in their own times.
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from inspect import signature
 from typing import Any
 
@@ -107,22 +107,17 @@ def _add_products(model, work, result):
     - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.
     Of velocity rows `R(theta) E . F'` the rate is the row itself and the bias `E' . F' + theta' E x F'`; their force acts on F alone.
     """
-    from scipy.sparse import csr_array
-
     s = model.arrays.links
-    turned = np.flatnonzero(s.product_drive >= 0)
+    turned, used, of_first, of_other = model.once(_turned_vectors, of_shape=True)
     if not (len(turned) and len(work.t)):
         return
     angles = drive_table(model, work.t, (work.t[0], work.t[-1]))[:, s.product_drive[turned]]
     turn, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
-    shape, used = (len(s.vector_rest), model.n_points), np.unique(s.point_nodes)
-    vectors = csr_array((s.vector_weights @ (1, 1j), s.vector_points, s.vector_start), shape)  # W: vectors are `rest + W dz`
-    weights = model.point_weights[:, used].toarray().T
     first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]
 
     def moved(x):
-        z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used]) @ weights
-        return turn * (vectors[first] @ z.T).T, (vectors[other] @ z.T).T
+        z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used])
+        return turn * (z @ of_first), z @ of_other
 
     rest = complex_of_pairs(s.vector_rest)
     (e, f), (we, wf) = moved(work.q), moved(work.w)
@@ -146,6 +141,19 @@ def _add_products(model, work, result):
         slopes[..., 2] += of_phi * _cross(e, f)
     for p, drive in enumerate(s.product_drive[turned]):
         result[:, drive] += slopes[:, p]
+
+
+def _turned_vectors(model):
+    """(numbers of the products of two vectors of which a drive turns one, the nodes of the points, changes of the first and of the other vector
+    by these nodes, (nodes, products) complex).
+    """
+    from scipy.sparse import csr_array
+
+    s = model.arrays.links
+    turned, used = np.flatnonzero(s.product_drive >= 0), np.unique(s.point_nodes)
+    vectors = csr_array((s.vector_weights @ (1, 1j), s.vector_points, s.vector_start), (len(s.vector_rest), model.n_points))
+    weights = model.point_weights[:, used].T
+    return turned, used, *((weights @ vectors[ends[turned]].T).toarray() for ends in (s.product_first, s.product_second))
 
 
 def _cross(a, b):
@@ -270,8 +278,10 @@ class ProfileNumber(Parameter):
         """The derivatives of the profile's kinks, (kinks,)."""
         return kink_speeds(self._near, self.scale(np.zeros(0)))
 
-    def _near(self, s):
-        return self.profile_at(self.value + s)
+    @cached_property
+    def _near(self):
+        """The profile with the number changed by s, a function of s: differences take the same s stretch after stretch."""
+        return lru_cache(maxsize=8)(lambda s: self.profile_at(self.value + s))
 
     def replaced(self, value):
         """A copy of the scene with another number in the profile."""
