@@ -37,7 +37,7 @@ from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import COLUMNS, pointer
-from polyida.linear.dense import clear, magnitude
+from polyida.linear.dense import clear, magnitude, put
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
 from polyida.system import ADJOINT
@@ -191,7 +191,7 @@ def prepare_rates(w, t, k, i):
 def fill(w, mode, i, slopes, curvature):
     """phi_z of stage i, and the transposed curvature on the points with the point masses."""
     mirror, x = w.scene.links.coupling.mirror, stage(w, i)
-    slopes[:] = w.slopes[i]
+    put(1.0, w.slopes[i], slopes)
     for e in range(mirror.shape[0]):
         for j in range(2):
             for o in range(2):

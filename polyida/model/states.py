@@ -71,9 +71,12 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
             for i in range(count):
                 slope[i, j] = (rates[first + i] - behind[first + i]) / (2.0 * step) * sizes[j]
         for i in range(count):
-            rows[i] = np.max(np.abs(slope[i]))
+            rows[i] = 0.0
+            for j in range(count):
+                rows[i] = max(rows[i], abs(slope[i, j]))
             change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
-            slope[i] /= rows[i]
+            for j in range(count):
+                slope[i, j] /= rows[i]
         if not factor(slope, pivots):
             return FLAT
         for i in range(count):
