@@ -76,7 +76,13 @@ class Stage:
         return Sharpness(float(self.q), self.beta)
 
 
-OF_DENSITIES = (Stage(20, 5.0), Stage(16, 10.0, 4.0), Stage(16, 20.0, 8.0), Stage(20, 20.0, 16.0), Stage(24, 20.0, 32.0))
+OF_DENSITIES = (  # a sharp projection takes short stages within a small distance: farther, the search leaves the limits and returns heavier
+    Stage(20, 5.0),
+    Stage(16, 10.0, 4.0),
+    *[Stage(8, 20.0, 8.0, 0.2)] * 2,
+    *[Stage(10, 20.0, 16.0, 0.2)] * 2,
+    *[Stage(8, 20.0, 32.0, 0.1)] * 3,
+)
 OF_SIZES = (Stage(30),)
 
 
@@ -151,7 +157,8 @@ def minimise(
     variables : sequence of Densities or Size
     cases : Case or sequence of Case
     stages : sequence of Stage, optional
-        Each begins with the best design of the one before. Default: five stages of sharper projection if there are densities, else one.
+        Each begins with the best design of the one before. Default: nine stages of sharper projection and smaller moves if there are densities,
+        else one.
     folder : str or Path, optional
         Folder with a file for each evaluation. A later call with the same arguments, for example after a kill, reads them and goes on as if it had
         never ended.

@@ -18,8 +18,10 @@ VOLUME = {"full": (0.5, (0.05, 0.025, 0.0125, 0.00625)), "short": (0.5, ())}  # 
 CHANGES = {"full": 150, "short": 20}  # of solid designs, at most
 STAGE = pi.design.Stage
 REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0), STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))
-HARDER = (STAGE(16, 20.0, 32.0),)  # of static designs that are not moved
-MOTION = {"full": (STAGE(30, 20.0, 16.0), STAGE(24, 20.0, 32.0)), "short": (STAGE(14, 20.0, 16.0), STAGE(10, 20.0, 32.0))}
+NEAR = {  # then, in motion or not: if the optimiser may go far, it leaves the limits and returns heavier
+    "full": (STAGE(8, 20.0, 16.0, move=0.2),) * 5 + (STAGE(8, 20.0, 32.0, move=0.1),) * 6,
+    "short": (STAGE(7, 20.0, 16.0, move=0.2),) * 2 + (STAGE(5, 20.0, 32.0, move=0.1),) * 2,
+}
 OTHERS = {  # the solid design once more
     "smaller steps": pi.GeneralizedAlpha(h=ARM.h / 2.5, tolerance=1e-6),
     "RadauIIA": pi.RadauIIA(rtol=1e-4),
@@ -102,7 +104,7 @@ def merit(solid):
 
 def judged_static(mesh, load, volume, effort):
     """(Design by the limits of the motion, SolidDesign) of the least compliance: of a level, or moved on by cells to less compliance at its mass."""
-    rest = static_design(mesh, load, volume, REST + HARDER)
+    rest = static_design(mesh, load, volume, REST + NEAR[effort])
     variable, case = pi.design.Densities("arm", ARM.radius, KEPT), pi.design.Case(ARM.scene([mesh]).build(), in_motion)
     moving = pi.design.Problem(pi.objective.Mass("arm"), limits(), [variable], case)
     found = moving.evaluate(rest.x, rest.sharp)
@@ -121,16 +123,10 @@ def nearest(mesh, solid):
 def row(cells, way, effort, load="tip load and weight", volume=0.5):
     """One row: a design in motion that begins with the static one of a load and volume, or the lightest static design under that load."""
     mesh, begun = ARM.mesh(cells), (time.perf_counter(), time.process_time())
-    history, excesses, stages = [], [], []
+    history, excesses = [], []
     if way == "in motion":
-        rest = static_design(mesh, load, volume, REST)
-        x, stages = rest.x, [rest.values["arm"].tolist()]
-        for stage in MOTION[effort]:
-            design = moving_design(mesh, x, [stage])
-            x = design.x
-            history += design.history["objective"].tolist()
-            excesses += design.history["excess"].tolist()
-            stages.append(design.values["arm"].tolist())
+        design = moving_design(mesh, static_design(mesh, load, volume, REST).x, NEAR[effort])
+        history, excesses = (design.history[name].tolist() for name in ("objective", "excess"))
         solid = judged(design, effort, changes=CHANGES[effort])
     else:
         volume, (design, solid) = lightest(mesh, load, effort)
@@ -146,7 +142,6 @@ def row(cells, way, effort, load="tip load and weight", volume=0.5):
         "evaluations": len(history),
         "history": history,
         "excesses": excesses,
-        "stages": stages[:-1],
         "rho": rho.tolist(),
         "solid": nearest(mesh, solid.meshes["arm"]),
         "wall_s": spent[0],
