@@ -159,20 +159,29 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
         x0, v, s, f = place(laws, k, None, dz0, vz)
         x1, change, _, static = place(laws, k, None, dz1, half)
         own = x0.shape[0] - (laws.parts[k + 1, 4] - laws.parts[k, 4] + 1) // 2
-        middle = 0.5 * (x0 + x1)
+        middle, v0, v1 = np.empty(x0.shape), np.empty(x0.shape), np.empty(x0.shape)
+        for i in range(x0.shape[0]):
+            for j in range(2):
+                middle[i, j] = 0.5 * (x0[i, j] + x1[i, j])
+                v0[i, j], v1[i, j] = v[i, j] - change[i, j], v[i, j] + change[i, j]
         evaluate(laws, k, numbers, middle, v, s, f)
         if laws.energies[k] != 0:
-            dx, v0, v1 = x1 - x0, v - change, v + change
-            dx[own:] = 0.0
             first, last = energy_at(laws, k, numbers, x0, v0, s, static), energy_at(laws, k, numbers, x1, v1, s, static)
             if own < x0.shape[0]:
                 first -= energy_at(laws, k, numbers, middle, v0, s, static)
                 last -= energy_at(laws, k, numbers, middle, v1, s, static)
-            v[:own] = 0.0
+            for i in range(own):
+                v[i, 0] = v[i, 1] = 0.0
             evaluate(laws, k, numbers, middle, v, s, static)
-            size, bracket = np.sum(dx * dx), last - first + np.sum(static * dx)
+            size, bracket = 0.0, last - first
+            for i in range(own):
+                dx, dy = x1[i, 0] - x0[i, 0], x1[i, 1] - x0[i, 1]
+                size += dx * dx + dy * dy
+                bracket += static[i, 0] * dx + static[i, 1] * dy
             if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
-                f -= bracket / size * dx
+                for i in range(own):
+                    for j in range(2):
+                        f[i, j] -= bracket / size * (x1[i, j] - x0[i, j])
         subtract_sides(laws, k, f, forces)
 
 
@@ -198,11 +207,22 @@ def take_damping_forces(laws, drives, dz, vz, moved, forces):
             size = max(size, (abs(d[i, 0]) + abs(d[i, 1])) / laws.sizes[laws.parts[k, 1] + i])
         if size > 0.0:
             step = STEP / size
-            evaluate(laws, k, numbers, x, v + step * d, s, ahead)
-            evaluate(laws, k, numbers, x, v - step * d, s, behind)
-            ahead -= behind
-            ahead /= 2.0 * step
+            shift(v, step, d)
+            evaluate(laws, k, numbers, x, v, s, ahead)
+            shift(v, -2.0 * step, d)
+            evaluate(laws, k, numbers, x, v, s, behind)
+            for i in range(ahead.shape[0]):
+                for j in range(2):
+                    ahead[i, j] = (ahead[i, j] - behind[i, j]) / (2.0 * step)
             subtract_sides(laws, k, ahead, forces)
+
+
+@part
+def shift(x, c, y):
+    """x += c y, (sides, 2)."""
+    for i in range(x.shape[0]):
+        for j in range(2):
+            x[i, j] += c * y[i, j]
 
 
 @entry
