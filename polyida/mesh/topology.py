@@ -67,12 +67,10 @@ def inserted(nodes, offsets, edges, new):
     keys, wanted = (
         pairs[:, 0].astype(np.int64) * total + pairs[:, 1] for pairs in (np.sort(directed_edges(nodes, offsets)), np.sort(edges))
     )
-    order = np.argsort(wanted)
-    place = np.minimum(np.searchsorted(wanted, keys, sorter=order), len(wanted) - 1)
-    found = wanted[order][place] == keys
-    at = np.flatnonzero(found)
+    at, order = np.flatnonzero(np.isin(keys, wanted)), np.argsort(wanted)
+    place = order[np.searchsorted(wanted, keys[at], sorter=order)]
     added = np.concatenate([[0], np.cumsum(np.bincount(corner_cells(offsets)[at], minlength=len(offsets) - 1))])
-    return np.insert(nodes, at + 1, np.asarray(new)[order[place[at]]]), offsets + added
+    return np.insert(nodes, at + 1, np.asarray(new)[place]), offsets + added
 
 
 def boundary_edges(nodes, offsets, n_nodes):

@@ -111,6 +111,12 @@ def test_outlines_that_no_domain_has_are_refined_in_place(drawn):
         assert np.allclose(np.ptp(mesh.points[mesh.sections["wall"]], axis=0), wall, atol=1e-12) and mesh.n_cells > 1.3 * cells
 
 
+def test_a_cracked_mesh_of_which_no_cell_is_chosen_stays():
+    mesh = pi.mesh.PolygonMesh(*cracked())
+    same = pi.mesh.refine(mesh, np.zeros(mesh.n_cells, bool))
+    assert (same.n_cells, same.n_nodes) == (mesh.n_cells, mesh.n_nodes) and same.area == pytest.approx(mesh.area, rel=1e-12)
+
+
 @pytest.mark.parametrize("cells", [[200], [-1], [0.5], np.zeros(3, bool), "left"])
 def test_wrong_cells_are_refused(cells):
     with pytest.raises(pi.InputError, match="refine: cells"):
