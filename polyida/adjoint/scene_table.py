@@ -440,7 +440,10 @@ def count_work(marks, solves):
 
 @entry
 def solve(w, k, right, below, bar, now, multipliers, out):
-    """Solve step k by refinement. out is SceneAdjoint.products, with the results of w's Scratch. Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included."""
+    """Solve step k by refinement; the Scratches of w write their results to the array `out`, SceneAdjoint.products.
+
+    Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included.
+    """
     if w.marks[LATELY] * w.marks[STEPS] > w.marks[WORK] + RENEWAL:
         return REFACTOR
     _, stages, columns, m = w.rows.shape
@@ -501,7 +504,7 @@ def solve(w, k, right, below, bar, now, multipliers, out):
             stage_products = carray(pointer(out), (3, *shape))
             for i in range(stages):
                 for c in range(columns if not stage(w, i).slowing.shape[1] else 0):
-                    clear(stage_products[1, i, c])
+                    clear(stage_products[1, i, c])  # the sweep of Radau IIA adds to them
             count_work(w.marks, work)
             w.marks[SLOWEST] = OLD
             return DONE
