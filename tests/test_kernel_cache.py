@@ -17,14 +17,16 @@ from polyida.jit import entry
 
 faster = pytest.mark.skipif(jit.compilers is None, reason="numba's own compilers keep code in files of their own, or do not keep it")
 PACKAGE = Path(kernel_cache.__file__).parents[1]
-CALLED = "from polyida.jit import shared\n\n\n@shared\ndef called(x):\n    return x + {}\n"
-CALLER = "from polyida.called import called\nfrom polyida.jit import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
+CALLED = "from polyida.jit import part, shared\n\n@part\ndef inner(x):\n    return x + {}\n\n@shared\ndef called(x):\n    return inner(x)\n"
+CALLER = (
+    "from polyida.called import called, inner\nfrom polyida.jit import entry\n\n@entry\ndef call(x):\n    return called(x) + inner(x)\n"
+)
 SAY = "import polyida.caller as c; print(c.call(1), sum(c.call.stats.cache_hits.values()), c.call._cache.cache_path)"
 
 
 @pytest.fixture
 def chain(tmp_path):
-    """(package, say): a package of one entry that calls a part in another file; say() runs it in new processes."""
+    """(package, say): a package of one entry that calls a shared function and a part in another file; say() runs it in new processes."""
     package = tmp_path / "polyida"
     package.mkdir()
     shutil.copytree(PACKAGE / "jit", package / "jit", ignore=shutil.ignore_patterns("__pycache__"))
@@ -49,15 +51,15 @@ def test_a_kernel_edited_in_another_file_is_compiled_anew_and_the_old_one_is_kep
     """Also where a file of a function that it calls is missing."""
     package, say = chain
     (value, _, folder), other = say(processes=2)
-    assert value == other[0] == 2, "at once with an empty cache, whoever fills it"
+    assert value == other[0] == 4, "at once with an empty cache, whoever fills it"
     (package / "called.py").write_text(CALLED.format(2))
-    assert say()[0][:2] == (3, 0)
+    assert say()[0][:2] == (6, 0)
     (package / "called.py").write_text(CALLED.format(1))
-    assert say()[0][:2] == (2, 1), "back at the first sources: nothing is compiled"
+    assert say()[0][:2] == (4, 1), "back at the first sources: nothing is compiled"
     kept = list(folder.glob("called.called-*"))
     for path in kept:
         path.unlink()
-    assert kept and say()[0][:2] == (2, 1)
+    assert kept and say()[0][:2] == (4, 1)
 
 
 @faster
