@@ -1,4 +1,4 @@
-"""Estimated and measured errors of quantities of runs: of time steps, meshes and modes, and of random scenes."""
+"""Estimated and measured errors of quantities of runs: of time steps, meshes and modes, of falling pendulums and of random scenes."""
 
 import time
 from functools import lru_cache
@@ -17,6 +17,7 @@ FINER = 8  # steps of the coarser of the two runs that a reference is extrapolat
 STEPS = {"slider crank": (4e-3, 2e-3, 1e-3, 5e-4), "damped arm": (5e-3, 2.5e-3, 1.25e-3), "double plate": (4e-3, 2e-3, 1e-3, 5e-4)}
 CELLS = {"double plate": (60, 120, 240), "broad arm": (60, 120, 240)}
 MODES = (3, 5, 10)
+FALLS = {"rho_inf": (0.9, 0.5), "h": (5e-3, 1e-2, 2e-2, 4e-2), "t_end": (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 2.0)}
 NOTCH = [(0.35, 0.125), (0.35, 0.125 - 0.15), (0.3, 0.125 - 0.15), (0.3, 0.125)]  # m
 NOTCHED = pi.mesh.Outline([(0.0, -0.125), (1.0, -0.125), (1.0, 0.125), *NOTCH, (0.0, 0.125)])
 FINEST = 6  # refinements of the finest mesh of the notched arm
@@ -74,9 +75,9 @@ def setting(scene):
     return model, t_end, result
 
 
-def reference(model, t_end, objectives, h):
+def reference(model, t_end, objectives, h, **settings):
     """{name: value}, extrapolated from runs with steps of h and h / 2."""
-    coarse, fine = (pi.solve(model, t_end, pi.GeneralizedAlpha(h=step, tolerance=TIGHT)) for step in (h, h / 2))
+    coarse, fine = (pi.solve(model, t_end, pi.GeneralizedAlpha(h=step, tolerance=TIGHT, **settings)) for step in (h, h / 2))
     return {name: (4 * each(fine) - each(coarse)) / 3 for name, each in objectives.items()}
 
 
@@ -163,6 +164,18 @@ def modes_row(modes):
     full, run, twice = (pi.solve(arm(viscosity=1e-3, body=body, mass=0.05).build(), 0.5, settings) for body in bodies)
     bars = pi.error_of(run, one, again=True)
     return row(one(full), bars, "modes", twice=(one(twice) - bars.value) / (one(full) - bars.value))
+
+
+def fall_row(rho_inf, h, t_end):
+    """Error of time of the force in the pin of a falling pendulum at the end: what the start of the method leaves in it decays slowly."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.PointMass(bar.at("right"), 0.5, name="tip"))
+    model = scene.build()
+    force, run = at_end(model, "lam"), pi.solve(model, t_end, pi.GeneralizedAlpha(h=h, tolerance=TIGHT, rho_inf=rho_inf))
+    value = reference(model, t_end, {"force": force}, h / FINER, rho_inf=rho_inf)["force"]
+    return row(value, pi.error_of(run, force), "time")
 
 
 def random_row(seed):
