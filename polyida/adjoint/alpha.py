@@ -45,7 +45,7 @@ from polyida.system.python import small_own, small_table
 # constants of compiled code
 Q, V, A, AHEAD = range(4)  # of Memory.bars; but for AHEAD, columns of `slope_addresses`
 LAM = AHEAD  # of `slope_addresses`
-PAST = 3  # steps from which the next one is predicted
+PAST = 3  # steps from which the multipliers of the one before are predicted
 SEEN, SHARE = range(2)  # of Memory.marks
 MARKS = 3
 STIFF, DAMPED = range(2)  # of Memory.products
@@ -108,8 +108,8 @@ class Memory(NamedTuple):
 
 @pack
 class SweepOutput(NamedTuple):
-    """Results of the steps: w (count + PAST, columns, n) and mu (count + PAST, columns, m), at last those of the steps behind, and y and z
-    (columns, count, n), or (columns, 0, n) if they are not needed.
+    """Results of the steps: w (count + PAST, columns, n) and mu (count + PAST, columns, m), and y and z (columns, count, n), or (columns, 0, n) if
+    they are not needed. The last PAST rows of w and mu belong to the later steps, which were swept before.
     """
 
     w: np.ndarray
@@ -134,7 +134,7 @@ def begin(p, j, k, y, out, c):
 
 @fast
 def predict(marks, x, k):
-    """Predict x[k] from the values of the steps behind and their differences."""
+    """Predict x[k] from the values of the next three steps and their differences."""
     first, second, now, last, before, earlier = marks[SHARE], marks[SHARE + 1], x[k], x[k + 1], x[k + 2], x[k + 3]
     for i in range(now.shape[0]):
         change = last[i] - before[i]
@@ -175,7 +175,7 @@ def finish(p, k, y, out, c):
 
 @fast
 def fit(marks, x, k):
-    """The coefficients of the differences that fit the change to x[k] best; 0 while too few steps are known."""
+    """Set the coefficients of the differences that fit the change from x[k + 1] to x[k] best; 0 while too few steps are known."""
     marks[SEEN] += 1.0
     aa = ab = bb = ad = bd = 0.0
     now, last, before, earlier, n = x[k], x[k + 1], x[k + 2], x[k + 3], x.shape[1]
@@ -294,7 +294,7 @@ class Sweep:
 
 
 def slope_addresses(slopes):
-    """Addresses (columns, 4) of the arrays of the objectives' Slopes in q, v, a and lam, (count, .) each, 0 of one that is None, and the arrays."""
+    """(addresses (columns, 4) of the objectives' slopes in q, v, a and lam, (count, .) each, 0 for None; the arrays, which the caller keeps alive)."""
     parts = [[getattr(one, name) for name in ("q", "v", "a", "lam")] for one in slopes]
     arrays = [[None if part is None else np.ascontiguousarray(part, float) for part in one] for one in parts]
     return np.array([[0 if part is None else part.ctypes.data for part in one] for one in arrays]), arrays

@@ -81,8 +81,8 @@ def shifted(t, h, widths, tau, factors, first, last, ends, sums):
     """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its linear fit in time, of the steps at each lag.
 
     t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): over h^4 and h^3 a fit is made.
-    The lags are from -WIDTHS to WIDTHS widths; one that leaves the steps adds nothing. If the run `ends` with the steps, fast goes on there by its odd
-    image: factors of an objective at the end cancel, which a jump or a kink would spoil.
+    The lags are from -WIDTHS to WIDTHS widths; one that leaves the steps adds nothing. If the run `ends` with the steps, fast is continued there by its
+    odd image, without a jump or kink: the factors of an objective at the end are large there and cancel only in the sum with a smooth fast.
     """
     n, at, beyond = tau.shape[2], np.empty((last - first, LAGS), np.int64), t.shape[0] - 1  # at: the step at each lag, -1 for none
     low, high, longest, image = first, last, 0, np.zeros((last - first, LAGS), np.bool_)
@@ -320,9 +320,9 @@ class AlphaErrors(AlphaAdjoint):
         result, begin = [], [first for first, _ in self.pieces]
         instant = self.of_forces and self.at_instants > AT_INSTANT * self.of_forces
         if share > FAST:
-            left = ", or that starts of the method leave in lam and a," if instant else ""
+            start = ", or errors that the start of the method leaves in lam and a," if instant else ""
             result.append(
-                f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12){left} change it by up to {100 * share:.0f} %"
+                f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12){start} change it by up to {100 * share:.0f} %"
             )
         if instant and any(one.first not in begin for one in self.history.segments):
             result.append("the objective is of lam or a at an instant, and the step size changes")

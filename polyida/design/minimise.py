@@ -76,7 +76,7 @@ class Stage:
         return Sharpness(float(self.q), self.beta)
 
 
-OF_DENSITIES = (  # a sharp projection takes short stages within a small distance: farther, the search leaves the limits and returns heavier
+OF_DENSITIES = (  # with a sharp projection stages are short and moves small: larger ones exceed the limits and end with heavier designs
     Stage(20, 5.0),
     Stage(16, 10.0, 4.0),
     *[Stage(8, 20.0, 8.0, 0.2)] * 2,

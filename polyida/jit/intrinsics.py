@@ -195,13 +195,13 @@ def _zero(vector, doc):
     return intrinsic(zero)
 
 
-zero_pair = _zero(pair, "A vector of two zeros, as `load_pair` gives vectors of two numbers.")
-zero_columns = _zero(columns, "The same as `load_columns` gives vectors.")
+zero_pair = _zero(pair, "A vector of two zeros, of the type that `load_pair` returns.")
+zero_columns = _zero(columns, "A vector of zeros, of the type that `load_columns` returns.")
 
 
 @intrinsic
 def load_spread(typing_context, array, start):
-    """array[start] COLUMNS times and array[start + 1] COLUMNS times, of a float32 array, as `load_columns` gives vectors."""
+    """The vector of COLUMNS times array[start] and COLUMNS times array[start + 1], of a float32 array; the type is that of `load_columns`."""
     two = ir.VectorType(SINGLE, 2)
 
     def generate(context, builder, sig, args):

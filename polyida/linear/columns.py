@@ -14,7 +14,7 @@ LOW, HIGH = list(range(COLUMNS)), list(range(COLUMNS, NODE))  # places of its ro
 
 
 def both(row):
-    """The first or second row of a node, in place of both."""
+    """A function that writes one row of a node, at the places LOW or HIGH, to both rows."""
     return lambda x: x.shuffled(x, row + row)
 
 
@@ -22,18 +22,18 @@ first_row, second_row = both(LOW), both(HIGH)
 
 
 def joined(a, b):
-    """A node of rows that are each in place of both."""
+    """A node with the first row of a and the second row of b."""
     return a.shuffled(b, LOW + [NODE + k for k in HIGH])
 
 
 def folded(x):
-    """The sum of the rows, in place of both."""
+    """The sum of the rows of a node, in both rows."""
     return x + x.shuffled(x, HIGH + LOW)
 
 
 @traced(6, columns)
 def forward_rows(x, y, a1, a2, a3, b2, b3, c3):
-    """Four rows of U^-T, each in place of both rows of a node, and the two nodes of them."""
+    """Four rows of U^-T, each written to both rows of a node, and the two nodes that they make."""
     p, r = first_row(x), first_row(y)
     q = second_row(x) - a1 * p
     r = r - a2 * p - b2 * q
@@ -49,7 +49,7 @@ def less_four(x, a, b, c, d, p, q, r, s):
 
 @traced(3, columns)
 def forward_two_rows(x, a1):
-    """Two rows of U^-T, each in place of both, and the node of them."""
+    """Two rows of U^-T, each written to both rows of a node, and the node that they make."""
     p = first_row(x)
     q = second_row(x) - a1 * p
     return p, q, joined(p, q)

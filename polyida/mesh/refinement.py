@@ -22,8 +22,8 @@ def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
     """Return a mesh of the same outline with about four cells in place of each chosen one.
 
     The mesher starts from the centroids of the other cells and four points in each chosen one. Lloyd's iterations, with the wanted size of cells,
-    averaged over neighbours, as density, blend the sizes. Where cells cannot follow the boundary in this way, as around corners that cut into the
-    plate by less than 20 degrees, each chosen cell is divided by its centroid and the middles of its edges.
+    averaged over neighbours, as density, blend the sizes. If no such mesh follows the boundary, as with cracks and notches of less than 20 degrees,
+    each chosen cell is divided by its centroid and the middles of its edges.
 
     Parameters
     ----------

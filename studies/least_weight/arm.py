@@ -18,7 +18,7 @@ VOLUME = {"full": (0.5, (0.05, 0.025, 0.0125, 0.00625)), "short": (0.5, ())}  # 
 CHANGES = {"full": 150, "short": 20}  # of solid designs, at most
 STAGE = pi.design.Stage
 REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0), STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))
-NEAR = {  # then, in motion or not: if the optimiser may go far, it leaves the limits and returns heavier
+NEAR = {  # then, in motion or not; larger moves exceed the limits and end with heavier designs
     "full": (STAGE(8, 20.0, 16.0, move=0.2),) * 5 + (STAGE(8, 20.0, 32.0, move=0.1),) * 6,
     "short": (STAGE(7, 20.0, 16.0, move=0.2),) * 2 + (STAGE(5, 20.0, 32.0, move=0.1),) * 2,
 }
