@@ -13,6 +13,7 @@ Leine, Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems (20
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from polyida.joint.joint import Joint
 from polyida.model.differences import along, jacobian
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
-from polyida.objective.objective import Slopes
+from polyida.objective.objective import Slopes, slopes_at
 from polyida.run.events import Change, Happenings
 from polyida.run.modes import LEAST_SPEED, Modes
 from polyida.run.solve import solve
@@ -364,7 +365,8 @@ class _Backward:
         slopes = objective.slopes(whole)
         self.value = float(slopes.value if hasattr(slopes, "value") else objective(whole))
         self.totals, self.bars = totals, None
-        self.parts = [_Part(slopes, first, len(one), mode.columns) for first, one, mode in zip(firsts, runs, modes)]
+        checked = partial(slopes_at, objective, slopes, whole)
+        self.parts = [_Part(checked, first, len(one), mode.columns) for first, one, mode in zip(firsts, runs, modes)]
         self.by_times = [part.by_time(one) for part, one in zip(self.parts, runs)]
 
     def part(self, k):

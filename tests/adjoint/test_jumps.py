@@ -188,6 +188,24 @@ def test_contact_and_event_have_the_same_slopes():
     assert masses[0] == pytest.approx(masses[1], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    "slopes, match", [(pi.objective.Slopes(q=np.ones(3)), r"q has the shape \(3,\); it must be \(\d+, 4\)"), (np.ones(3), "must return")]
+)
+def test_wrong_slopes_of_own_objectives_are_refused_by_name(slopes, match):
+    class Height(pi.objective.Objective):
+        def __call__(self, run):
+            return float(run.q[-1, 1])
+
+        def slopes(self, run):
+            return lambda part: slopes
+
+    model, events = pendulum("loose")
+    run = pi.solve(model, 0.6, RADAU, events=events)
+    assert len(run.events) == 1
+    with pytest.raises(pi.InputError, match=f"of Height:? {match}"):
+        pi.gradient(run, Height())
+
+
 def test_what_has_no_adjoint_is_refused():
     J = last(0)
     run = pi.solve(Ball(), 0.6, pi.NonsmoothAlpha(h=1e-2), q0=[1.0])
