@@ -27,7 +27,7 @@ class Unresolved(InputError):
     """The cells are too few to follow the boundary."""
 
 
-def whole(function, name, value, least):
+def _whole(function, name, value, least):
     if not is_whole(value, least, 10**9):
         raise InputError(f"{function}: {name} = {value!r} must be a whole number from {least} to {10**9}")
     return operator.index(value)
@@ -61,8 +61,8 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
     """
     if not isinstance(domain, Domain):
         raise InputError(f"polygonize needs a domain such as Rectangle or Link, not {domain!r}")
-    cells, seed = whole("polygonize", "cells", cells, 1), whole("polygonize", "seed", seed, 0)
-    iterations = whole("polygonize", "iterations", iterations, 1)
+    cells, seed = _whole("polygonize", "cells", cells, 1), _whole("polygonize", "seed", seed, 0)
+    iterations = _whole("polygonize", "iterations", iterations, 1)
     # mesh near the origin, where coordinates keep their digits in Voronoi's squares; a shift by whole powers of two has no round-off
     size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
     shift = size * np.round(domain.lower / size)
@@ -75,6 +75,7 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
 
 
 def numbered(polygons, shift=0.0):
+    """The PolygonMesh of polygons moved by `shift`, with nodes in an order of small bandwidth and automatic sections."""
     points, nodes, offsets, _ = topology.renumber(polygons.points, polygons.nodes, polygons.offsets)
     rim = topology.boundary_edges(nodes, offsets, len(points))
     return PolygonMesh(points + shift, nodes, offsets, automatic(points, rim))
@@ -111,8 +112,8 @@ def rectangle(
         For wrong values.
     """
     length, height = positive("rectangle", "length", length, "metres"), positive("rectangle", "height", height, "metres")
-    cells, seed = whole("rectangle", "cells", cells, 1), whole("rectangle", "seed", seed, 0)
-    iterations, origin = whole("rectangle", "iterations", iterations, 1), vector2("rectangle", "origin", origin)
+    cells, seed = _whole("rectangle", "cells", cells, 1), _whole("rectangle", "seed", seed, 0)
+    iterations, origin = _whole("rectangle", "iterations", iterations, 1), vector2("rectangle", "origin", origin)
     half = voronoi_polygons(Rectangle(length, 0.5 * height), (cells + 1) // 2, seed, iterations)
     off_axis = np.flatnonzero(half.points[:, 1] != 0.0)  # nodes on y = 0 belong to both halves
     image = np.arange(len(half.points))
@@ -179,7 +180,7 @@ def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike
 def _structured(function, length, height, nx, ny, origin, cut=False):
     """Mesh with nodes numbered across the shorter direction first."""
     length, height = positive(function, "length", length, "metres"), positive(function, "height", height, "metres")
-    nx, ny, origin = whole(function, "nx", nx, 1), whole(function, "ny", ny, 1), vector2(function, "origin", origin)
+    nx, ny, origin = _whole(function, "nx", nx, 1), _whole(function, "ny", ny, 1), vector2(function, "origin", origin)
     x, y = np.meshgrid(length * (np.arange(nx + 1) / nx), height * (np.arange(ny + 1) / ny - 0.5), indexing="ij")
     number = np.arange(x.size).reshape(x.shape)
     if ny > nx:

@@ -77,7 +77,7 @@ FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 def slopes_at(objective: Objective, of: Callable[[slice], Slopes], run: Any, part: slice) -> Slopes:
     """The Slopes of a slice of frames, by the function `of` that `objective.slopes(run)` returned; InputError for wrong types and shapes."""
-    result, label = of(part), f"gradient: slopes(run)(part) of {type(objective).__name__}"
+    result, label = of(part), f"{type(objective).__name__}: slopes(run)(part)"
     if not isinstance(result, Slopes):
         raise InputError(f"{label} must return polyida.objective.Slopes, not {result!r:.100}")
     frames = run_of("gradient", run)
@@ -86,7 +86,7 @@ def slopes_at(objective: Objective, of: Callable[[slice], Slopes], run: Any, par
     for name, shape in shapes.items():
         value = getattr(result, name)
         if not (value is None or callable(value) or np.shape(value) == shape):
-            raise InputError(f"{label}: {name} has the shape {np.shape(value)}; it must be {shape}, a row for each frame of the slice")
+            raise InputError(f"{label}.{name} has the shape {np.shape(value)}; it must be {shape}, a row for each frame of the slice")
     return result
 
 

@@ -189,7 +189,7 @@ def test_contact_and_event_have_the_same_slopes():
 
 
 @pytest.mark.parametrize(
-    "slopes, match", [(pi.objective.Slopes(q=np.ones(3)), r"q has the shape \(3,\); it must be \(\d+, 4\)"), (np.ones(3), "must return")]
+    "slopes, match", [(pi.objective.Slopes(q=np.ones(3)), r"\.q has the shape \(3,\); it must be \(\d+, 4\)"), (np.ones(3), " must return")]
 )
 def test_wrong_slopes_of_own_objectives_are_refused_by_name(slopes, match):
     class Height(pi.objective.Objective):
@@ -202,7 +202,7 @@ def test_wrong_slopes_of_own_objectives_are_refused_by_name(slopes, match):
     model, events = pendulum("loose")
     run = pi.solve(model, 0.6, RADAU, events=events)
     assert len(run.events) == 1
-    with pytest.raises(pi.InputError, match=f"of Height:? {match}"):
+    with pytest.raises(pi.InputError, match=rf"Height: slopes\(run\)\(part\){match}"):
         pi.gradient(run, Height())
 
 

@@ -213,7 +213,7 @@ def test_slopes_of_a_wrong_shape_are_refused_by_name(term):
         def slopes(self, run):
             return lambda part: of.Slopes(q=np.ones(run.model.n))
 
-    with pytest.raises(pi.InputError, match=r"of Height: q has the shape .* it must be \("):
+    with pytest.raises(pi.InputError, match=r"Height: slopes\(run\)\(part\).q has the shape .* it must be \("):
         pi.gradient(pi.solve(scene(), 2e-3, pi.GeneralizedAlpha(1e-3)), term * Height())
 
 
