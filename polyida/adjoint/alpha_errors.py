@@ -40,6 +40,7 @@ from polyida.system import RATE, RESIDUAL
 WIDTHS = 3.0  # of the Gaussian, on each side; half a period of a mode with omega = 1 / width has pi
 LAGS = 25  # shifts of the part of the modes whose phase is lost, an odd number
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
+CANCELLED = 1e-3  # of the sum of the sizes of the steps' errors: below, terms of higher order may be larger than the sum
 TOGETHER = 128  # coordinates that are averaged at once
 BEYOND = 1e-3  # of a step: from its end, just before a contact opens, to where that is open
 AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J depend on an instant
@@ -314,8 +315,8 @@ class AlphaErrors(AlphaAdjoint):
         t = beside(state.t, 1) if at_kink(self.model, state.t) else state.t
         return OneFrame(self.run.model, *(np.asarray(x, float)[None] for x in (t, state.q, state.v, state.a, state.lam)))
 
-    def reasons(self, time):
-        """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted)."""
+    def reasons(self, time, steps):
+        """(share of modes whose phase is lost, reasons why an estimate of the error of time is not trusted), of the results of `of_time`."""
         share = float(np.abs(self.lost).max() / abs(time)) if time else 0.0
         result, begin = [], [first for first, _ in self.pieces]
         instant = self.of_forces and self.at_instants > AT_INSTANT * self.of_forces
@@ -324,6 +325,8 @@ class AlphaErrors(AlphaAdjoint):
             result.append(
                 f"vibrations whose phase is lost with steps of this size (omega^3 h^2 T > 12){start} change it by up to {100 * share:.0f} %"
             )
+        if not instant and abs(time) < CANCELLED * np.abs(steps).sum():  # at an instant of lam or a they cancel in any case
+            result.append(f"the errors of the steps cancel to less than {CANCELLED:g} of their sizes: terms of higher order may be larger")
         if instant and any(one.first not in begin for one in self.history.segments):
             result.append("the objective is of lam or a at an instant, and the step size changes")
         return share, tuple(result)

@@ -377,7 +377,7 @@ def _estimate(run, objective, memory_limit, progress):
     sweep = AlphaErrors(run, objective, memory_limit)
     together([sweep], progress)
     time, steps = sweep.of_time()
-    share, why = sweep.reasons(time)
+    share, why = sweep.reasons(time, steps)
     if sweep.far:
         near = AlphaErrors(run, objective, memory_limit, near_side=True)
         together([near], lambda t: None)

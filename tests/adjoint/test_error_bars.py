@@ -120,6 +120,20 @@ def test_errors_of_an_undamped_plate_with_lost_phases():
             assert not bars.trusted and "phase is lost" in repr(bars) and bars.corrected == bars.value + bars.newton + bars.mesh
 
 
+def test_errors_of_steps_that_cancel_are_not_trusted():
+    """A driven bar that comes to rest: q is exact, and the errors of the trapezoidal rule cancel but for terms of higher order."""
+    scene = pi.Scene()
+    bar = scene.add(pi.RigidBody.bar(0.7, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), profile.quintic(0.0, 1.0, duration=0.3)))
+    scene.add(pi.PointMass(bar.at("right"), 0.5, name="tip"))
+    model, place = scene.build(), P.Deviation("tip", (3.0, 0.0))
+    coarse, fine = (pi.solve(model, 0.6, pi.GeneralizedAlpha(h=h, tolerance=TIGHT)) for h in (4e-3, 5e-4))
+    bars = pi.error_of(coarse, place)
+    assert not 0.5 < bars.time / (place(coarse) - place(fine)) < 2.0
+    assert not bars.trusted and "cancel" in bars.reasons["time"][0]
+
+
 def test_vibrations_that_have_no_effect_in_the_phase_of_the_run():
     """A plate that falls from rest: the error of the mean of lam^2 is half of its estimate; vibrations seem to make a quarter of that."""
     scene, material = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=7e7, nu=0.3, rho=1100.0, viscosity=1.7e-3)
