@@ -345,8 +345,9 @@ def weighted_rows(s, slopes, factors, forces):
 
 @part
 def multiply(w, k, now, multipliers, bar, which, moving, anew):
-    """All products of w and the multipliers at the stages in the columns of `which`, but M w in those of `moving`; anew: True if the bodies' rotations
-    must be computed.
+    """Compute the products of w and the multipliers at the stages in the columns of `which`, M w only in those of `moving`.
+
+    anew: True if the bodies' rotations must be computed.
     """
     for i in range(w.r.shape[0]):
         x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
