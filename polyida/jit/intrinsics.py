@@ -7,6 +7,7 @@ same functions work on numpy arrays. Vectors of 2 COLUMNS float32 hold two rows 
 checked for bounds. Only the public numba.extending and llvmlite.ir are used.
 """
 
+import sys
 from inspect import signature
 
 from llvmlite import ir
@@ -364,6 +365,19 @@ def leave(typing_context, numbers, at, number):
         return context.get_dummy_value()
 
     return types.void(numbers, types.int64, types.int64), generate
+
+
+@intrinsic
+def yield_core(typing_context):
+    """Let the operating system run another thread on this core, if one waits for it."""
+    name = "SwitchToThread" if sys.platform == "win32" else "sched_yield"
+
+    def generate(context, builder, sig, args):
+        function = builder.module.globals.get(name) or ir.Function(builder.module, ir.FunctionType(INT32, []), name)
+        builder.call(function, [])
+        return context.get_dummy_value()
+
+    return types.void(), generate
 
 
 pointer, complex_pointer, integers = (pointer_to(kind) for kind in (types.float64, types.complex128, types.int64))

@@ -2,7 +2,8 @@
 
 Thread k has the fronts cuts[k]:cuts[k + 1] without those on the path from a cut to the root, `top`. Its contributions to `top` are stored in
 `late`, and thread 0 adds them in the order of the fronts: every sum has the order of a single thread, so the result is the same bit by bit
-for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait actively: a solve takes some thousandths of a second.
+for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait actively, because a solve takes less than a
+thousandth of a second; after SPINS looks they let others have the core, so that busy machines are not slowed down by threads that wait.
 """
 
 from contextlib import contextmanager
@@ -14,13 +15,14 @@ import numpy as np
 
 from polyida import jit
 from polyida.jit import bound, pack
-from polyida.jit.intrinsics import leave, seen
+from polyida.jit.intrinsics import leave, seen, yield_core
 from polyida.linear.fronts import ascend, descend, spread
 
 entry = partial(jit.entry, fastmath=jit.FAST)
 part = partial(jit.part, fastmath=jit.FAST)
 LINE = 8  # numbers of a cache line: each signal has its own
 CALLED, DONE, GONE = 0, LINE, -1
+SPINS = 10_000  # some 10 us
 
 
 @pack
@@ -64,14 +66,23 @@ def _cuts(s, count):
     return np.array(cuts), sorted(above)
 
 
+@part
+def after(signals, at, number):
+    """Wait until signals[at] is no longer `number`. Returns it."""
+    spins = 0
+    while seen(signals, at) == number:
+        spins += 1
+        if spins > SPINS:
+            yield_core()
+    return seen(signals, at)
+
+
 @entry
 def serve(s, panels, x, t, who):
     """The loop of thread `who`: it waits for calls, until GONE."""
     work, calls = np.empty(s.size, x.dtype), 0
     while True:
-        while seen(t.signals, 2 * LINE * who + CALLED) == calls:
-            pass
-        calls = seen(t.signals, 2 * LINE * who + CALLED)
+        calls = after(t.signals, 2 * LINE * who + CALLED, calls)
         if calls == GONE:
             return
         if calls % 2:
@@ -128,8 +139,7 @@ def call(t):
 def await_all(t, calls):
     """Wait until all threads have completed the call."""
     for who in range(1, t.late.shape[0]):
-        while seen(t.signals, 2 * LINE * who + DONE) != calls:
-            pass
+        after(t.signals, 2 * LINE * who + DONE, calls - 1)
 
 
 @part
