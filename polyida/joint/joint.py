@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from polyida import registry
+from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground, labelled, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
 from polyida.validation import pairs_of, settle
@@ -43,7 +44,8 @@ class Joint:
     Raises
     ------
     InputError
-        If a side is not an attachment or ground, or if both sides belong to one body or to the ground.
+        If a side is not an attachment or ground, if both sides belong to one body or to the ground, or if a class with fields is no
+        dataclass.
     """
 
     a: Any
@@ -56,6 +58,13 @@ class Joint:
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
         registry.parts[registry.name_of(cls)] = cls
+
+    def __new__(cls, *args, **kwargs):
+        for kind in cls.__mro__[: cls.__mro__.index(Joint)]:
+            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
+            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
+                raise InputError(f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__")
+        return super().__new__(cls)
 
     def __post_init__(self):
         require_sides(labelled(type(self).__name__, self.name), self.a, self.b)

@@ -256,3 +256,18 @@ def test_a_mistake_in_rows_is_told_in_words(kind):
     with pytest.raises(pi.InputError, match=rf"^rail: rows\(\) of Mistaken.*{words}") as caught:
         scene.build()
     assert not any(word in str(caught.value) for word in ("Row(", "Vector(", "Piece(", "Product("))
+
+
+class WithInit(pi.Joint):
+    def __init__(self, a, b, length):
+        self.length = length
+
+
+class WithoutDecorator(pi.Joint):
+    length: float = 1.0
+
+
+@pytest.mark.parametrize("kind", [WithInit, WithoutDecorator])
+def test_a_joint_with_fields_that_is_no_dataclass_is_refused(kind):
+    with pytest.raises(pi.InputError, match=rf"^{kind.__name__}: its fields need @dataclass"):
+        kind(pi.ground, pi.RigidBody(1.0, 1.0, {"rim": (0.5, 0.0)}).at("rim"), 2.0)
