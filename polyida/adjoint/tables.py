@@ -12,6 +12,7 @@ from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense as compiled_lu
+from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
 from polyida.system import ADJOINT, ENTRIES
@@ -160,24 +161,28 @@ def evaluate(w, k, i):
     """K, C, M, T, B and H of stage i of step k. Returns a status."""
     d = w.model
     d.t[small.INNER] = d.t[small.END] = w.t[k, i]
-    d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k, i], w.v[k, i], w.a[k, i], w.lam[k, i], 0.0, DONE
+    put(1.0, w.q[k, i], d.q)
+    put(1.0, w.v[k, i], d.v)
+    put(1.0, w.a[k, i], d.a)
+    put(1.0, w.lam[k, i], d.lam)
+    d.c[:], d.flags[small.ENDED] = 0.0, DONE
     if d.functions[small.TANGENT]:
         small.evaluate(d, small.TANGENT, small.INNER, d.S)
     else:
         small.add_slopes(d)
-    w.K[i] = d.S
+    copy_matrix(d.S, w.K[i])
     if d.flags[small.VELOCITY]:
         d.S[:] = 0.0
         small.add_slope(d, small.FORCE_V, small.FORCE, d.v, 1.0)
-        w.C[i] = d.S
+        copy_matrix(d.S, w.C[i])
     if d.flags[small.MASS_VARIES]:
         small.evaluate(d, small.MASS, small.INNER, d.M)
-    w.M[i] = d.M
+    copy_matrix(d.M, w.M[i])
     if w.mu.shape[2] and d.flags[small.ROWS_VARY]:
         bend(w, d, w.mu[k, i], w.H[i], w.T[i])
     if d.lam.shape[0] and d.flags[small.ROWS_VARY]:
         small.evaluate(d, small.PHI_Q, small.INNER, d.B)
-    w.B[i] = d.B
+    copy_matrix(d.B, w.B[i])
     return d.flags[small.ENDED]
 
 

@@ -99,6 +99,8 @@ def add_to(thing, bar):
 class TapedModel:
     """A model whose functions take vectors on a tape."""
 
+    is_scene = False  # it gives no dense phi_q
+
     def __init__(self, model, tape):
         self.model, self.tape, self.entries = model, tape, []
         self.n, self.m, self.needs, self.kinks, self.velocity_rows = model.n, model.m, model.needs, model.kinks, model.velocity_rows

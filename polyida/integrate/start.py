@@ -369,7 +369,7 @@ def _velocity_deviation(settings, model, state, h, third):
         return 0.0, np.zeros(model.m)
     c = settings.coefficients
     offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
-    border = model.phi_q(state.t, state.q) @ offset
+    border = rows_at(model, state.t, state.q) @ offset
     if model.velocity_rows.size:
         border = border * ~np.isin(np.arange(model.m), model.velocity_rows)  # v satisfies these rows at every step
     return model.mass_system(state.t, state.q).solve(np.zeros(model.n), -border)[0], border

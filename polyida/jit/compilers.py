@@ -20,6 +20,8 @@ from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numba.core.types.functions import BaseFunction
+from numba.extending import overload
+from numba.np import arrayobj
 
 from polyida.jit import cache as kernel_cache
 
@@ -257,7 +259,25 @@ def _sizeof(context, kind):
     return _get_abi_sizeof(context, kind)
 
 
-METHODS = (BaseFunction, "get_call_type"), (BaseContext, "get_function"), (BaseContext, "get_abi_sizeof")
+def _require_shape(src_shapes, index_shape):
+    """Raise ValueError for an assignment of arrays of different shapes, without a message with both: it takes a second to compile."""
+    raise ValueError
+
+
+@overload(_require_shape)
+def _compiled_require_shape(src_shapes, index_shape):
+    def require_shape(src_shapes, index_shape):
+        raise ValueError("cannot assign slice from input of different size")
+
+    return require_shape
+
+
+METHODS = (
+    (BaseFunction, "get_call_type"),
+    (BaseContext, "get_function"),
+    (BaseContext, "get_abi_sizeof"),
+    (arrayobj, "raise_with_shape_context"),
+)
 PLAIN = {(owner, name): getattr(owner, name) for owner, name in METHODS}
-_get_call_type, _get_function, _get_abi_sizeof = PLAIN.values()
-FASTER = dict(zip(METHODS, (_call_type, _function, _sizeof)))
+_get_call_type, _get_function, _get_abi_sizeof, _ = PLAIN.values()
+FASTER = dict(zip(METHODS, (_call_type, _function, _sizeof, _require_shape)))

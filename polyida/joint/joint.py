@@ -63,7 +63,9 @@ class Joint:
         for kind in cls.__mro__[: cls.__mro__.index(Joint)]:
             own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
             if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
-                raise InputError(f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__")
+                raise InputError(
+                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
+                )
         return super().__new__(cls)
 
     def __post_init__(self):

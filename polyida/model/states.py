@@ -15,7 +15,7 @@ from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.jit import part, shared
 from polyida.jit.intrinsics import address, call
 from polyida.jit.user_functions import CALLBACK
-from polyida.linear.dense import factor, solve
+from polyida.linear.dense import factor, put, solve
 from polyida.model import Model
 from polyida.validation import floats, is_whole, takes
 
@@ -104,7 +104,8 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
                     free[i] += left[i] * sizes[i]
                 evaluate(function, data, t, x, v, s, outputs, rates)
                 return FOUND
-            change[:], ratio = left, size / before
+            put(1.0, left, change)
+            ratio = size / before
         for i in range(count):
             left[i] = rates[first + i]
     return LOST

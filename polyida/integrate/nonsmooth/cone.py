@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.jit import entry, pack, part
-from polyida.linear.dense import solve_small
+from polyida.linear.dense import put, solve_small
 
 CONTACT, FRICTION = 0, 1
 OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rate > 0
@@ -149,7 +149,7 @@ def solve_cone(G, b, x, p, status):
                 matrix[i, j] = G[i, j]
             matrix[i, i] *= 1.0 + REGULAR
         if solve_small(matrix, right):
-            p[:] = right
+            put(1.0, right, p)
             total += count
             error, count = newton(G, b, x, p, status, matrix, right, slope)
     for _ in range(ROUNDS):
