@@ -171,7 +171,7 @@ def forces_middle(c, h, u0, u1, um, vm, a, r, rotation):
 @part
 def pairs_at(c, number):
     """The array (pairs, 2) at an address."""
-    return carray(pointer(number), (c.pair[-1], 2))
+    return carray(pointer(number), (c.pair[c.pair.shape[0] - 1], 2))
 
 
 @entry
@@ -285,7 +285,7 @@ def blocks(c, u, v, c_m, c_v, c_q, out):
 def elastic_blocks(c, b, displacements, velocities, factor_v, factor_q, blocks, g):
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
     u, v, c_v, c_q = pairs_at(c, displacements), pairs_at(c, velocities), float_of(factor_v), float_of(factor_q)
-    out, (first, count, size) = carray(pointer(blocks), (c.block[-1], 2, 2)), vectors(c, b)
+    out, (first, count, size) = carray(pointer(blocks), (c.block[c.block.shape[0] - 1], 2, 2)), vectors(c, b)
     s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)

@@ -59,7 +59,7 @@ def take_strain(scene, b, u, strain):
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if b >= o:
-        strain[-1] = 0.0
+        strain[strain.shape[0] - 1] = 0.0
         compact.strained(scene.compact, b - o, u, strain[: compact.vectors(scene.compact, b - o)[2]])
     else:
         layout, corners, gradients, _ = cells(s, s.body_operator[b])
@@ -69,7 +69,7 @@ def take_strain(scene, b, u, strain):
 @part
 def rows_of(x, at):
     """(q, v, a, a_alg, change of a) at an address, (5, coordinates)."""
-    return carray(pointer(at), (5, 2 * x.first + x.start[-1]))
+    return carray(pointer(at), (5, 2 * x.first + x.start[x.start.shape[0] - 1]))
 
 
 @entry

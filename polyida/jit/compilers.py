@@ -13,17 +13,38 @@ from importlib import import_module
 from typing import NamedTuple
 
 import numba
+from numba import types
 from numba.core import typed_passes, untyped_passes
 from numba.core.base import BaseContext
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
-from numba.core.compiler_machinery import PassManager
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.lowering import Lower
 from numba.core.registry import CPUDispatcher
 from numba.core.types.functions import BaseFunction
 from numba.extending import overload
 from numba.np import arrayobj
 
 from polyida.jit import cache as kernel_cache
+from polyida.jit.pack import form_of
+
+
+class KernelLower(Lower):
+    """Lowers kernels: their indices of arrays are not negative, and code that would count negative ones from the end is a fifth of a step."""
+
+    def setup_function(self, fndesc):
+        """Mark the builder of the function."""
+        super().setup_function(fndesc)
+        self.builder.counts_from_zero = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class KernelLowering(typed_passes.NativeLowering):
+    """numba's pass, with KernelLower."""
+
+    _name = "kernel_lowering"
+    lowering_class = KernelLower
+
 
 PASSES = (
     untyped_passes.TranslateByteCode,
@@ -38,7 +59,7 @@ PASSES = (
     typed_passes.PreLowerStripPhis,
     typed_passes.IRLegalization,
     typed_passes.AnnotateTypes,
-    typed_passes.NativeLowering,
+    KernelLowering,
     typed_passes.NoPythonBackend,
 )
 _in_use: list = []  # objects that the address of a C function needs
@@ -49,7 +70,17 @@ class Entry(CPUDispatcher):
 
     def __init__(self, function, part, compiler, options):
         super().__init__(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}, pipeline_class=compiler)
-        self.part = part
+        self.part, self.known = part, {}
+
+    def __call__(self, *args):
+        """Call the code for these arguments. numba looks through all arrays of a pack to find it, which takes as long as a small kernel."""
+        forms = tuple(map(form_of, args))
+        found = self.known.get(forms)
+        if found is None:
+            if None in forms:
+                return super().__call__(*args)
+            found = self.known[forms] = self.compile(tuple(map(numba.typeof, args)))
+        return found(*args)
 
     @property
     def _numba_type_(self):
@@ -272,12 +303,20 @@ def _compiled_require_shape(src_shapes, index_shape):
     return require_shape
 
 
+def _index(context, builder, kind, index, size):
+    """An index of an array in machine code, from the end if it is negative; of kernels without this."""
+    if kind.signed and getattr(builder, "counts_from_zero", False):
+        return context.cast(builder, index, kind, types.intp)
+    return _get_index(context, builder, kind, index, size)
+
+
 METHODS = (
     (BaseFunction, "get_call_type"),
     (BaseContext, "get_function"),
     (BaseContext, "get_abi_sizeof"),
+    (arrayobj, "fix_integer_index"),
     (arrayobj, "raise_with_shape_context"),
 )
 PLAIN = {(owner, name): getattr(owner, name) for owner, name in METHODS}
-_get_call_type, _get_function, _get_abi_sizeof, _ = PLAIN.values()
-FASTER = dict(zip(METHODS, (_call_type, _function, _sizeof, _require_shape)))
+_get_call_type, _get_function, _get_abi_sizeof, _get_index, _ = PLAIN.values()
+FASTER = dict(zip(METHODS, (_call_type, _function, _sizeof, _index, _require_shape)))

@@ -17,6 +17,7 @@ from struct import unpack
 import numpy as np
 from numba import types
 from numba.extending import NativeValue, lower_getattr_generic, models, register_model, typeof_impl, unbox
+from numpy import ndarray
 
 WORD = 8  # bytes
 
@@ -41,6 +42,8 @@ class _Packed:
 
 def _words(value):
     """The words of a field in the block."""
+    if isinstance(value, float):
+        return unpack("q", struct("d", value))
     if isinstance(value, np.ndarray):
         try:
             at = addressof(c_char.from_buffer(value))  # in a fifth of the time of the other way
@@ -91,6 +94,19 @@ def _type_of(value, context):
 
 _kinds: dict[tuple, PackType] = {}  # by forms: numba itself takes many times as long to find the types of arrays
 _numbers = count()
+
+
+PLAIN = frozenset((float, int, bool, type(None), np.float64, np.int64, np.bool_))
+
+
+def form_of(value):
+    """All that determines the type of an argument of compiled code, or None if it is unknown."""
+    kind = type(value)
+    if kind is ndarray:
+        return value.dtype.num, value.ndim, value.flags.num
+    if kind in PLAIN:
+        return kind
+    return _type_of(value, None).number if isinstance(value, _Packed) else None
 
 
 def _form(field, context):
