@@ -537,7 +537,10 @@ class SceneStepMatrix(StepMatrix):
             right, below = np.array(r[:, *k], dtype).reshape(-1, 2), np.array(phi[:, *k], dtype)
             one, forces = np.empty(right.shape, dtype), np.empty(len(phi), dtype)
             right = eliminate(*strains, right) if model.strains else right
-            if not solve(model.arrays.links, factored, workspace, *at, right, below, self.c_m, one, forces):
+            workspace.keeps[0] = any(k)  # all columns have the same border
+            regular = solve(model.arrays.links, factored, workspace, *at, right, below, self.c_m, one, forces)
+            workspace.keeps[0] = 0
+            if not regular:
                 raise SingularSystem("the constraints' system is singular")
             if model.strains:
                 recover(*strains, one)

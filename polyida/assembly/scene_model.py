@@ -340,6 +340,10 @@ class SceneModel(SceneBodies):
     def force(self, t, q, v):
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
+    def force_change(self, t, q, before, after):
+        """`force(t, q, after) - force(t, q, before)` of two velocities, without the forces that do not depend on them."""
+        return self._with_forces(t, q, after, np.zeros(self.n)) - self._with_forces(t, q, before, np.zeros(self.n))
+
     def initial_velocity(self, t, q):
         """The velocities that the user gave to the bodies, as far as the joints permit, and the start of states, (n,)."""
         v = velocity_at(self, t, q)

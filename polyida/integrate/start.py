@@ -314,20 +314,21 @@ def _behind_samples(settings, model, state, v, h, system):
 
     system: a factored step matrix for h, or None.
     """
-    jump = model.force(state.t, state.q, v) - model.force(state.t, state.q, state.v)
+    t, q = state.t, state.q
+    jump = model.force_change(t, q, state.v, v)
     if not model.without_states(jump).any():
         change = np.zeros(model.n)
-        change[model.state_columns] = -jump[model.state_columns] / model.mass(state.q).diagonal()[model.state_columns]
+        change[model.state_columns] = -jump[model.state_columns] / model.mass(q).diagonal()[model.state_columns]
         return _with(state, v=v, a=state.a + change, a_alg=state.memory["a_alg"] + change)
-    change, impulse = model.mass_system(state.t, state.q).solve(jump, np.zeros(model.m))
+    inertia = model.mass_system(t, q)
+    change, impulse = inertia.solve(jump, np.zeros(model.m))
     behind = _with(state, v=v, a=state.a + change, lam=state.lam + impulse)
-    s, near = h / 20, []  # the jump of q''' by a difference: that of the motion itself cancels
-    for side in (behind, state):
-        q = state.q + s * state.v + s * s / 2 * side.a
-        near.append(consistent_acceleration(model, state.t + s, q, side.v + s * side.a)[0])
-    third = (near[0] - near[1] - change) / s
+    s = h / 20  # the jump of q''' by a difference at one place, on the way of the motion before: what is the same on both sides cancels
+    t, q, speeds = t + s, q + s * state.v + s * s / 2 * state.a, [side.v + s * side.a for side in (state, behind)]
+    bias = model.phi_bias(t, q, speeds[1]) - model.phi_bias(t, q, speeds[0]) if model.m else np.zeros(0)
+    third = (model.mass_system(t, q).solve(model.force_change(t, q, *speeds), bias)[0] - change) / s
     ahead, third = _resolved(settings, model, behind, h, change, third, system)
-    deviation, more = _velocity_deviation(settings, model, state, h, third)
+    deviation, more = _velocity_deviation(settings, model, state, h, third, inertia)
     phi, rate = start_values(model, state)
     return _with(behind, v=v + deviation, a_alg=state.memory["a_alg"] + ahead, phi=phi, rate=rate + more)
 
@@ -349,22 +350,27 @@ def _rescaled(settings, model, state, h, right):
 def _resolved(settings, model, state, h, a, third, system=None):
     """(q'' at t + (alpha_m - alpha_f) h, q''') that a step resolves, of q'' = a and q''' = third, or of their jumps.
 
-    system: a factored step matrix `c_m M + c_v C + K` of the method, which F may be computed from.
+    system: a factored step matrix `c_m M + c_v C + K` of the method, which F may be computed from; q''' is then resolved in q'' alone, as F does
+    not change phi_q q'''.
     """
     if system is None:  # a and q''' may be taped
         resolve = resolution(model, settings, state, h)
         near, third = resolve(a), resolve(resolve(third))
-        again = resolve(near)
-    else:  # with beta (1 - alpha_f)/(1 - alpha_m) in place of beta; of both vectors at once
-        c_m, mass, border = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
-        resolve = lambda x: system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -(border @ x))[0]  # noqa: E731
-        once = resolve(np.stack([a, third], axis=1))
-        near, (again, third) = once[:, 0], resolve(once).T
-    return 2 * near - again + settings.coefficients.offset * h * third, third
+        return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
+    # with beta (1 - alpha_f)/(1 - alpha_m) in place of beta; of both vectors at once
+    c_m, mass, border = settings.coefficients.rates(h)[0], model.mass(state.q), model.phi_q(state.t, state.q)
+    resolve = lambda x, rows: system.saddle(state.t, state.q, state.lam, -c_m * (mass @ x), -rows)[0]  # noqa: E731
+    both, weights = np.stack([a, third], axis=1), (-1.0, settings.coefficients.offset * h)
+    rows = border @ both
+    near = resolve(both, rows)
+    return 2 * near[:, 0] + resolve(near @ weights, rows @ weights), third
 
 
-def _velocity_deviation(settings, model, state, h, third):
-    """The deviation of v from the velocity constraint for q''' = third, and phi_q times it."""
+def _velocity_deviation(settings, model, state, h, third, inertia=None):
+    """The deviation of v from the velocity constraint for q''' = third, and phi_q times it.
+
+    inertia: the model's mass_system at the state, if it is known.
+    """
     if not model.m or settings.form != "index3":
         return 0.0, np.zeros(model.m)
     c = settings.coefficients
@@ -372,7 +378,7 @@ def _velocity_deviation(settings, model, state, h, third):
     border = rows_at(model, state.t, state.q) @ offset
     if model.velocity_rows.size:
         border = border * ~np.isin(np.arange(model.m), model.velocity_rows)  # v satisfies these rows at every step
-    return model.mass_system(state.t, state.q).solve(np.zeros(model.n), -border)[0], border
+    return (inertia or model.mass_system(state.t, state.q)).solve(np.zeros(model.n), -border)[0], border
 
 
 def _with(state, v=None, a=None, lam=None, **memory):

@@ -40,7 +40,8 @@ class Steps:
         self.stabilised = settings.form == "stabilised" and model.m > 0
         self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments, True)
         self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
-        self.system = self.spare = self.resize = self.recorder = self.factored_for = None
+        self.system = self.spare = self.resize = self.recorder = self.factored_for = self.method = None
+        self.weighed = False
         self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
 
     def begin(self, state, h, same_factor=False):
@@ -52,17 +53,20 @@ class Steps:
         self._limit_stretch(state.memory)
         self.pause = state.memory.get("pause", self.pause)
         s, c, y, model, control = self.settings, self.settings.coefficients, self.memory, self.model, self.control
-        to_a, to_v = c.rates(h)
-        least, most, share = s.newton_tolerance(to_a * h * h)
-        numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
-        held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
-        incremental = s.incremental_phi and model.has_constraint_increments
-        self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows, self.unknowns)
+        if not (same_factor and self.method and self.method.h == h):
+            to_a, to_v = c.rates(h)
+            least, most, share = s.newton_tolerance(to_a * h * h)
+            numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
+            held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
+            incremental = s.incremental_phi and model.has_constraint_increments
+            self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows, self.unknowns)
+            self.numbers = _numbers(self.method)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         if control and control.before and not at_kink(model, state.t):  # for the error of the first step
             y.past[step.CHANGE] = state.memory.get("change", 0.0)
         y.rows[step.LAM], (y.rows[step.PHI], y.rows[step.RATE]) = state.lam, start_values(model, state)
-        self._weigh(weights(model, state.q))
+        if model.needs.mass_varies or not self.weighed:
+            self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
         self.resize, self.ended, self.last, self.first, self.count, self.waiting = None, None, None, 0, 0, []
         if not same_factor:
@@ -75,7 +79,7 @@ class Steps:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 
     def _weigh(self, masses):
-        past = self.memory.past
+        past, self.weighed = self.memory.past, True
         past[step.MASSES], past[step.SHARES], past[step.PLACES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses, masses
         if self.unknowns < self.model.n:
             past[step.SHARES] /= past[step.SHARES, : self.unknowns].sum()
@@ -98,9 +102,11 @@ class Steps:
     def recall(self, memory):
         """Take up Newton's memory, so that a resumed run is the same to the last bit."""
         self.memory.past[step.CHANGE], self.memory.past[step.EARLIER] = memory["change"], memory["earlier"]
-        self._weigh(memory.get("weights", self.memory.past[step.MASSES].copy()))
+        if "weights" in memory:
+            self._weigh(memory["weights"])
         self.memory.marks[:] = memory["marks"]
-        self.method = self.method._replace(extent=float(memory["extent"]))
+        if self.method.extent != memory["extent"]:
+            self.method = self.method._replace(extent=float(memory["extent"]))
 
     def run(self, grid):
         """Yield stretches of the states at the ends of the grid's steps, as long as h is to stay. Raises StepFailure."""
@@ -175,7 +181,7 @@ class Steps:
 
     def _steps(self, method, first, end, frames):
         """Take the steps from `first` to before `end` with the present factor: (steps, how it ended, last |dq|)."""
-        counts, c, frames = np.zeros(3, np.int64), _numbers(method), [frame[first:end] for frame in frames]
+        counts, c, frames = np.zeros(3, np.int64), self.numbers, [frame[first:end] for frame in frames]
         with self.table.at_work(self.system) as (functions, workspace):
             result = step.stretch(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, *frames)
         self.counts.add(*counts)
