@@ -135,7 +135,8 @@ class Prismatic(Joint):
     a, b : Attachment or Ground
         With directions; `ground.at(point, direction)` is a guide. b is anywhere on the line at rest.
     friction : float
-        Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it. The moment adds none.
+        Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it. The moment adds none: a guide
+        of length L, which a load along the line jams at distances above L/(2 mu) from it, is a `Slot` with friction at each end.
     name : str, optional
 
     Raises

@@ -64,6 +64,45 @@ def test_a_block_slides_to_rest(integrator):
     assert np.abs(run.v[-1]).max() < 1e-12
 
 
+EAST = pi.ground.at((0.0, 0.0), direction=(1.0, 0.0))
+JAMMING = pytest.mark.parametrize(
+    "integrator",
+    [pi.NonsmoothAlpha(h=2e-3), pi.MoreauJean(h=2e-3), RADAU, pi.GeneralizedAlpha(h=2e-3), IDA],
+    ids=lambda x: type(x).__name__,
+)
+
+
+@JAMMING
+def test_a_guide_of_two_slots_jams_beyond_a_critical_offset(integrator):
+    """A load F along the guide, at the distance e from it, presses its ends L apart with F e/L each: they hold any F where 2 mu e >= L."""
+    length, mu, mass, time = 0.4, 0.3, 2.0, 0.5
+    for offset, load, speed in ((0.99, 1.0, 0.0), (0.99, 1e4, 0.0), (1.01, 1.0, 0.0), (1.01, 1e4, 0.0), (1.01, 1.0, 1.0)):
+        scene = pi.Scene()
+        points = {"left": (-length / 2, 0.0), "right": (length / 2, 0.0), "load": (0.0, offset * length / (2 * mu))}
+        carriage = scene.add(pi.RigidBody(mass=mass, inertia=0.05, points=points, velocity=(speed, 0.0), name="carriage"))
+        for end in ("left", "right"):
+            scene.add(pi.Slot(EAST, carriage.at(end), friction=mu, name=end))
+        scene.add(pi.PointLoad(carriage.at("load"), (load, 0.0)))
+        run = pi.solve(scene.build(), time, integrator)
+        acceleration = load * (1.0 - offset) / mass
+        expected = speed * time + 0.5 * acceleration * time**2 if speed or offset < 1.0 else 0.0
+        assert run.success and abs(run.q[-1, 0] - expected) < 1e-12 * max(1.0, load), (offset, load, run.message)
+
+
+@JAMMING
+def test_a_prismatic_joint_jams_beyond_the_angle_of_friction(integrator):
+    """A force at the angle a to the guide moves its body where tan a < 1/mu; beyond, the body stays, however large the force is."""
+    mu, mass, time = 0.3, 2.0, 0.5
+    for share, load in ((0.98, 1.0), (0.98, 1e4), (1.02, 1.0), (1.02, 1e4)):
+        angle, scene = np.arctan(share / mu), pi.Scene()
+        slider = scene.add(pi.RigidBody(mass=mass, inertia=0.05, points={"c": (0.0, 0.0)}, name="slider"))
+        scene.add(pi.Prismatic(EAST, slider.at("c"), friction=mu, name="guide"))
+        scene.add(pi.PointLoad(slider.at("c"), (load * np.cos(angle), -load * np.sin(angle))))
+        run = pi.solve(scene.build(), time, integrator)
+        expected = max(0.0, load * (np.cos(angle) - mu * np.sin(angle)) / mass) * 0.5 * time**2
+        assert run.success and abs(run.q[-1, 0] - expected) < 1e-12 * load, (share, load, run.message)
+
+
 @pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=5e-3), pi.MoreauJean(h=5e-3)], ids=lambda x: type(x).__name__)
 def test_no_creep_on_an_incline(integrator):
     a = 0.3
