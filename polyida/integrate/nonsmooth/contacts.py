@@ -50,7 +50,7 @@ class Contacts:
         self.restitution = np.array([law.restitution or 0.0 for law in laws])
         self.mu, self.constant = (np.array([getattr(law, key) for law in laws], float) for key in ("mu", "constant"))
         self._slopes, self._columns, self._groups = {}, {}, {}
-        self._rates, self._active, self._mobility = (None, None, None, None), (None, None), (None, None)
+        self._rates, self._active, self._mobility, self._still = (None, None, None, None), (None, None), (None, None), (None, None)
         self.turning = model.needs.phi_q_varies or model.needs.driven
         self.speed = max(float(np.sqrt(model.free_fall * (model.extent or 1.0))), 1e-6)
         masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
@@ -304,8 +304,10 @@ class Contacts:
         return np.where(self.contact | (np.abs(rate) <= still), 0.0, np.sign(rate))
 
     def still(self, v):
-        """Rate below which a row of friction sticks."""
-        return 1e-10 * max(float(np.abs(v).max(initial=0.0)), self.speed)
+        """Rate below which a row of friction sticks; that of the last v is kept."""
+        if self._still[0] is not v:
+            self._still = v, 1e-10 * max(float(np.abs(v).max(initial=0.0)), self.speed)
+        return self._still[1]
 
     def _pushes(self, t, rows, G, b, pressed):
         """p of contacts with `G p + b = 0` if pressed, of least norm, else `0 <= p`, `G p + b >= 0`, their product 0."""

@@ -176,25 +176,27 @@ class Columns:
 
     def forget(self):
         """Make all columns again."""
-        self.known, self.together, self.least, self.wasted = {}, (b"",), np.inf, 0
+        self.known, self.together, self.product, self.least, self.wasted = {}, (b"",), (None, None), np.inf, 0
 
     def of(self, active, B, system, *at):
-        """(X (n, k), Y (equations, k)) of the active rows with the slopes B, and the number of new ones. at: t, q, lam of the equations."""
+        """(X (n, k), Y (equations, k), G = B X) of the active rows with the slopes B, and the number of new ones. at: t, q, lam of the equations."""
         key, count, solve = active.tobytes(), 0, lambda r, phi: system.saddle(*at, r, phi)
         if not len(B):
-            return *self.contacts.columns(solve, B), 0
+            return *self.contacts.columns(solve, B), np.zeros((0, 0)), 0
         if self.together[0] != key:
             rows = np.flatnonzero(active).tolist()
             new = [k for k, row in enumerate(rows) if row not in self.known]
             if count := len(new):
                 made = self.contacts.columns(solve, B[new])
                 self.known |= {rows[k]: (B[k], x, y) for k, x, y in zip(new, *map(np.transpose, made))}
-            self.together = key, *map(np.array, zip(*(self.known[row] for row in rows)))
+            self.together, self.product = (key, *map(np.array, zip(*(self.known[row] for row in rows)))), (None, None)
         _, before, X, Y = self.together
         if self.contacts.turning and np.abs(B - before).max() > TURNED * np.abs(B).max():
             self.forget()
             return self.of(active, B, system, *at)
-        return X.T, Y.T, count
+        if self.product[0] is not B:
+            self.product = B, B @ X.T
+        return X.T, Y.T, self.product[1], count
 
     def served(self, iterations, k):
         """Count the iterations of a step with k columns."""
@@ -253,7 +255,7 @@ class _Steps:
                 dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
                 if count > 2 and fall > SLOW:
                     self.columns.forget()
-                X, Y, new = self.columns.of(active, B, self.system, t, q, lam)
+                X, Y, G, new = self.columns.of(active, B, self.system, t, q, lam)
                 self.counts.solves += new
             except SingularSystem as error:
                 raise StepFailure("singular", str(error), t) from None
@@ -262,7 +264,7 @@ class _Steps:
             if len(B):
                 now = (rate[contacts.rows] + back / to_v)[active] + B @ dq
                 free, slip = contacts.mobility(B) / c_m, contacts.slip(to_v * rate[contacts.rows], still)
-                p, _ = contacts.solve(t, active, B @ X, now - B @ (X @ old), old, lam + dlam - Y @ old, Y, free, slip, scale)
+                p, _ = contacts.solve(t, active, G, now - G @ old, old, lam + dlam - Y @ old, Y, free, slip, scale)
                 dq, dlam = dq + X @ (p[active] - old), dlam + Y @ (p[active] - old)
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
             moved, count = norm(dq), count + 1
