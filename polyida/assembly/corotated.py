@@ -460,14 +460,14 @@ def apply_point_forces(s, c, w, dq):
 @part
 def add_columns(columns, at, count, p, q, fresh, out):
     """out = or, unless `fresh`, += p times the column of `count` nodes that begins at `at`, + q times the next one."""
-    along, across = columns[at : at + count], columns[at + count : at + 2 * count]
+    flat, wide = columns.reshape(-1), 2 * count  # loops over pairs take three times as long
+    along, across = flat[2 * at : 2 * at + wide], flat[2 * at + wide : 2 * at + 2 * wide]
     if fresh:
-        for i in range(count):
-            out[2 * i], out[2 * i + 1] = along[i, 0] * p + across[i, 0] * q, along[i, 1] * p + across[i, 1] * q
+        for i in range(wide):
+            out[i] = along[i] * p + across[i] * q
     else:
-        for i in range(count):
-            out[2 * i] += along[i, 0] * p + across[i, 0] * q
-            out[2 * i + 1] += along[i, 1] * p + across[i, 1] * q
+        for i in range(wide):
+            out[i] += along[i] * p + across[i] * q
 
 
 class SceneStepMatrix(StepMatrix):
