@@ -95,14 +95,14 @@ class Watch:
 
     def _require_no_passage(self, previous, rows, size):
         state, t = self.state, self.state.t
-        end, since = (t, rows, size), t - self.t
-        if _reversed(known := (self.t, self.rows, self.least), end):
+        known, end, since, products = (self.t, self.rows, self.least), (t, rows, size), t - self.t, between(self.rows, rows)
+        if _reversed(known, end, products):
             begin = (previous.t, *self._examined(previous))
             self._require_no_passage_within(None, None, known, begin, 0)
             self._require_no_passage_within(previous, state, begin, end, BISECTIONS)
         if self.proof:
             return
-        speed, ahead = path_length(between(self.rows, rows)) / since if since else 0.0, AHEAD * self.h
+        speed, ahead = path_length(products) / since if since else 0.0, AHEAD * self.h
         if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
             q = state.q + ahead * state.v
             speed = max(speed, path_length(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
@@ -110,9 +110,9 @@ class Watch:
 
     def _require_no_passage_within(self, before, after, begin, end, depth):
         """Bisect a step between two States. begin, end: (t, rows, least) at the ends of a part of it."""
-        if not _reversed(begin, end):
-            return
         (t0, rows, size), (t1, later, other) = begin, end
+        if not _reversed(begin, end, between(rows, later)):
+            return
         if depth == 0:
             raise self._failure(later if other < size else rows, t0 + (t1 - t0) * size / (size + other))
         state = state_between(before, after, 0.5 * (t0 + t1))
@@ -136,8 +136,7 @@ class Watch:
         return SingularPosition("singular", reason, t)
 
 
-def _reversed(begin, end):
-    """True if the rows of two (t, rows, least) may have lost rank between them."""
+def _reversed(begin, end, products):
+    """True if the rows of two (t, rows, least), of which these are the products, may have lost rank between them."""
     (_, rows, size), (_, later, other) = begin, end
-    products = between(rows, later)
     return size + other <= path_length(products) and cosine(rows, later, products) < REVERSED

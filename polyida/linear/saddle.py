@@ -9,6 +9,7 @@ rows of B, exactly where K is. It is congruent to itself with `K + g B^T B` in p
 and those of `-B (K + g B^T B)^-1 B^T` (Haynsworth 1968); those of a symmetric factor L D L^T are the negative entries of D (Sylvester).
 """
 
+import math
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -144,16 +145,16 @@ def rows_of(phi_q, sizes):
     else:
         phi_q = dense(phi_q) * sizes
     gram = dense(phi_q @ phi_q.T)
-    lengths = np.sqrt(np.diag(gram))
+    lengths = np.sqrt(gram.diagonal())
     divisor = np.where(lengths > 0, lengths, 1.0)
-    return Rows(phi_q, lengths, gram / np.outer(divisor, divisor))
+    return Rows(phi_q, lengths, gram / (divisor[:, None] * divisor))
 
 
 def least(rows):
     """The smallest singular value of the unit rows, 0 to 1; nan if they are not finite."""
     if not np.isfinite(rows.gram).all():
         return float("nan")
-    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(rows.gram)[0])))
+    return math.sqrt(max(0.0, float(np.linalg.eigvalsh(rows.gram)[0])))
 
 
 def involved(model, rows):
@@ -168,12 +169,12 @@ def involved(model, rows):
 
 def between(before, after):
     """The products of the unit rows of two Rows, (m, m)."""
-    return dense(before.phi_q @ after.phi_q.T) / np.outer(before.lengths, after.lengths)
+    return dense(before.phi_q @ after.phi_q.T) / (before.lengths[:, None] * after.lengths)
 
 
 def path_length(products):
     """Frobenius norm of the change of the unit rows, from their products."""
-    return float(np.sqrt(max(0.0, 2.0 * (len(products) - np.trace(products)))))
+    return math.sqrt(max(0.0, 2.0 * (len(products) - float(products.trace()))))
 
 
 def cosine(before, after, products):

@@ -155,7 +155,7 @@ def _change(calls):
 
 def _largest(array):
     """The largest absolute entry, of a sparse matrix too, which stays sparse."""
-    return abs(array).max() if np.prod(array.shape) else 0.0
+    return abs(array).max() if 0 not in array.shape else 0.0
 
 
 def _require_derivatives(model, times, q, v, random):

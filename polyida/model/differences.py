@@ -1,6 +1,7 @@
 """Numerical derivatives, the defaults of a model's functions and the check of exact ones; interpolation and times beside kinks."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -52,17 +53,21 @@ def within(function, bounds, step, order=1):
     numbers, or arrays of one shape, which `function` then takes and returns.
     """
     low, high = bounds
-    least, most = (np.minimum, np.maximum) if np.ndim(low) else (min, max)
+    least, most, weights_at = (np.minimum, np.maximum, _weights) if np.ndim(low) else (min, max, _weights_again)
     step = least(step, (high - low) / (SPACES + 2))
     first = least(most(-SPACES / 2 * step, low + step / 8), high - step / 8 - SPACES * step)
-    at = (first / step)[..., None] + np.arange(SPACES + 1) if np.ndim(low) else first / step + np.arange(SPACES + 1)
-    powers, chosen = np.ones((*at.shape, SPACES + 1)), np.broadcast_to(np.arange(SPACES + 1.0) == order, at.shape)
-    powers[..., 1:] = at[..., None]
-    powers = np.multiply.accumulate(powers, axis=-1)
-    weights = np.linalg.solve(np.swapaxes(powers, -1, -2), chosen[..., None])[..., 0]
-    weights = np.moveaxis(order * weights, -1, 0) / step**order
-    values = [np.array(function(step * s)) for s in np.moveaxis(at, -1, 0)]
-    return sum(weight * (value - values[0]) for weight, value in zip(weights, values))  # the weights' sum is zero, but for round-off
+    values = [np.array(function(first + step * k)) for k in range(SPACES + 1)]
+    changes = (weight * (value - values[0]) for weight, value in zip(weights_at(first / step, order)[1:], values[1:]))
+    return sum(changes) / step**order  # the weights' sum is zero, but for round-off
+
+
+def _weights(first, order):
+    """The weights of values at first, first + 1, ... for the derivative at 0 of the polynomial through them, (7, ...)."""
+    powers = (np.asarray(first)[..., None] + np.arange(SPACES + 1))[..., None, :] ** np.arange(SPACES + 1.0)[:, None]
+    return order * np.moveaxis(np.linalg.solve(powers, np.eye(SPACES + 1)[:, [order]])[..., 0], -1, 0)
+
+
+_weights_again = lru_cache(100)(_weights)
 
 
 def around(kinks, t):
