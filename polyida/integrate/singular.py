@@ -9,7 +9,7 @@ are reversed too, and regular all the time: so this must hold for one half of th
 from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
 from polyida.integrate.state import between as state_between
-from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, path_length, rows_of
+from polyida.linear.saddle import coordinate_sizes, cosine, involved, least, path_length, rows_of
 from polyida.model.guarded import Compiled, unguarded
 from polyida.system.python import small_own
 
@@ -95,23 +95,23 @@ class Watch:
 
     def _require_no_passage(self, previous, rows, size):
         state, t = self.state, self.state.t
-        known, end, since, products = (self.t, self.rows, self.least), (t, rows, size), t - self.t, between(self.rows, rows)
-        if _reversed(known, end, products):
+        known, end, since, way = (self.t, self.rows, self.least), (t, rows, size), t - self.t, path_length(self.rows, rows)
+        if _reversed(known, end, way):
             begin = (previous.t, *self._examined(previous))
             self._require_no_passage_within(None, None, known, begin, 0)
             self._require_no_passage_within(previous, state, begin, end, BISECTIONS)
         if self.proof:
             return
-        speed, ahead = path_length(products) / since if since else 0.0, AHEAD * self.h
+        speed, ahead = way / since if since else 0.0, AHEAD * self.h
         if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
             q = state.q + ahead * state.v
-            speed = max(speed, path_length(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead)
+            speed = max(speed, path_length(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes)) / ahead)
         self.due = t + min(2.0 * since, MOST * self.h, 0.25 * size / max(speed, 1e-300))
 
     def _require_no_passage_within(self, before, after, begin, end, depth):
         """Bisect a step between two States. begin, end: (t, rows, least) at the ends of a part of it."""
         (t0, rows, size), (t1, later, other) = begin, end
-        if not _reversed(begin, end, between(rows, later)):
+        if not _reversed(begin, end, path_length(rows, later)):
             return
         if depth == 0:
             raise self._failure(later if other < size else rows, t0 + (t1 - t0) * size / (size + other))
@@ -136,7 +136,7 @@ class Watch:
         return SingularPosition("singular", reason, t)
 
 
-def _reversed(begin, end, products):
-    """True if the rows of two (t, rows, least), of which these are the products, may have lost rank between them."""
+def _reversed(begin, end, way):
+    """True if the rows of two (t, rows, least) may have lost rank between them; way: how far they have moved."""
     (_, rows, size), (_, later, other) = begin, end
-    return size + other <= path_length(products) and cosine(rows, later, products) < REVERSED
+    return size + other <= way and cosine(rows, later) < REVERSED

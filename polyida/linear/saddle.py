@@ -121,11 +121,12 @@ FULL = 10_000  # numbers of phi_q up to which a dense matrix is faster than a sp
 
 
 class Rows(NamedTuple):
-    """phi_q in the sizes of the coordinates, (m, n), the lengths of its rows, and the Gram matrix of the rows made of
-    length one, (m, m), if they are above 0."""
+    """The lengths of the rows of phi_q in the sizes of the coordinates, (m,); the rows made of length one if they are above 0, (m, n), dense or
+    sparse; and the Gram matrix of these, (m, m).
+    """
 
-    phi_q: object
     lengths: np.ndarray
+    unit: Any
     gram: np.ndarray
 
 
@@ -138,22 +139,24 @@ def coordinate_sizes(model, q):
 
 def rows_of(phi_q, sizes):
     """The Rows of a dense or sparse phi_q, its columns times the sizes (n,) of the coordinates."""
-    if hasattr(phi_q, "toarray") and np.prod(phi_q.shape) > FULL:
+    sparse = hasattr(phi_q, "toarray") and np.prod(phi_q.shape) > FULL
+    if sparse:
         from scipy.sparse import diags_array
 
         phi_q = phi_q @ diags_array(sizes)
+        lengths = np.sqrt(phi_q.multiply(phi_q).sum(axis=1))
     else:
         phi_q = dense(phi_q) * sizes
-    gram = dense(phi_q @ phi_q.T)
-    lengths = np.sqrt(gram.diagonal())
+        lengths = np.sqrt(np.einsum("ij,ij->i", phi_q, phi_q))
     divisor = np.where(lengths > 0, lengths, 1.0)
-    return Rows(phi_q, lengths, gram / (divisor[:, None] * divisor))
+    unit = diags_array(1.0 / divisor) @ phi_q if sparse else phi_q / divisor[:, None]
+    return Rows(lengths, unit, dense(unit @ unit.T))
 
 
 def least(rows):
     """The smallest singular value of the unit rows, 0 to 1; nan if they are not finite."""
-    if not np.isfinite(rows.gram).all():
-        return float("nan")
+    if not math.isfinite(rows.gram.sum()):
+        return math.nan
     return math.sqrt(max(0.0, float(np.linalg.eigvalsh(rows.gram)[0])))
 
 
@@ -167,19 +170,19 @@ def involved(model, rows):
     return ", ".join(model.constraint_name(k) for k in sorted(heaviest))
 
 
-def between(before, after):
-    """The products of the unit rows of two Rows, (m, m)."""
-    return dense(before.phi_q @ after.phi_q.T) / (before.lengths[:, None] * after.lengths)
+def path_length(before, after):
+    """Frobenius norm of the change of the unit rows between two Rows."""
+    change = after.unit - before.unit
+    values = change.data if hasattr(change, "toarray") else change
+    return math.sqrt(np.vdot(values, values))
 
 
-def path_length(products):
-    """Frobenius norm of the change of the unit rows, from their products."""
-    return math.sqrt(max(0.0, 2.0 * (len(products) - float(products.trace()))))
-
-
-def cosine(before, after, products):
+def cosine(before, after):
     """Cosine of the angle by which the space of the rows has turned; -1 if a combination of rows was reversed."""
-    (sign, size), sizes = np.linalg.slogdet(products), [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)]
+    (sign, size), sizes = (
+        np.linalg.slogdet(dense(before.unit @ after.unit.T)),
+        [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)],
+    )
     return float(sign * np.exp(size - 0.5 * sum(sizes)))
 
 
