@@ -24,8 +24,21 @@ ALONG = (("", "N"),)
 Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" or "direction" of it
 
 
+class _OfDataclasses:
+    """A base class that refuses classes with fields that are no dataclasses."""
+
+    def __new__(cls, *args, **kwargs):
+        for kind in cls.__mro__[: cls.__mro__.index(_OfDataclasses)]:
+            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
+            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
+                raise InputError(
+                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
+                )
+        return super().__new__(cls)
+
+
 @dataclass(frozen=True, eq=False)
-class Joint:
+class Joint(_OfDataclasses):
     """A constraint between attachments a and b of two bodies, or of a body and the ground.
 
     A user's joint is a subclass with `rows()` or `velocity_rows()` or both. `rows()` is a list of rows made of `self.a.x`, `self.a.d`,
@@ -58,15 +71,6 @@ class Joint:
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
         registry.parts[registry.name_of(cls)] = cls
-
-    def __new__(cls, *args, **kwargs):
-        for kind in cls.__mro__[: cls.__mro__.index(Joint)]:
-            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
-            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
-                raise InputError(
-                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
-                )
-        return super().__new__(cls)
 
     def __post_init__(self):
         require_sides(labelled(type(self).__name__, self.name), self.a, self.b)
