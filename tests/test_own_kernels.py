@@ -215,7 +215,7 @@ def test_a_damaged_file_of_a_users_function_is_compiled_anew(tmp_path, monkeypat
         (path,) = tmp_path.rglob("user_functions.*.nbc")
         whole.append(len(path.read_bytes()))
         path.write_bytes(path.read_bytes()[:200] if damage is None else damage)
-    assert whole[0] == whole[1] > 200
+    assert min(whole) > 200  # the lengths differ by those of running numbers in names
 
 
 def test_old_files_of_users_functions_go(tmp_path, monkeypatch):
