@@ -41,7 +41,7 @@ class SolidDesign:
     Parameters
     ----------
     at : float
-        Density from which a cell is solid before edges move.
+        Density from which a cell is solid before edges move; NaN for meshes of `start`.
     meshes : dict of str to PolygonMesh
     models : dict of str to Model
         Of each case.
@@ -62,7 +62,8 @@ class SolidDesign:
     excess: float
 
     def __repr__(self):
-        return f"SolidDesign(density from {self.at:g}, limits exceeded by {100 * self.excess:.2g} %)\n{self.table}"
+        words = "from given meshes" if np.isnan(self.at) else f"density from {self.at:g}"
+        return f"SolidDesign({words}, limits exceeded by {100 * self.excess:.2g} %)\n{self.table}"
 
 
 @named_keywords
@@ -72,6 +73,7 @@ def solid(
     levels: Sequence[float] = LEVELS,
     others: Mapping[str, Callable[[Any], Any]] | None = None,
     changes: int = 0,
+    start: Mapping[str, PolygonMesh] | None = None,
 ) -> SolidDesign:
     """Return the design on meshes of its solid cells: the lightest, by the objective, of those that keep the limits within 3 %.
 
@@ -91,6 +93,9 @@ def solid(
         More runs of the result, by other integrators or with smaller steps.
     changes : int
         At most this many steps of the search, each a run and a backward sweep of every case.
+    start : dict of str to PolygonMesh, optional
+        Solid meshes by the plates' names, such as `meshes` of another SolidDesign on the same cells. They are tried beside the levels: if they keep the
+        limits, the result is not heavier than they are.
 
     Returns
     -------
@@ -118,9 +123,10 @@ def solid(
     problem, values = design.problem, design.values
     maps = [one for one in problem.maps if isinstance(one, DensityMap)]
     solids, tried, reasons = _Solids(design, build, maps), [], []
-    for at in levels:
+    given = {} if start is None else _given(maps, start)
+    for at in (*levels, *([np.nan] if given else [])):
         try:
-            meshes = {one.name: _solid_mesh(one, values[one.name], at) for one in maps}
+            meshes = given if np.isnan(at) else {one.name: _solid_mesh(one, values[one.name], at) for one in maps}
             models, runs = solids.ran(meshes)
         except (InputError, FailedRun) as error:
             reasons.append(f"{at:g}: {error}")
@@ -151,6 +157,18 @@ def solid(
         columns[name] = _judged(problem, {case.name: run(models[case.name]) for case in problem.cases})
     table = DataFrame(columns, index=["objective", *problem.labels])
     return SolidDesign(at, meshes, models, runs, table, excess)
+
+
+def _given(maps, start):
+    """The meshes of `start` in the maps' order. Raises InputError if a plate has none, or cells that its mesh has not."""
+    for one in maps:
+        mesh = start.get(one.name)
+        if not isinstance(mesh, PolygonMesh):
+            raise InputError(f"solid: start has no mesh for the plate {one.name!r}; give `meshes` of a SolidDesign")
+        cells = _Edges(one).cells(mesh)
+        if len(set(cells)) < mesh.n_cells or not np.allclose(one.mesh.cell_centroids[cells], mesh.cell_centroids):
+            raise InputError(f"solid: start of the plate {one.name!r} has cells that the mesh of the design does not have")
+    return {one.name: start[one.name] for one in maps}
 
 
 class _Solids:

@@ -261,6 +261,27 @@ def test_a_solid_design_moves_its_edges_to_its_limits():
         pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), changes=-1)
 
 
+def test_a_solid_design_is_not_heavier_than_meshes_to_begin_with():
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=120, seed=1)
+    x, y = mesh.cell_centroids.T
+    limits, densities = [pi.objective.Limit(COMPLIANCE, 4.0 * START)], pi.design.Densities("arm", 1e-3, keep=("left", "right"))
+    problem = pi.design.Problem(MASS, limits, [densities], pi.design.Case(arm(mesh=mesh), at_rest))
+    design = pi.design.Design(problem, np.ones(mesh.n_cells), pi.design.Sharpness(), 0.0, {"Compliance": (0.0, 0.0)}, True, "", None)
+    hole = (np.abs(y) < 0.04) & (x > 0.2) & (x < 0.8)
+    lighter = pi.design.threshold(mesh, 1.0 - hole, keep=("left", "right"))
+    build = lambda arm: globals()["arm"](mesh=arm)  # noqa: E731
+    whole, begun, moved = (
+        pi.design.solid(design, build, **more) for more in ({}, {"start": {"arm": lighter}}, {"start": {"arm": lighter}, "changes": 4})
+    )
+    mass = [one.table.loc["objective", "solid"] for one in (whole, begun, moved)]
+    assert mass[0] == pytest.approx(0.25 * 0.01 * 1100) and mass[1] == pytest.approx(lighter.area * 0.01 * 1100) and mass[2] < mass[1]
+    assert begun.excess <= 0.0 and "from given meshes" in repr(begun)
+    with pytest.raises(pi.InputError, match="start has no mesh for the plate 'arm'"):
+        pi.design.solid(design, build, start={"leg": lighter})
+    with pytest.raises(pi.InputError, match="cells that the mesh of the design does not have"):
+        pi.design.solid(design, build, start={"arm": pi.mesh.rectangle(1.0, 0.25, cells=100, seed=2)})
+
+
 def test_a_solid_design_that_exceeds_its_limits_is_mended():
     mesh = pi.mesh.rectangle(1.0, 0.25, cells=120, seed=1)
     x, y = mesh.cell_centroids.T
