@@ -17,7 +17,6 @@ from struct import unpack
 import numpy as np
 from numba import types
 from numba.extending import NativeValue, lower_getattr_generic, models, register_model, typeof_impl, unbox
-from numpy import ndarray
 
 WORD = 8  # bytes
 
@@ -102,7 +101,7 @@ PLAIN = frozenset((float, int, bool, type(None), np.float64, np.int64, np.bool_)
 def form_of(value):
     """All that determines the type of an argument of compiled code, or None if it is unknown."""
     kind = type(value)
-    if kind is ndarray:
+    if kind is np.ndarray:
         return value.dtype.num, value.ndim, value.flags.num
     if kind in PLAIN:
         return kind

@@ -25,7 +25,7 @@ Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" o
 
 
 class _OfDataclasses:
-    """A base class that refuses classes with fields that are no dataclasses."""
+    """Base class whose subclasses must be dataclasses if they have fields of their own."""
 
     def __new__(cls, *args, **kwargs):
         for kind in cls.__mro__[: cls.__mro__.index(_OfDataclasses)]:
