@@ -7,7 +7,7 @@ from functools import cache
 from mesh_convergence import cases
 from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.cli.study import main
-from polyida.problems.spin_up_beam import EXTENSION
+from polyida.problems.literature import EXTENSION
 from polyida.show.style import INK, legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure, target_line
 from polyida.study.rows import column, fit_slope, largest, last, pick, value

@@ -10,7 +10,7 @@ import polyida as pi
 from levels.scenes import at_level
 from polyida.cli.study import main
 from polyida.problems import plates
-from polyida.problems.n_four_bar import n_four_bar
+from polyida.problems.literature import n_four_bar
 from polyida.show.style import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import pick

@@ -9,7 +9,7 @@ import pytest
 from matplotlib import pyplot
 
 import polyida as pi
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 VOID = {"br", "img", "path", "meta"}
 NASTY = '<script>alert(1)</script> & "it\'s" $x$'

@@ -276,10 +276,9 @@ def list_names(
         problems, integrators = [], []
         for name in registry.problems:
             function = registry.find(registry.problems, name)
-            described = sys.modules[function.__module__] if getattr(function, "__name__", "") == "problem" else function
             about = {"compared": "quantity", "source": "source"}
             about = {key: ABOUT[name][entry].split(";")[0] if name in ABOUT else "" for key, entry in about.items()}
-            problems.append({"name": name, "what": first_line(described)} | about)
+            problems.append({"name": name, "what": first_line(function)} | about)
         names = {of_class: name for name, (of_class, *_) in KNOWN.items()}
         for name in registry.integrators:
             integrators.append({"name": names.get(name, name), "what": first_line(registry.find(registry.integrators, name))})

@@ -5,11 +5,10 @@ slopes to any other optimiser. `ramp`, `simp` and `mass` map densities to the fa
 `project` drives them to 0 and 1, `threshold` returns the solid mesh, `solid` runs it again.
 """
 
-from polyida.design.interpolation import mass, project, ramp, simp
+from polyida.design.densities import mass, project, ramp, simp, threshold
 from polyida.design.minimise import Design, Stage, minimise
 from polyida.design.problem import Case, Evaluation, Problem
 from polyida.design.solid import SolidDesign, solid
-from polyida.design.threshold import threshold
 from polyida.design.variables import Densities, Sharpness, Size
 
 __all__ = [

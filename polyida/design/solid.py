@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from polyida.design.densities import neighbours, threshold
 from polyida.design.minimise import MET
 from polyida.design.problem import Case, FailedRun, Problem
-from polyida.design.threshold import neighbours, threshold
 from polyida.design.variables import BuiltSizeMap, Densities, DensityMap, Sharpness
 from polyida.errors import InputError
 from polyida.mesh import MeshWarning, PolygonMesh, density_filter

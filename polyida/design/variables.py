@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from polyida.adjoint.parameter import Parameter, total
 from polyida.adjoint.parameters import parameters_of
 from polyida.assembly.motion import moves_at
-from polyida.design.interpolation import mass, project, ramp
+from polyida.design.densities import cells_along, mass, project, ramp
 from polyida.errors import InputError
-from polyida.mesh import density_filter, sections, topology
+from polyida.mesh import density_filter
 from polyida.model.differences import along
-from polyida.validation import floats, is_flag, is_number, is_one_of, named_keywords, settle
+from polyida.validation import floats, is_flag, is_number, named_keywords, settle
 
 
 @named_keywords
@@ -272,17 +272,3 @@ class BuiltSize(Parameter):
     def replaced(self, value):
         """The model of another value."""
         return self.build(value)
-
-
-def cells_along(part, mesh, keep):
-    """{section: cells with an edge in it, and all cells of its nodes without an edge}. Raises InputError for an unknown section."""
-    cell, edges = topology.corner_cells(mesh.offsets), topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
-    result = {}
-    for name in [keep] if isinstance(keep, str) else list(keep) if np.iterable(keep) else [keep]:
-        if not is_one_of(name, mesh.sections):
-            known = ", ".join(map(repr, mesh.sections)) or "none"
-            raise InputError(f"{part}: keep names {name!r}, which is no section; the mesh's sections are {known}")
-        within = sections.edges_within(mesh, mesh.sections[name])
-        beside = np.isin(edges @ [mesh.n_nodes, 1], within.astype(np.int64) @ [mesh.n_nodes, 1])
-        result[name] = np.unique(cell[beside | np.isin(mesh.nodes, np.setdiff1d(mesh.sections[name], within))])
-    return result

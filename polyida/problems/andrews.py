@@ -190,7 +190,10 @@ class Andrews(Model):
 
 
 def problem():
-    """0.03 s from rest; the crank beta turns two and a half times."""
+    """Andrews' squeezing mechanism in angles: seven bodies, three closed loops.
+
+    0.03 s from rest; the crank beta turns two and a half times.
+    """
     return Problem(
         name="andrews",
         model=Andrews(),

@@ -196,7 +196,10 @@ class Wheelset(Model):
 
 
 def problem():
-    """10 s of hunting at 30 m/s from a small displacement; the multipliers of the two contacts are in N."""
+    """A wheelset on a straight track, of the IVP test set: creep forces depend on normal forces.
+
+    10 s of hunting at 30 m/s from a small displacement; the multipliers of the two contacts are in N.
+    """
     return Problem(
         name="wheelset",
         model=Wheelset(),

@@ -139,17 +139,17 @@ def in_plane_modes(model, count):
 def spin_up(nx, ny, h, rho_inf=0.9):
     """Steady extension of the spin-up beam, from 20 s of generalized-alpha."""
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-    from polyida.problems import spin_up_beam
+    from polyida.problems import literature
     from polyida.run.solve import solve
 
-    p = spin_up_beam.problem(nx, ny)
+    p = literature.spin_up_beam_problem(nx, ny)
     run = solve(p.model, p.t_end, GeneralizedAlpha(h=h, rho_inf=rho_inf))
     if not run.success:
         raise RuntimeError(run.message)
-    extension, deflection = spin_up_beam.in_the_turning_frame(run.t, run.position("tip"))
-    steady = spin_up_beam.steady_extension(run)
+    extension, deflection = literature.in_the_turning_frame(run.t, run.position("tip"))
+    steady = literature.steady_extension(run)
     keep = slice(None, None, max(1, len(run.t) // 800))
-    return result(p.model, np.array([steady / spin_up_beam.EXTENSION - 1])) | {
+    return result(p.model, np.array([steady / literature.EXTENSION - 1])) | {
         "extension": steady,
         "t": run.t[keep],
         "u": extension[keep],

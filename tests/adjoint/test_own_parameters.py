@@ -10,10 +10,8 @@ from polyida.adjoint.parameter import AdjointMultipliers, total
 from polyida.adjoint.parameters import in_time, parameters_of
 from polyida.model.differences import along
 from polyida.model.guarded import guard
-from polyida.problems import andrews, car_axis
 from polyida.problems.andrews import Q0, Andrews
-from polyida.problems.car_axis import CarAxis
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import CarAxis, Pendulum
 
 BY_DIFFERENCES = {name: getattr(pi.Model, name) for name in ("residual_p", "phi_p")}
 MODELS = [Pendulum(), CarAxis(), Andrews(), pi.compiled(type("CompiledPendulum", (Pendulum,), BY_DIFFERENCES))()]
@@ -42,10 +40,10 @@ def test_slopes_are_those_of_the_models(model, guarded):
             assert np.isclose(along(changed), (slope * unit * value).sum(), rtol=1e-7, atol=1e-9)
 
 
-@pytest.mark.parametrize("problem, t_end, h", [(andrews, 1e-3, 1e-4), (car_axis, 0.1, 1e-2)])
+@pytest.mark.parametrize("problem, t_end, h", [("andrews", 1e-3, 1e-4), ("car-axis", 0.1, 1e-2)])
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_gradients_of_runs_of_the_test_set(problem, t_end, h, form):
-    given = problem.problem()
+    given = pi.problems.get(problem)
     run = pi.solve(given.model, t_end, pi.GeneralizedAlpha(h=h, tolerance=1e-12, form=form), q0=given.q0, v0=given.v0)
     later = (np.arange(len(run)) > 0)[:, None]
     squares = pi.objective.UserObjective(

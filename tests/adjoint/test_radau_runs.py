@@ -8,7 +8,7 @@ from polyida.adjoint import radau
 from polyida.adjoint.radau import step_history
 from polyida.errors import REFACTOR
 from polyida.problems import andrews
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 CLOSE = 1e-6  # asked of every parameter; at a tolerance of 1e-12 errors are about 1e-10
 TIGHT = 1e-12

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.history import step_history
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 CLOSE = 1e-6  # asked of every parameter; at a tolerance of 1e-10 errors are about 1e-9
 

@@ -15,7 +15,6 @@ from polyida.errors import REFACTOR
 from polyida.model.differences import along
 from polyida.model.guarded import guard
 from polyida.objective.objective import Slopes
-from polyida.problems import andrews, car_axis, pendulum
 from polyida.system import scene as compiled_loop
 
 H, STEPS = 1e-3, 8
@@ -133,9 +132,9 @@ def test_two_threads_give_the_same(scenes, monkeypatch):
     assert agree(together, alone)
 
 
-@pytest.mark.parametrize(("problem", "by_numba"), [(pendulum, False), (pendulum, True), (car_axis, False), (andrews, False)])
+@pytest.mark.parametrize(("problem", "by_numba"), [("pendulum", False), ("pendulum", True), ("car-axis", False), ("andrews", False)])
 def test_small_models_of_ones_own_take_compiled_steps(problem, by_numba):
-    given = problem.problem()
+    given = pi.problems.get(problem)
     kind, settings, random = type(given.model), pi.GeneralizedAlpha(h=1e-4, tolerance=1e-11), np.random.default_rng(0)
     model = (pi.compiled(type(kind.__name__, (kind,), {})) if by_numba else kind)()
     run = pi.solve(model, STEPS * 1e-4, settings, q0=given.q0, v0=given.v0)

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint import history
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 OBJECTIVES = [
     pi.objective.Deviation("tip", (1.0, 0.3)),

@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.adjoint.parameters import parameters_of
 from polyida.errors import StepFailure
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 of = pi.objective
 

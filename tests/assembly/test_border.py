@@ -8,7 +8,7 @@ from polyida.assembly.border import solve_border, solve_in_order
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.rate_multipliers import rate_multipliers
 from polyida.jit import entry
-from polyida.problems.n_four_bar import n_four_bar
+from polyida.problems.literature import n_four_bar
 
 C = {"real": 2e3, "complex": 2e3 * (0.66 + 0.75j)}
 

@@ -8,7 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.assembly import motion as motions
-from polyida.problems.n_four_bar import n_four_bar
+from polyida.problems.literature import n_four_bar
 
 V, SPIN = (0.7, -0.4), 3.0
 INTEGRATORS = {

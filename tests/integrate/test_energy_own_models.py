@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 G = 9.81
 

@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida import profile
 from polyida.problems import plates
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 
 STEPS, H = 40, 5e-3
 METHODS = {

@@ -5,12 +5,12 @@ import pytest
 
 from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.problems import spin_up_beam
+from polyida.problems import literature
 from polyida.run.solve import solve
 
 
 def test_spin_up_profile_is_smooth_and_its_derivatives_are_right():
-    turn = spin_up_beam.turn()
+    turn = literature.turn()
     for t in (3.0, 14.9, 17.0):
         assert turn.d1(t) == pytest.approx((turn.value(t + 1e-5) - turn.value(t - 1e-5)) / 2e-5, abs=1e-8)
         assert turn.d2(t) == pytest.approx((turn.d1(t + 1e-5) - turn.d1(t - 1e-5)) / 2e-5, abs=1e-8)
@@ -22,7 +22,7 @@ def test_spin_up_beam_comes_to_its_steady_extension():
     p = problems.get("spin-up-beam", nx=65)
     run = solve(p.model, p.t_end, GeneralizedAlpha(h=1e-2))
     assert run.success and p.reference["extension"] == pytest.approx(5.142857e-4, rel=1e-6)
-    assert spin_up_beam.steady_extension(run) == pytest.approx(p.reference["extension"], rel=1e-2)
+    assert literature.steady_extension(run) == pytest.approx(p.reference["extension"], rel=1e-2)
 
 
 def test_plates_come_near_to_rigid_ones_as_their_compliance():

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida import problems
-from polyida.problems import andrews, n_four_bar
+from polyida.problems import andrews, literature
 
 TIGHT = {"IDA": pi.IDA(rtol=1e-11, atol=1e-14), "RadauIIA": pi.RadauIIA(rtol=1e-10)}
 LEVEL = {1: 0.708450008836, 2: 0.714355529293}  # s, by windows: when the bars are level
@@ -47,7 +47,7 @@ def test_past_the_singular_position_windows_are_right_or_stopped_with_its_joints
     """Over 3 s the bars are level twice. Frames are on the parallelograms' branch with their energy; a run that ends early ends where bars are level."""
     p = problems.get("n-four-bar", windows=windows, t_end=3.0)
     run = pi.solve(p.model, p.t_end, INTEGRATORS[name])
-    angles = np.array([n_four_bar.turning(t, windows)[0] for t in run.t[1 :: len(run) // 20]])
+    angles = np.array([literature.turning(t, windows)[0] for t in run.t[1 :: len(run) // 20]])
     places = run.position("B0")[1 :: len(run) // 20]
     assert np.abs(places - np.stack([np.cos(angles), np.sin(angles)], axis=1)).max() < 1e-3
     assert np.ptp(run.energy.total) < 2e-3 * np.ptp(run.energy.kinetic)

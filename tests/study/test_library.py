@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import polyida as pi
 from polyida.errors import InputError, StepFailure
-from polyida.problems.pendulum import Pendulum
+from polyida.problems.equations import Pendulum
 from polyida.study.comparison import compare
 from polyida.study.ivp import InitialValueProblem
 

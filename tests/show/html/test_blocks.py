@@ -10,7 +10,7 @@ import pytest
 
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.problems import pendulum
+from polyida.problems.equations import pendulum_problem
 from polyida.run.solve import solve
 from polyida.show import figure_files, html, plates, plots
 from polyida.show.style import PALETTE, figure, settings
@@ -177,7 +177,7 @@ def test_of_a_mesh_too_fine_for_a_page_the_outline_moves(run, monkeypatch):
 
 
 def test_a_movie_of_a_run_without_plates_is_refused():
-    problem = pendulum.problem()
+    problem = pendulum_problem()
     run = solve(problem.model, 0.1, GeneralizedAlpha(h=1e-2), q0=problem.q0, v0=problem.v0)
     with pytest.raises(InputError, match="no plates"):
         html.Movie(run).data()
