@@ -157,12 +157,15 @@ class Guarded(Model):
         compiled = Compiled(self, whole=False).calls() if large else {}  # smaller ones get a table of C functions
         for name in CHECKED:
             if name in written and (self.m or name not in OF_CONSTRAINTS):
-                function = self._checked(name, compiled.get(name) or getattr(self.user, name), shape_of(name, self))
+                function = compiled.get(name) or getattr(self.user, name)
+                if name == "mass" and self.needs.mass_varies:
+                    function = self._examined_mass(function)
+                function = self._checked(name, function, shape_of(name, self))
                 if name == "rates":
                     own.rates = function
                 setattr(self, name, own.whole(name, SHAPES[name], function, self.rates) if own and name != "rates" else function)
-        if "mass" in vars(self):
-            self.written_mass, self.mass = self.mass, self._mass
+        if "mass" in vars(self) and not self.needs.mass_varies:
+            self.written_mass, self.mass = self.mass, self._constant_mass
         if writes(model, "kinks"):
             self.kinks = self._kinks
         if writes(model, "rejection_reason"):
@@ -188,24 +191,28 @@ class Guarded(Model):
         """The function with read-only arguments and a copied result: it may return one array again and again."""
         last = self._last[name]
 
-        def call(*arguments):
-            last[0] = arguments
+        def array(result):
+            self._require(name, result, shape)
+            sparse = getattr(result, "format", "csr") not in ("csr", "csc")  # other formats lack operations
+            return (result.tocsr() if sparse else result).astype(float)
+
+        def reason(error):
+            if not (isinstance(error, ValueError) and "read-only" in str(error)):
+                return error
+            refused = InputError(f"{self.name}.{name} writes into its arguments, which belong to the integrator: take a copy first")
+            refused.__cause__ = error
+            return refused
+
+        def checked(*values):
+            last[0] = arguments = tuple(map(_view, values))
             try:
                 result = function(*arguments)
             except ValueError as error:
-                if "read-only" not in str(error):
-                    raise
-                wrong = "writes into its arguments, which belong to the integrator: take a copy first"
-                raise InputError(f"{self.name}.{name} {wrong}") from error
-            if not (type(result) is np.ndarray and result.dtype is FLOAT and result.shape == shape):
-                self._require(name, result, shape)
-                sparse = getattr(result, "format", "csr") not in ("csr", "csc")  # other formats lack operations
-                result = (result.tocsr() if sparse else result).astype(float)
-            last[1] = result
-            return result
+                raise reason(error)  # noqa: B904 with its cause
+            last[1] = result if type(result) is np.ndarray and result.dtype is FLOAT and result.shape == shape else array(result)
+            return last[1].copy()
 
-        checked = lambda *values: call(*map(_view, values)).copy()  # noqa: E731
-        checked.direct = call  # for callers with read-only arrays that copy the result
+        checked.parts = function, last, array, reason  # for callers that do the same with arrays of their own, in less time
         return checked
 
     def _require(self, name, result, shape):
@@ -215,22 +222,37 @@ class Guarded(Model):
         if getattr(result.dtype, "kind", "O") not in "fiu":
             raise InputError(f"{part} of real numbers, not of {result.dtype}")
 
-    def _mass(self, q):
-        """M, checked at the 1st, 2nd, 4th, 8th ... call; a constant M is evaluated only then."""
+    def _mass_is_due(self):
+        """True at the 1st, 2nd, 4th, 8th ... call."""
         self._calls += 1
-        due = not self._calls & (self._calls - 1)
-        if due or self.needs.mass_varies:
+        return not self._calls & (self._calls - 1)
+
+    def _examined_mass(self, function):
+        """The user's function of an M that varies; M is checked whenever it is due."""
+
+        def mass(q):
+            M = function(q)
+            if self._mass_is_due():
+                self._require("mass", M, shape_of("mass", self))
+                self._require_symmetric(M)
+            return M
+
+        return mass
+
+    def _constant_mass(self, q):
+        """M, evaluated and checked only when it is due."""
+        if self._mass_is_due():
             M, before = self.written_mass(q), self._constant
-            if due:
-                apart, changed, size = abs(M - M.T).max(), abs(M - (M if before is None else before)).max(), abs(M).max()
-                if apart > SAME * size:
-                    raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
-                if changed > SAME * size:
-                    raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
-            if self.needs.mass_varies:
-                return M
+            self._require_symmetric(M)
+            changed = 0.0 if before is None else abs(M - before).max()
+            if changed > SAME * abs(M).max():
+                raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
             self._constant = M
         return self._constant
+
+    def _require_symmetric(self, M):
+        if (apart := abs(M - M.T).max()) > SAME * abs(M).max():
+            raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
 
     def _kinks(self, t0, t1):
         """The model's kinks, sorted."""

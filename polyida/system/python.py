@@ -6,12 +6,13 @@ from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
+from numpy import ndarray
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
-from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
+from polyida.model.guarded import FLOAT, MOST, OF_STEPS, Compiled, unguarded, writes
 from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 from polyida.system import dense as small
 
@@ -45,8 +46,12 @@ class PythonTable:
         entries = {RESIDUAL: self._residual, BEGIN: self._begin, CONSTRAINTS: self._constraints, SOLVE: self._solve}
         return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
-    def _address(self, function, kind=CALLBACK):
+    def _address(self, function):
         """The address of a Python function as a C function that stores an exception."""
+        return self._kept(CALLBACK(self._protected(function)))
+
+    def _protected(self, function):
+        """The function, as a callback that stores an exception."""
 
         def called(*arguments):
             try:
@@ -55,8 +60,12 @@ class PythonTable:
                 self.raised = error
                 return RAISED
 
-        self.callbacks.append(kind(called))
-        return ctypes.cast(self.callbacks[-1], ctypes.c_void_p).value
+        return called
+
+    def _kept(self, callback):
+        """The address of a callback, which is stored with the table."""
+        self.callbacks.append(callback)
+        return ctypes.cast(callback, ctypes.c_void_p).value
 
     def raise_error(self):
         """Raise the exception that a callback stored."""
@@ -173,30 +182,12 @@ class DenseTable(PythonTable):
         flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE, model.n - model.k
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
-            functions[small.FUNCTIONS.index(name)] = self._address(function, ALONE) if function else 0
+            functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
         self.workspace, self.factored, self.has_constants = w.address, None, False
 
     def _functions(self, w):
-        """{name of small.FUNCTIONS: Python function that reads its arguments from w and writes its result to w, or None}."""
-        model = self.model
-
-        def read_only(copy):  # the user may store the array
-            array = copy()
-            array.setflags(False)
-            return array
-
-        def fill(out, function, t, *vectors):
-            function, (first, *others) = getattr(function, "direct", function), [x.copy for x in vectors]
-
-            def called():
-                q = first()
-                q.setflags(False)
-                result = function(t(), q, *map(read_only, others)) if others else function(t(), q)
-                out[...] = result if type(result) is np.ndarray else dense(result)
-
-            return called
-
-        inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
+        """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
+        model, inner, end, fill = self.model, *(partial(w.t.item, at) for at in (small.INNER, small.END)), self._fills
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
         def accepted():
@@ -204,17 +195,46 @@ class DenseTable(PythonTable):
                 raise StepFailure("objection", objection, end())
 
         return {
-            "mass": fill(w.M, lambda t, q: model.mass(q), inner, q),
+            "mass": fill(w.M, model.mass, None, q),
             "force": fill(w.g, model.force, inner, q, v),
             "phi": fill(w.phi, model.phi, end, q),
             "phi_q": fill(w.B, model.phi_q, inner, q),
             "phi_t": fill(w.phi_t, model.phi_t, inner, q),
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
-            "rejection_reason": accepted if writes(unguarded(model), "rejection_reason") else None,
+            "rejection_reason": self._protected(accepted) if writes(unguarded(model), "rejection_reason") else None,
             "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.c.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
+
+    def _fills(self, out, function, t, *vectors):
+        """The callback that calls a function of the model with copies of the vectors, because the user may store them, and writes the result to `out`.
+
+        t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
+        """
+        function, last, array, reason = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
+        (first, *others), shape = [x.copy for x in vectors], out.shape
+
+        def read_only(copy):
+            vector = copy()
+            vector.setflags(False)
+            return vector
+
+        def called():
+            try:
+                q = first()
+                q.setflags(False)
+                last[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
+                result = function(*arguments)
+                if type(result) is not ndarray or result.dtype is not FLOAT or result.shape != shape:
+                    result = dense(array(result))
+                last[1] = out[...] = result
+                return DONE
+            except BaseException as error:  # noqa: BLE001 raise_error raises it
+                self.raised = reason(error)
+                return RAISED
+
+        return called
 
     def system(self, settings):
         return DenseMatrix(self.model, self)

@@ -1,6 +1,5 @@
 """User-defined models: cost of a run relative to their functions, in Python and compiled; cost of a step relative to a loop in numba."""
 
-import inspect
 import time
 from functools import partial
 
@@ -34,49 +33,34 @@ def cpu(call):
 def functions_row(name, rounds):
     """Of each integrator at rtol 1e-6: a run in Python over the time inside the model's functions, and over a run with these compiled."""
     problem, row = get(name), {}
-    start, arguments = {"q0": problem.q0, "v0": problem.v0, "every": NO_FRAMES}, compiled(problem.model)
+    start, fast = {"q0": problem.q0, "v0": problem.v0, "every": NO_FRAMES}, compiled(problem.model)
     for key, integrator in RTOL.items():
         go = partial(pi.solve, t_end=SPANS[name], integrator=integrator, **start)
-        calls = calls_of(problem.model, go)
-        go(arguments)
-        turns = [(cpu(partial(go, problem.model))[0], inside(problem, calls), cpu(partial(go, arguments))[0]) for _ in range(rounds)]
-        python, own, fast = np.array(turns).T
-        row |= {f"{key}_over_own": float(np.median(python / own)), f"{key}_python_over_compiled": float(np.median(python / fast))}
+        go(fast), inside(problem.model, go)
+        turns = [(cpu(partial(go, problem.model))[0], inside(problem.model, go), cpu(partial(go, fast))[0]) for _ in range(rounds)]
+        python, own, quick = np.array(turns).T
+        row |= {f"{key}_over_own": float(np.median(python / own)), f"{key}_python_over_compiled": float(np.median(python / quick))}
     return {"n": problem.model.n, "m": problem.model.m} | row
 
 
-def calls_of(model, go):
-    """{function: how often a run calls it}."""
-    calls, kind = dict.fromkeys(FUNCTIONS, 0), type(model)
+def inside(model, go):
+    """Seconds that a run spends inside the functions of a model: each call of the run is timed, less what timing an empty function gives."""
+    kind, seconds = type(model), []
 
-    def counted(name):
-        function = getattr(kind, name)
-
+    def timed(function):
         def call(self, *arguments):
-            calls[name] += 1
-            return function(self, *arguments)
+            begin = time.perf_counter()
+            result = function(self, *arguments)
+            seconds.append(time.perf_counter() - begin)
+            return result
 
         return call
 
-    go(type(kind.__name__, (kind,), {name: counted(name) for name in FUNCTIONS if name in vars(kind)})())
-    return {name: count for name, count in calls.items() if count}
-
-
-def inside(problem, calls, repeats=200):
-    """CPU seconds inside the functions of a model that are called so often."""
-    n, m = problem.model.n, problem.model.m
-    state, seconds = {"t": 0.1, "q": problem.q0, "v": problem.v0 + 0.1, "a": np.ones(n), "lam": np.ones(m)}, 0.0
-    for name, count in calls.items():
-        function = getattr(problem.model, name)
-        arguments = [state[key] for key in inspect.signature(function).parameters]
-        seconds += count * cpu(partial(repeated, function, arguments, repeats))[0] / repeats
-    return seconds
-
-
-def repeated(function, arguments, times):
-    """Call a function so often."""
-    for _ in range(times):
-        function(*arguments)
+    go(type(kind.__name__, (kind,), {name: timed(getattr(kind, name)) for name in FUNCTIONS if name in vars(kind)})())
+    total, count, empty = sum(seconds), len(seconds), timed(lambda self, t, q: None)
+    for _ in range(count):
+        empty(model, 0.0, None)
+    return total - sum(seconds[count:])
 
 
 @njit

@@ -200,7 +200,7 @@ class DenseOwn(MiddleTable, DenseTable):
         def potential(*_):
             w.x[0] = self.model.potential(w.q.copy())
 
-        return super()._functions(w) | {"potential": potential}
+        return super()._functions(w) | {"potential": self._protected(potential)}
 
 
 class CompiledOwn(MiddleTable, CompiledTable):
