@@ -57,6 +57,7 @@ class Trajectory:
     counts : Counts
         Exact counts of the work.
     cpu_seconds, wall_seconds : float, s
+        Of the run, without compiling and loading kernels.
     machine : dict
         Versions, processor and threads.
     restart : Restart or None

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 
 import polyida
-from polyida.jit import entry, pack
+from polyida.jit import clock, compilers, entry, pack
 
 DECORATORS = {"entry", "part", "shared", "leaf", "fast"}
 
@@ -72,3 +73,25 @@ def test_no_kernel_counts_indices_from_the_end():
                 if isinstance(index, ast.UnaryOp) and isinstance(index.op, ast.USub)
             ]
     assert found > 500 and not wrong, wrong
+
+
+@pytest.mark.skipif(not compilers, reason="plain numba")
+def test_compiling_is_not_counted(monkeypatch):
+    """By a time that goes on by one second at each look: entering and leaving are one second apart, nested compilations are part of the outer one."""
+    now = iter(np.arange(100.0))
+    monkeypatch.setattr("time.process_time", lambda: next(now))
+    monkeypatch.setattr("time.perf_counter", lambda: 0.0)
+    before = clock()[0]
+    with compilers.compiling, compilers.compiling:
+        pass
+    assert clock()[0] - before == 2.0  # of three looks since the first one
+
+
+@pytest.mark.skipif(not compilers, reason="plain numba")
+def test_an_entry_counts_its_compilation():
+    @entry
+    def twice(x):
+        return 2 * x
+
+    spent = compilers.compiling.seconds[1]
+    assert twice(3) == 6 and compilers.compiling.seconds[1] > spent and compilers.compiling.depth == 0

@@ -4,6 +4,7 @@ All of them use numba's public decorators. For numba versions in TESTED, `jit/co
 (studies/start.py) with numba's internals. POLYIDA_PLAIN_NUMBA=1 in the environment switches them off.
 """
 
+import time
 import warnings
 from contextlib import suppress
 from functools import update_wrapper
@@ -17,7 +18,7 @@ import numba
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = ["FAST", "bound", "c_address", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
+__all__ = ["FAST", "bound", "c_address", "clock", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
 
 TESTED = (0, 65), (0, 68)  # first and last version of numba with which compilers.py is tested
 FAST = {"contract", "reassoc", "nsz"}  # without "nnan": kernels test for NaN
@@ -30,6 +31,12 @@ if not kernel_cache.PLAIN and TESTED[0] <= numba.version_info.short <= TESTED[1]
     with suppress(ImportError, AttributeError):  # of a numba that was changed within its version
         compilers = import_module("polyida.jit.compilers")
 _parts = {"pipeline_class": compilers.PartCompiler} if compilers else {}
+
+
+def clock():
+    """(CPU, wall) seconds of this process without those of compiling and loading kernels. With plain numba all seconds."""
+    spent = compilers.compiling.seconds if compilers else (0.0, 0.0)
+    return time.process_time() - spent[0], time.perf_counter() - spent[1]
 
 
 def entry(function, **options):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
 from polyida.io.save import FrameStore, behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
+from polyida.jit import clock
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress
@@ -114,9 +114,8 @@ def resume(
                 commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows, events=past)
         finally:
             stored.file.close()
-    cpu, wall = stored.seconds
-    clocks = time.perf_counter() - wall, time.process_time() - cpu
-    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress, happenings, past)
+    begun = tuple(now - spent for now, spent in zip(clock(), stored.seconds))
+    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), begun, until or None, progress, happenings, past)
     run.restart = run.flushed = restart
     run.recorded = recorder.count
     with one_blas_thread():

@@ -18,6 +18,7 @@ from polyida.integrate.state import Counts, Restart, State, States, Stretch, dec
 from polyida.integrate.switches import unresolved
 from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
+from polyida.jit import clock
 from polyida.model.guarded import guard
 from polyida.progress import over_time
 from polyida.run.accepted import Sampler, Until, accepted
@@ -33,14 +34,14 @@ class Run:
     """A run in progress.
 
     plan: the arguments of `solve` as plain data. store: a FrameStore, whose file, if it has one, is flushed as the plan says. recorder: of
-    sensors. clocks: wall and CPU time at the start. until, progress: the user's functions or None. happenings: of events, or None. events: those so far of a run
+    sensors. begun: clock() at the start. until, progress: the user's functions or None. happenings: of events, or None. events: those so far of a run
     without happenings: impacts. restart: the last state from which the
     run can be continued; flushed: that in the file.
     """
 
-    def __init__(self, model, integrator, plan, store, recorder, counts, clocks, until=None, progress=None, happenings=None, events=None):
+    def __init__(self, model, integrator, plan, store, recorder, counts, begun, until=None, progress=None, happenings=None, events=None):
         self.model, self.known, self.integrator, self.method = model, guard(model), integrator, declared(integrator)
-        self.plan, self.store, self.counts, self.recorder, self.clocks = plan, store, counts, recorder, clocks
+        self.plan, self.store, self.counts, self.recorder, self.begun = plan, store, counts, recorder, begun
         self.until, self.progress, self.streams, self.happenings = until, progress, store.file is not None, happenings
         self.events = happenings.happened if happenings else Events() if events is None else events
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count)
@@ -195,8 +196,7 @@ class Run:
 
     def _seconds(self):
         """(CPU, wall) seconds since the start."""
-        wall, cpu = self.clocks
-        return time.process_time() - cpu, time.perf_counter() - wall
+        return tuple(now - begun for now, begun in zip(clock(), self.begun))
 
     def _attach(self, error, run):
         """Give the Trajectory to an exception that is raised to the caller."""

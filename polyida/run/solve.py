@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from polyida.integrate.start import consistent_state, require_state, restarted, 
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.save import FrameStore, create, free
+from polyida.jit import clock
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import Compiled, guard, unguarded
@@ -188,7 +188,7 @@ def solve(
     }
     h, single = method.fixed_step(), precision == "single"
     frames = len(times) if times is not None else int((t_end - begin) / (h * every)) + 1 if h else 0  # 0 if unknown
-    clocks = time.perf_counter(), time.process_time()
+    begun = clock()
     with one_blas_thread():
         q, v = (vector_of("q0", q0, known), velocities_of(v0, x0, known)) if state is None else (state.q, state.v)
         if not known.is_scene and small_own(known) and unguarded(known).by_numba:
@@ -207,7 +207,7 @@ def solve(
         if path is not None:
             file = create(path, model, integrator, known.n, m, plan, machine_info(), single, recorder.shapes)
         store = FrameStore(known.n, m, memory_limit, file, single, frames)
-        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress, happenings)
+        run = Run(model, integrator, plan, store, recorder, Counts(), begun, until, progress, happenings)
         run.begin(state, overwrite)
         result = run.go(state)
     if model.few and (hint := hint_of_left_out(model, result.t, result.q, result.a)):

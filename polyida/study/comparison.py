@@ -1,7 +1,6 @@
 """`polyida compare`: integrators on one initial value problem against a reference run, and the report with runs, pictures and movie."""
 
 import math
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,6 +12,7 @@ from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import Counts, States, between
+from polyida.jit import clock
 from polyida.model.guarded import guard
 from polyida.objective.objective import UserObjective
 from polyida.results.motion import motor_work, unbalanced
@@ -347,7 +347,7 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
     from polyida.integrate.start import consistent_state
 
     integrator = RadauIIA(rtol=MAX_RTOL if rtol is None else max(MIN_RTOL, min(MAX_RTOL, rtol / RTOL_RATIO)))
-    counts, function, begin, message = Counts(), watched_quantity(ivp), time.process_time(), ""
+    counts, function, begin, message = Counts(), watched_quantity(ivp), clock()[0], ""
     model = guard(ivp.model)
     if model.row_laws:  # by events
         with ivp.user_errors():
@@ -369,6 +369,4 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
             message = str(failure)
         except (Exception, SystemExit) as error:  # noqa: BLE001 of a user's function
             message = f"{type(error).__name__}: {error}"
-    return ReferenceRun(
-        integrator, times[: len(watched)], np.array(watched), np.array(x), function, counts, time.process_time() - begin, message
-    )
+    return ReferenceRun(integrator, times[: len(watched)], np.array(watched), np.array(x), function, counts, clock()[0] - begin, message)

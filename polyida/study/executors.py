@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
@@ -16,6 +15,7 @@ from copy import deepcopy
 from typing import Any
 
 from polyida.errors import InputError
+from polyida.jit import clock
 from polyida.run.run import interruptions
 
 START_LIMIT = 60.0  # s for the start of a process and the imports of its first task
@@ -181,9 +181,10 @@ def run_measured_case(function, arguments, sweep_id):
     sweep_id: unique for each sweep; a scheduler such as Dask would otherwise return the row of an earlier equal call.
     """
     peak_was_reset = _reset_peak_memory()
-    wall, cpu = time.perf_counter(), time.process_time()
+    begun = clock()
     row = run_as_row(_checked_call, {"function": function, "arguments": deepcopy(arguments)})  # the function may change its case
-    costs = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall, "memory_mb": _peak_memory(peak_was_reset)}
+    cpu, wall = (now - start for now, start in zip(clock(), begun))
+    costs = {"cpu_s": cpu, "wall_s": wall, "memory_mb": _peak_memory(peak_was_reset)}
     return {name: value for name, value in row.items() if name != "error"} | {"error": row["error"]} | costs
 
 

@@ -124,7 +124,7 @@ def sweep(
         A row is the case, the result of the function and
 
         - error : the reason of a failure with a "traceback", or empty. A case whose process or machine is lost is a row, too.
-        - cpu_s, wall_s : s
+        - cpu_s, wall_s : s, without compiling and loading kernels
         - memory_mb : largest resident memory of the process during the case, Python and libraries included. Outside Linux: since the start
           of the process.
 
