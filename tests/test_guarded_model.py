@@ -126,6 +126,13 @@ def test_a_mass_that_is_not_symmetric_is_named(places):
         pi.solve(type("Skew", (Pendulum,), {"mass": mass})(), 0.1, INTEGRATORS[0], **START)
 
 
+@pytest.mark.parametrize("by_numba", [False, True])
+def test_a_negative_mass_is_named(by_numba):
+    kind = type("Light", (Pendulum,), {"mass": lambda self, q: np.array([[1.0, 2.0], [2.0, 1.0]])})
+    with pytest.raises(pi.InputError, match=r"Light\.mass must give no negative kinetic energy; M has the eigenvalue -1"):
+        pi.solve((pi.compiled(kind) if by_numba else kind)(), 0.1, INTEGRATORS[0], **START)
+
+
 @every
 @pytest.mark.parametrize("name", ["mass", "force", "phi", "phi_q"])
 def test_a_function_that_writes_into_its_arguments_is_named(integrator, name):

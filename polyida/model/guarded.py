@@ -127,8 +127,8 @@ def _view(argument):
 class Guarded(Model):
     """A user's model whose own functions are called through `_checked`; the others are Model's defaults.
 
-    A function that returns complex numbers, objects, a wrong shape, or an M that is not symmetric, raises InputError with its name; so does
-    one that writes into its arguments. The integrator handles numbers that are not finite; `not_finite` names their functions.
+    A function that returns complex numbers, objects, a wrong shape, or an M that is not symmetric or has a negative eigenvalue, raises
+    InputError with its name; so does one that writes into its arguments. The integrator handles numbers that are not finite; `not_finite` names their functions.
     """
 
     def __init__(self, model):
@@ -234,7 +234,7 @@ class Guarded(Model):
             M = function(q)
             if self._mass_is_due():
                 self._require("mass", M, shape_of("mass", self))
-                self._require_symmetric(M)
+                self._require_mass(M)
             return M
 
         return mass
@@ -243,16 +243,21 @@ class Guarded(Model):
         """M, evaluated and checked only when it is due."""
         if self._mass_is_due():
             M, before = self.written_mass(q), self._constant
-            self._require_symmetric(M)
+            self._require_mass(M)
             changed = 0.0 if before is None else abs(M - before).max()
             if changed > SAME * abs(M).max():
                 raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
             self._constant = M
         return self._constant
 
-    def _require_symmetric(self, M):
-        if (apart := abs(M - M.T).max()) > SAME * abs(M).max():
+    def _require_mass(self, M):
+        size = abs(M).max()
+        if (apart := abs(M - M.T).max()) > SAME * size:
             raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
+        small = isinstance(M, np.ndarray) and len(M) <= MOST and np.isfinite(size)
+        kind, least = ("eigenvalue", np.linalg.eigvalsh(M)[0]) if small else ("number on the diagonal", M.diagonal().min())
+        if least < -SAME * size:
+            raise InputError(f"{self.name}.mass must give no negative kinetic energy; M has the {kind} {least:.3g}")
 
     def _kinks(self, t0, t1):
         """The model's kinks, sorted."""
