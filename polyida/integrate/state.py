@@ -241,7 +241,7 @@ class Integrator:
     """A time integration method with its settings.
 
     Only `steps` must be written. All other methods and attributes have the defaults below. A user's class that has `steps` and does not
-    inherit from this one gets the same defaults, and its number `h`, if it has one and no `adaptive`, as its fixed step.
+    inherit from this one gets the same defaults.
 
     Attributes
     ----------
@@ -299,12 +299,13 @@ class Integrator:
         """Raise InputError unless the integrator can go from the initial state to t_end; called by `solve` before the first step."""
 
     def fixed_step(self) -> float:
-        """The constant step, s; 0 if steps vary."""
-        return 0.0
+        """The constant step, s; 0 if steps vary. By default the attribute `h`, unless there is none or `adaptive` is true."""
+        h: Any = getattr(self, "h", None)
+        return float(h) if is_number(h) and not getattr(self, "adaptive", False) else 0.0
 
     def relative_tolerance(self) -> float | None:
-        """The relative tolerance that chooses the steps; None without one."""
-        return None
+        """The relative tolerance that chooses the steps; None without one. By default the attribute `rtol`."""
+        return getattr(self, "rtol", None)
 
     def without_halving(self) -> "Integrator":
         """The integrator that raises StepFailure instead of halving a step that fails; called for models with `gaps`."""
@@ -328,11 +329,10 @@ class _Adapter(Integrator):
             setattr(self, name, getattr(user, name))
 
     def fixed_step(self):
-        h = getattr(self.user, "h", None)
-        return float(h) if is_number(h) and not getattr(self.user, "adaptive", False) else 0.0
+        return Integrator.fixed_step(self.user)
 
     def relative_tolerance(self):
-        return getattr(self.user, "rtol", None)
+        return Integrator.relative_tolerance(self.user)
 
     def class_name(self):
         return type(self.user).__name__

@@ -187,7 +187,8 @@ class DenseTable(PythonTable):
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
-        model, inner, end, fill = self.model, *(partial(w.t.item, at) for at in (small.INNER, small.END)), self._fills
+        model, fill = self.model, self._fills
+        inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
         def accepted():

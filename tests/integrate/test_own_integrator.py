@@ -188,7 +188,8 @@ class Trusted(Declared):
 
 def test_one_that_inherits_gets_the_defaults():
     integrator = Declared()
-    assert integrator.fixed_step() == 0.0 and integrator.relative_tolerance() is None and integrator.without_halving() is integrator
+    integrator.h = 1e-2
+    assert integrator.fixed_step() == 1e-2 and integrator.relative_tolerance() is None and integrator.without_halving() is integrator
     run = solved(integrator)
     assert run.success and np.array_equal(run.q, solved(Mine()).q) and run.summary().startswith("done: Declared")
     wrong = solved(Declared(lambda s: replace(s, q=s.q.tolist())))

@@ -229,14 +229,6 @@ class GeneralizedAlpha(Integrator):
         """True if the step follows the local error."""
         return self.h is None or self.rtol is not None or self.atol is not None
 
-    def fixed_step(self) -> float:
-        """h; 0 with step control."""
-        return 0.0 if self.adaptive else float(self.h or 0.0)
-
-    def relative_tolerance(self) -> float | None:
-        """rtol with step control, None with fixed steps."""
-        return self.rtol if self.adaptive else None
-
     def without_halving(self) -> Self:
         """The same with max_halvings = 0 if its steps are fixed."""
         return self if self.adaptive else replace(self, max_halvings=0)

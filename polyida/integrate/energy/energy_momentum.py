@@ -86,10 +86,6 @@ class EnergyMomentum(Integrator):
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
-    def fixed_step(self) -> float:
-        """h."""
-        return float(self.h)
-
     def require(self, model: Model) -> None:
         """Raise InputError unless the method takes the model: any scene; a user's with a potential, constant mass, phi at most quadratic.
 

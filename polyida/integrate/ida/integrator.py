@@ -146,10 +146,6 @@ class IDA(Integrator):
         _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, expected)
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
-    def relative_tolerance(self) -> float | None:
-        """rtol."""
-        return self.rtol
-
     def summary_of_steps(self, memory: dict) -> str:
         """Text of a summary on the tolerances that a run chose; memory of one of its states."""
         words = [rtol_message(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []

@@ -43,10 +43,6 @@ class TimeStepping(Integrator):
     max_iterations: int
     trusted = velocity_rows = takes_laws = True
 
-    def fixed_step(self) -> float:
-        """h."""
-        return float(self.h)
-
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one for each step. Raises StepFailure."""
         run = _Steps(self, model, counts)

@@ -142,10 +142,6 @@ class RadauIIA(Integrator):
         """atol, or the default for a run of these sizes."""
         return self.relative(sizes) * float(sizes[0]) if self.atol is None else self.atol
 
-    def fixed_step(self) -> float:
-        """h; 0 with step control."""
-        return float(self.h or 0.0)
-
     def relative_tolerance(self) -> float | None:
         """rtol with step control, None with fixed steps."""
         return self.rtol if self.adaptive else None
