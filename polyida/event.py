@@ -13,11 +13,11 @@ from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.joint.attachment import labelled, require_attachment
+from polyida.joint.attachment import require_attachment
 from polyida.joint.joint import Joint
 from polyida.model import Model
 from polyida.results.motion import reaction_of
-from polyida.validation import is_number, is_one_of, is_whole, named_keywords, number, read_only, settle, takes, vector2
+from polyida.validation import is_number, is_one_of, is_whole, labelled, named_keywords, number, read_only, settle, takes, vector2
 
 if TYPE_CHECKING:
     from pandas import DataFrame

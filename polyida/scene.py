@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from polyida.assembly.build import attached_sides
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body, OwnPart
+from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
@@ -18,10 +18,11 @@ from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.joint import Joint
 from polyida.profile import Profile, as_profile
+from polyida.registry import OwnPart
 from polyida.reprs import counted, cut, settings, short, table
 from polyida.validation import is_number, is_one_of, named_keywords, number, vector2
 
-Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint | OwnPart)
+Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | OwnPart)
 REDUNDANT = ("refuse", "least-norm")
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)

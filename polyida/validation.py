@@ -189,3 +189,10 @@ def require_bytes(part, memory_limit):
     """Raise InputError, in the name of `part`, unless it is a number of bytes."""
     if not (is_number(memory_limit) and memory_limit >= 0):
         raise InputError(f"{part}: memory_limit = {memory_limit!r} must be a number of bytes")
+
+
+def labelled(kind, name):
+    """Return how messages name a part. Raise InputError if the name is not a text."""
+    if name is not None and not (isinstance(name, str) and name):
+        raise InputError(f"{kind}: name = {name!r} must be a text")
+    return kind if name is None else f"{kind} {name!r}"

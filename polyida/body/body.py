@@ -6,39 +6,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida import registry
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, labelled
+from polyida.joint.attachment import Attachment
 from polyida.joint.formula import Row, Vector
+from polyida.registry import OwnPart
 from polyida.validation import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
 
 SAME = 1e-9  # relative tolerance of equality
-
-
-class OwnPart:
-    """A part that a user can subclass: a frozen dataclass with a field `name`; its other fields are its data, which files store."""
-
-    name: str | None = None
-    by_numba = False  # True if numba compiles the functions of the class (jit/user_functions.py)
-
-    def __init_subclass__(cls, part: bool = True, **options):
-        """Register the class for files; part=False: it is only a base of other classes."""
-        super().__init_subclass__(**options)
-        if part:
-            registry.parts[registry.name_of(cls)] = cls
-
-    @property
-    def label(self) -> str:
-        """Name of the part in messages."""
-        return labelled(type(self).__name__, self.name)
 
 
 def require_whole(part, base, needed):
     """Raise InputError unless the class of a part is a dataclass with a name that defines the functions `needed` of its base."""
     kind = type(part)
     if not (is_dataclass(kind) and any(field.name == "name" for field in fields(kind))):
-        needs = "a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)"
-        raise InputError(f"{part.label}: its class must be {needs}")
+        raise InputError(f"{part.label}: its class needs @dataclass(frozen=True, eq=False) and the field `name: str | None = None`")
     for function in needed:
         if not writes(part, base, function):
             raise InputError(f"{part.label}: its class gives no {function}()")
@@ -57,7 +38,7 @@ def compiled_functions(part, base, *names):
     return functions if part.by_numba and not OwnData(part, functions.values()).python else {}
 
 
-class Body(OwnPart):
+class Body(OwnPart, part=False):
     """A body with complex coordinates z (pairs,), each a moving pair (x, y): `M z'' + elastic(z) = forces`, M constant.
 
     Base class of a user's frozen dataclass with a field `name`. Each point of the body is `x = sum w_k z_k` with constant complex weights

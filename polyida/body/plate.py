@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, labelled, of_node, of_section
+from polyida.joint.attachment import Attachment, of_node, of_section
 from polyida.mesh import PolygonMesh
-from polyida.validation import floats, is_number, is_one_of, named_keywords, number, positive, settle, vector2
+from polyida.validation import floats, is_number, is_one_of, labelled, named_keywords, number, positive, settle, vector2
 
 
 @named_keywords

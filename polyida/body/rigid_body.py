@@ -13,11 +13,11 @@ from polyida.body.plate import Material, Plate
 from polyida.element.elements import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, labelled, require_attachment
+from polyida.joint.attachment import Attachment, require_attachment
 from polyida.joint.formula import Row, Vector, dot
 from polyida.mesh import PolygonMesh
 from polyida.mesh.topology import area_moments
-from polyida.validation import complex_of_pairs, named_keywords, number, pairs_of, positive, settle, vector2
+from polyida.validation import complex_of_pairs, labelled, named_keywords, number, pairs_of, positive, settle, vector2
 
 
 @named_keywords

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.body.body import OwnPart, compiled_functions, require_whole, writes
+from polyida.body.body import compiled_functions, require_whole, writes
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
+from polyida.registry import OwnPart
 from polyida.validation import floats, reals, settle
 
 
-class ForceElement(OwnPart):
+class ForceElement(OwnPart, part=False):
     """A force on attachments: base class of a user's frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
 
     It may have states s, numbers of its own with `s' = rates(t, x, v, s)`: a class with `states = ("current", ...)` writes

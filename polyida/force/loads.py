@@ -9,9 +9,9 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, takes_three, with_checked_function
 from polyida.jit.user_functions import compiled, is_compiled
-from polyida.joint.attachment import Attachment, ground, labelled, require_attachment, require_directions, require_sides
+from polyida.joint.attachment import Attachment, ground, require_attachment, require_directions, require_sides
 from polyida.profile import Profile, as_profile, constant
-from polyida.validation import is_flag, named_keywords, settle, vector2
+from polyida.validation import is_flag, labelled, named_keywords, settle, vector2
 
 
 @named_keywords

@@ -204,13 +204,6 @@ def of_section(body, section, name):
     return Attachment(body, nodes, weights, turn / moment if moment > 0 else None, section.length, name)
 
 
-def labelled(kind, name):
-    """Return how messages name a part. Raise InputError if the name is not a text."""
-    if name is not None and not (isinstance(name, str) and name):
-        raise InputError(f"{kind}: name = {name!r} must be a text")
-    return kind if name is None else f"{kind} {name!r}"
-
-
 def require_attachment(part, value):
     """Raise InputError naming the part unless the value is an attachment of a body."""
     if not isinstance(value, Attachment):

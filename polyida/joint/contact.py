@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from polyida.errors import InputError
-from polyida.joint.attachment import Ground, labelled, require_directions, require_places
+from polyida.joint.attachment import Ground, require_directions, require_places
 from polyida.joint.edges import FacingEdges
 from polyida.joint.formula import Row, Vector, cross, dot
 from polyida.joint.joint import FORCE, Joint
@@ -77,7 +77,7 @@ class Contact(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        label = labelled("Contact", self.name)
+        label = self.label
         require_places(label, self.a, self.b)
         require_contact(label, self)
         if self.radius is not None:
@@ -92,7 +92,7 @@ class Contact(Joint):
     @cached_property
     def edges(self) -> FacingEdges | None:
         """What faces what if b has edges, else None."""
-        return FacingEdges(labelled("Contact", self.name), self.a, self.b) if self.radius is None and self.b.has_edges else None
+        return FacingEdges(self.label, self.a, self.b) if self.radius is None and self.b.has_edges else None
 
     def rows(self) -> list[Row | Vector]:
         """The gap of each point of a, and with friction its slip. With edges, gaps are those at rest; the model finds them at each position."""
@@ -154,7 +154,7 @@ class Clearance(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        label = labelled("Clearance", self.name)
+        label = self.label
         require_contact(label, self)
         settle(self, gap=positive(label, "gap", self.gap, "metres"))
         if self.friction or self.pin_radius is not None:

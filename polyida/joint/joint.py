@@ -12,10 +12,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from polyida import registry
-from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, Ground, labelled, require_directions, require_sides
+from polyida.joint.attachment import Attachment, Ground, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
+from polyida.registry import OwnPart
 from polyida.validation import pairs_of, settle
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
@@ -24,21 +23,8 @@ ALONG = (("", "N"),)
 Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" or "direction" of it
 
 
-class _OfDataclasses:
-    """Base class whose subclasses must be dataclasses if they have fields of their own."""
-
-    def __new__(cls, *args, **kwargs):
-        for kind in cls.__mro__[: cls.__mro__.index(_OfDataclasses)]:
-            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
-            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
-                raise InputError(
-                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
-                )
-        return super().__new__(cls)
-
-
 @dataclass(frozen=True, eq=False)
-class Joint(_OfDataclasses):
+class Joint(OwnPart, part=False):
     """A constraint between attachments a and b of two bodies, or of a body and the ground.
 
     A user's joint is a subclass with `rows()` or `velocity_rows()` or both. `rows()` is a list of rows made of `self.a.x`, `self.a.d`,
@@ -68,12 +54,8 @@ class Joint(_OfDataclasses):
     placing: ClassVar[str] = "place the bodies so that they meet"  # advice in the message that it is not closed at rest
     directed: ClassVar[tuple[str, ...]] = ()  # the sides, "a" and "b", that must have a direction
 
-    def __init_subclass__(cls, **options):
-        super().__init_subclass__(**options)
-        registry.parts[registry.name_of(cls)] = cls
-
     def __post_init__(self):
-        require_sides(labelled(type(self).__name__, self.name), self.a, self.b)
+        require_sides(self.label, self.a, self.b)
         if self.directed:
             self.require_directions(*(getattr(self, side) for side in self.directed))
 
@@ -96,7 +78,7 @@ class Joint(_OfDataclasses):
 
     def require_directions(self, *sides: Any) -> None:
         """Raise InputError unless these sides, by default both, have a direction."""
-        require_directions(labelled(type(self).__name__, self.name), *(sides or (self.a, self.b)))
+        require_directions(self.label, *(sides or (self.a, self.b)))
 
     @property
     def by_points(self) -> bool:

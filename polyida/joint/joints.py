@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, Ground, ground, labelled, require_attachment, require_places
+from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_places
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint
 from polyida.profile import Profile, as_profile
@@ -27,7 +27,7 @@ def fixed_angle(a, b, angle=0.0, offset=None):
 
 def require_friction(joint):
     """Raise InputError unless the joint's `friction` is a number of at least 0."""
-    number(labelled(type(joint).__name__, joint.name), "friction", joint.friction, "no unit", 0.0)
+    number(joint.label, "friction", joint.friction, "no unit", 0.0)
 
 
 def sliding(a, b):
@@ -71,7 +71,7 @@ class Revolute(Joint):
         super().__post_init__()
         require_friction(self)
         if self.friction or self.pin_radius is not None:
-            positive(labelled("Revolute", self.name), "pin_radius", self.pin_radius, "metres")
+            positive(self.label, "pin_radius", self.pin_radius, "metres")
             self.require_directions(*(side for side in (self.a, self.b) if not isinstance(side, Ground)))
 
     def rows(self) -> list[Row | Vector]:
@@ -217,8 +217,7 @@ class Clamp(Joint):
         place, side = (self.a, self.b) if isinstance(self.a, Ground) else (self.b, self.a)
         if isinstance(place, Ground) and place.point is not None and not np.array_equal(place.point, side.point):
             raise InputError(
-                f"{labelled('Clamp', self.name)}: it holds {side!r} where that is at rest, not at {place!r}; give ground itself, and place "
-                "the body there"
+                f"{self.label}: it holds {side!r} where that is at rest, not at {place!r}; give ground itself, and place the body there"
             )
 
     @property
@@ -263,7 +262,7 @@ class Distance(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        label = labelled("Distance", self.name)
+        label = self.label
         require_places(label, self.a, self.b)
         drawn = float(np.linalg.norm(self.b.point - self.a.point))
         settle(self, length=positive(label, "length", drawn if self.length is None else self.length, "metres"))
@@ -306,7 +305,7 @@ class AngleMotor(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        label = labelled("AngleMotor", self.name)
+        label = self.label
         settle(self, angle=as_profile(self.angle, label))
         if not (self.offset is None or is_number(self.offset)):
             raise InputError(f"{label}: offset = {self.offset!r} must be a finite number of rad, or None")
@@ -354,7 +353,7 @@ class PrescribedPosition(Joint):
     friction: float = 0.0
 
     def __post_init__(self):
-        label = labelled("PrescribedPosition", self.name)
+        label = self.label
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
             raise InputError(f"{label}: x and y are both None; give a profile of one at least")
@@ -432,7 +431,7 @@ class RollingDisc(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        label = labelled("RollingDisc", self.name)
+        label = self.label
         require_places(label, self.a, self.b)
         settle(self, radius=positive(label, "radius", self.radius, "metres"))
         if self.circle is not None:
@@ -491,7 +490,7 @@ class Skate(Joint):
     directed = ("b",)
 
     def __post_init__(self):
-        label = labelled("Skate", self.name)
+        label = self.label
         require_attachment(label, self.at)
         angle = float(self.angle) if is_number(self.angle) else as_profile(self.angle, label)
         settle(self, a=ground.at(self.at.point), b=self.at, angle=angle)

@@ -267,7 +267,22 @@ class WithoutDecorator(pi.Joint):
     length: float = 1.0
 
 
-@pytest.mark.parametrize("kind", [WithInit, WithoutDecorator])
-def test_a_joint_with_fields_that_is_no_dataclass_is_refused(kind):
+class ForceWithInit(pi.ForceElement):
+    def __init__(self, a, b, stiffness):
+        self.a, self.b = a, b
+
+
+class ForceWithoutDecorator(pi.ForceElement):
+    a: object
+    b: object
+
+
+class BodyWithInit(pi.Body):
+    def __init__(self, *lengths):
+        self.lengths = lengths
+
+
+@pytest.mark.parametrize("kind", [WithInit, WithoutDecorator, ForceWithInit, ForceWithoutDecorator, BodyWithInit])
+def test_a_part_with_fields_that_is_no_dataclass_is_refused(kind):
     with pytest.raises(pi.InputError, match=rf"^{kind.__name__}: its fields need @dataclass"):
         kind(pi.ground, pi.RigidBody(1.0, 1.0, {"rim": (0.5, 0.0)}).at("rim"), 2.0)
