@@ -274,9 +274,3 @@ def slopes_of(forces, t, q, v, c_v, c_q):
     for own in forces:
         result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
     return result
-
-
-def energy_of(forces, q, strain, v=None):
-    """The energy of forces, J: strain energy of bodies, or all other energy; v is needed if there are states."""
-    v = np.zeros_like(q) if v is None else v
-    return sum((own.energy(own.places(q), own.velocities(v)) for own in forces if own.strain == strain), 0.0)

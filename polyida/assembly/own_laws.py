@@ -146,6 +146,41 @@ def add_own_forces(laws, links, drives, u, v, r):
                 spread_one(links, p, -f[i, 0], -f[i, 1], r)
 
 
+@entry
+def energies_and_powers(laws, links, drives, u, v, step, out):
+    """out (laws, 2): energy, J, and work beyond it, `f . v + dE/dt`, W, of each law at displacements u and velocities v of nodes.
+
+    dE/dt is a central difference of fourth order, `step` times the size of the sides' coordinates along the motion.
+    """
+    numbers = numbers_at(laws, drives)
+    for k in range(laws.parts.shape[0] - 1):
+        x, speeds, s, rates = place(laws, k, links, u, v)
+        evaluate(laws, k, numbers, x, speeds, s, rates)
+        side, first, states = laws.parts[k, 1], laws.parts[k, 4], laws.parts[k + 1, 4] - laws.parts[k, 4]
+        own, power, pace, there, then, f = x.shape[0] - (states + 1) // 2, 0.0, 0.0, x.copy(), speeds.copy(), rates.copy()
+        for i in range(x.shape[0]):
+            for j in range(2):
+                state = 2 * (i - own) + j
+                if i < own:
+                    power += rates[i, j] * speeds[i, j]
+                    rates[i, j] = 0.0
+                    pace = max(pace, abs(speeds[i, j]) / laws.sizes[side + i])
+                elif state < states:
+                    rates[i, j] /= laws.states[first + state, 0] * laws.states[first + state, 1]
+                    pace = max(pace, abs(rates[i, j]) / laws.sizes[side + i])
+        out[k, 0], out[k, 1] = 0.0, power
+        if laws.energies[k] == 0:
+            continue
+        out[k, 0] = energy_at(laws, k, numbers, x, speeds, s, f)
+        for e in range(4 if pace > 0.0 else 0):
+            d = e - 2 if e < 2 else e - 1
+            for i in range(x.shape[0]):
+                for j in range(2):
+                    there[i, j], then[i, j] = x[i, j] + d * step / pace * speeds[i, j], speeds[i, j] + d * step / pace * rates[i, j]
+            weight = 2.0 / 3.0 * d if d * d == 1 else -d / 24.0
+            out[k, 1] += weight * pace / step * energy_at(laws, k, numbers, there, then, s, f)
+
+
 @part
 def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
     """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by the discrete gradient (Gonzalez 1996).

@@ -19,8 +19,9 @@ from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
-from polyida.assembly.own_forces import Elastic, OwnForce, energy_of, slopes_of, take_from
-from polyida.assembly.own_laws import add_own_forces
+from polyida.assembly.own_forces import NEAR as ENERGY_RANGE
+from polyida.assembly.own_forces import Elastic, OwnForce, slopes_of, take_from
+from polyida.assembly.own_laws import NO_ENERGY, add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
 from polyida.assembly.relaxation import add_relaxing_forces, relaxation_energies, slopes, stiffness_changes
@@ -33,6 +34,7 @@ from polyida.joint.joint import Joint, held_at
 from polyida.linear.lu import dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model import NONE, Needs
+from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.row_laws import require_no_laws
 from polyida.profile import Profile
 from polyida.validation import pairs_of
@@ -304,7 +306,9 @@ class SceneModel(SceneBodies):
 
     def call_all(self, t, q, v):
         """Call each function of the user once."""
-        take_from(np.zeros(self.n), self.own_forces, t, q, v), self.potential(q)
+        take_from(np.zeros(self.n), self.own_forces, t, q, v)
+        for own in self.own_forces:
+            own.energy(own.places(q), own.velocities(v))
 
     @property
     def hidden(self):
@@ -442,11 +446,31 @@ class SceneModel(SceneBodies):
 
     def potentials(self, q, v=None):
         """(potential of gravity and force elements, strain energy), J; v is needed if energies depend on states."""
-        return self.gravity_potential(q) + energy_of(self.own_forces, q, strain=False, v=v), self.strain_energy(q, v)
+        energies = self.element_energies(q, v)
+        elements = sum((energy for own, energy in zip(self.own_forces, energies) if not own.strain), 0.0)
+        return self.gravity_potential(q) + elements, self.strain_energy(q, v, energies)
 
-    def strain_energy(self, q, v=None):
-        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default."""
-        energy = compiled.strain_energy(self.arrays, self._nodal(q)) + energy_of(self.own_forces, q, strain=True)
+    def element_energies(self, q, v=None):
+        """Energies, J, of the force elements and elastic forces in `own_forces`; v is needed if they depend on states."""
+        if not self.own_forces:
+            return ()
+        v = np.zeros(self.n) if v is None else v
+        known = self.compiled_energies(0.0, q, v)
+        return [own.energy(own.places(q), own.velocities(v)) for own in self.own_forces] if known is None else known[:, 0].tolist()
+
+    def compiled_energies(self, t, q, v):
+        """(energy, J, work beyond it, W) of each of `own_forces`, (., 2), from compiled code; None if one is Python or gives nan."""
+        if self.laws is None or NO_ENERGY in self.laws.energies:
+            return None
+        result = np.empty((len(self.own_forces), 2))
+        nodal = self._nodal(np.array(q, float)), self._nodal(np.array(v, float))
+        energies_and_powers(self.laws, self.arrays.links, self.drives(t), *nodal, FIRST_ORDER_STEP * ENERGY_RANGE, result)
+        return result if np.isfinite(result).all() else None
+
+    def strain_energy(self, q, v=None, energies=None):
+        """Elastic energy of all bodies, J; of viscoelastic plates with the states in v, which are zero by default. energies: element_energies."""
+        energies = self.element_energies(q) if energies is None else energies
+        energy = compiled.strain_energy(self.arrays, self._nodal(q)) + sum(e for own, e in zip(self.own_forces, energies) if own.strain)
         if self.strains:
             energy += relaxation_energies(self.arrays, self._nodal(q), self._nodal(np.zeros(self.n) if v is None else v))[0]
         return energy
@@ -541,8 +565,9 @@ class Powers:
         rates = self.model.phi_rate(t, q, v) if self._rubbing else ()
         for row, name in self._rubbing.items():
             powers[name] = powers.get(name, 0.0) - float(lam[row] * rates[row])
-        for own in self._elements:  # `sum f . v + dE/dt`, which is zero if its forces derive from its energy E
-            powers[own.name] = own.power(t, q, v)
+        known = self.model.compiled_energies(t, q, v) if self._elements else None
+        for k, own in enumerate(self._elements):  # `sum f . v + dE/dt`, which is zero if its forces derive from its energy E
+            powers[own.name] = own.power(t, q, v) if known is None else float(known[k, 1])
         if self.model.strains:
             at = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
             lost = relaxation_energies(self.model.arrays, *at)[1]

@@ -159,10 +159,11 @@ class Energy:
         result: dict[str, NDArray] = {}
         first = 0
         for one in self._motions:
-            for own in one.model.own_forces:
+            forces = one.model.own_forces
+            values = [one.model.element_energies(q, v) for q, v in zip(each(one.q), each(one.v))] if forces else []
+            for own, energies in zip(forces, np.transpose(values)):
                 if not own.strain and writes(own.element, ForceElement, "energy"):
-                    values = [own.energy(own.places(q), own.velocities(v)) for q, v in zip(each(one.q), each(one.v))]
-                    result.setdefault(own.name, np.zeros(len(self.kinetic)))[first : first + len(one.t)] = values
+                    result.setdefault(own.name, np.zeros(len(self.kinetic)))[first : first + len(one.t)] = energies
             first += len(one.t)
         return result
 

@@ -190,3 +190,21 @@ def test_models_of_one_s_own_tell_or_do_not():
     told = motion(9)
     told.model.dissipating = ("push",)
     assert set(told.energy.work) == {"pull", "steady"} and np.array_equal(told.energy.dissipated["push"], -motion(9).energy.work["push"])
+
+
+def test_compiled_energies_and_powers_are_those_of_the_python_functions():
+    """Springs, a contact, elements with states, with a state and an algebraic one, a controller and a motor, at random states."""
+    scene, random = pi.Scene(), np.random.default_rng(0)
+    car = scene.add(pi.RigidBody(2.0, 0.1, {"axle": (0.2, 0.1), "front": (1.0, 0.0)}, name="car"))
+    far, fixed = pi.ground.at((3.0, 2.0)), pi.ground.at((0.0, 0.0), direction=(1.0, 0.0))
+    scene.add(pi.SpringDamper(far, car.at("front"), stiffness=20.0, damping=0.3, name="spring"))
+    scene.add(pi.TorsionSpring(fixed, car.at("axle"), stiffness=3.0, damping=0.1, name="torsion"))
+    scene.add(pi.Maxwell(far, car.at("axle"), stiffness=5.0, damping=2.0, name="rope"))
+    scene.add(pi.DCMotor(car.at("axle"), pi.profile.sine(6.0, 1.0), k=0.5, L=0.1, R=1.0, name="motor"))
+    scene.add(pi.PID(car.at("axle"), kp=8.0, ki=4.0, kd=2.0, target=0.3, filter=0.1, name="pid"))
+    model = scene.build()
+    for t, q, v in zip(random.uniform(0.0, 1.0, 5), *random.standard_normal((2, 5, model.n))):
+        known = model.compiled_energies(t, q, v)
+        exact = np.array([[own.energy(own.places(q), own.velocities(v)), own.power(t, q, v)] for own in model.own_forces])
+        assert np.allclose(known, exact, rtol=1e-9, atol=1e-8 * np.abs(exact).max()) and np.abs(exact[:, 1]).min() > 1e-6
+        assert model.powers(t, q, v, np.zeros(model.m))["rope"] == known[2, 1]
