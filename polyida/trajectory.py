@@ -178,7 +178,7 @@ class Trajectory:
         pieces = self._pieces("energy")
         if len(self.events) and not self.events.given:  # the energy lost in impacts has the work of the friction in them
             pieces = [pieces[0]._replace(lam=self._without_impacts(pieces[0].model))]
-        return energy_of(pieces, self.events)
+        return energy_of(pieces, self.events, _settled)
 
     def _without_impacts(self, model):
         """lam without the friction of contacts in the steps in which they were hit."""
@@ -447,3 +447,11 @@ class Trajectory:
 
 def _largest(values):
     return float(np.abs(values).max(initial=0.0))
+
+
+def _settled(model, t, q, v, lam, gap=1e-8):
+    """(q, v, lam) of an interpolated state, on driven constraints if |phi| is larger than the gap over the size of q; else as they are."""
+    from polyida.integrate.start import on_drives
+
+    state = on_drives(guard(model), State(t, q, v, v, lam), gap)
+    return state.q, state.v, state.lam

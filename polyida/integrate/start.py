@@ -128,6 +128,19 @@ def restarted(model, state):
     return State(float(state.t), q, v, *consistent_acceleration(model, state.t, q, v))
 
 
+def on_drives(model, state, gap=0.0):
+    """An interpolated state, or in a driven model of rigid bodies the State there that satisfies the constraints, with consistent a and lam.
+
+    Where drives determine the motion, an integrator takes long steps, between which its polynomial is off by more than its tolerance. With
+    flexible bodies steps are short, and consistent multipliers of an interpolated state are noise. gap: |phi| over the size of q below which
+    the interpolated state is returned.
+    """
+    if model.flexible or not model.needs.driven or model.row_laws:
+        return state
+    size = max(1.0, np.abs(state.q).max(initial=0))
+    return state if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * size else restarted(model, state)
+
+
 def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)

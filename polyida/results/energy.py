@@ -1,7 +1,7 @@
 """Energies of a run over time, work of its parts and dissipation.
 
 Work is the time integral of powers over a motion that is known at its frames. Between two frames, and kinks of profiles there, powers
-are evaluated at the two Gauss points of the cubic Hermite motion through q and v. With an error e of that motion, which is zero at both ends, a
+are evaluated at the three Gauss points of the cubic Hermite motion through q and v, which is put on driven constraints. With an error e of that motion, which is zero at both ends, a
 force misses `int F . e' = -int F' . e`: fourth order in the time between frames, and nothing where F is constant.
 """
 
@@ -21,14 +21,14 @@ from polyida.model.differences import beside, cubic
 from polyida.reprs import brief
 from polyida.results.motion import Motion
 
-GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
+GAUSS = tuple(zip(0.5 + 0.5 * np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 8.0, 5.0]) / 18.0))  # (place, weight)
 NEAR = 1e-3  # of the time between the frames beside them: two frames that are closer have one slope
 SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
 
-def works(motions):
-    """{name: work since the first frame, (frames,), J} over consecutive Motions."""
-    each_one, ends = [_works_of(motion) for motion in motions], np.cumsum([0, *(len(motion.t) for motion in motions)])
+def works(motions, settled):
+    """{name: work since the first frame, (frames,), J} over consecutive Motions. settled: as of Energy."""
+    each_one, ends = [_works_of(motion, settled) for motion in motions], np.cumsum([0, *(len(motion.t) for motion in motions)])
     gained = {name: np.zeros(ends[-1]) for one in each_one for name in one}
     for one, first, end in zip(each_one, ends, ends[1:]):
         for name, work in one.items():
@@ -37,7 +37,7 @@ def works(motions):
     return gained
 
 
-def _works_of(motion):
+def _works_of(motion, settled):
     """The same of one Motion: of all that its model names in `powers` at the first frame."""
     t = np.asarray(motion.t, float)
     powers = _Powers(motion) if len(t) else None
@@ -60,7 +60,7 @@ def _works_of(motion):
         for s, part in kinks.points(k):
             q, v = cubic(q0, v0, q1, v1, h, s)
             lam, _ = cubic(*multipliers[k], h, s)
-            gained[k + 1] += part * h * powers(t[k] + s * h, q, v, lam)
+            gained[k + 1] += part * h * powers(t[k] + s * h, *settled(motion.model, t[k] + s * h, q, v, lam))
     return dict(zip(powers.names, np.cumsum(gained, axis=0).T))
 
 
@@ -105,7 +105,7 @@ class _Kinks:
     def points(self, k):
         """(place, weight) of Gauss points between frame k and the next, in parts of the time between them."""
         for first, last in pairwise((0.0, *self._within.get(k, ()), 1.0)):
-            yield from ((first + s * (last - first), 0.5 * (last - first)) for s in GAUSS)
+            yield from ((first + s * (last - first), weight * (last - first)) for s, weight in GAUSS)
 
 
 def _behind(motion, powers, k):
@@ -138,6 +138,9 @@ class Energy:
     strain: NDArray
     _motions: Any = field(repr=False)  # the run's Motions between events
     _events: Any = field(default=(), repr=False)  # Events
+    _settled: Any = field(
+        default=None, repr=False
+    )  # function (model, t, q, v, lam) -> (q, v, lam) of an interpolated state on its constraints
 
     __repr__ = brief
 
@@ -172,8 +175,9 @@ class Energy:
         """{name: work done on the system since the first frame, J} by loads, driven joints, and force elements beyond their `energy`.
 
         `total - total[0] = sum of work - sum of dissipated` for the exact motion. It is the integral over the cubic Hermite motion through
-        q and v of the frames, by two Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
-        order in the time between frames. Multipliers are interpolated with slopes from their neighbours. Vibrations between two frames are
+        q and v of the frames, by three Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
+        order in the time between frames: with `every=` or `output=` that is the time between the frames that are stored. Multipliers are
+        interpolated with slopes from their neighbours; those of driven rigid bodies are computed there. Vibrations between two frames are
         missed. The impulse of a motor whose speed jumps is included if a frame is at that kink. A user's model needs `powers`.
         """
         return {name: work for name, work in self._works.items() if name not in self._dissipating}
@@ -192,7 +196,7 @@ class Energy:
 
     @cached_property
     def _works(self):
-        return works(self._motions)
+        return works(self._motions, self._settled)
 
 
 def grown(motion):
@@ -222,7 +226,7 @@ def _passive(model):
     return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces)
 
 
-def energy_of(motions, events=()):
+def energy_of(motions, events=(), settled=None):
     """The Energy of consecutive Motions, and of the Events between them."""
     terms = []
     for model, q, v in ((one.model, q, v) for one in motions for q, v in zip(each(one.q), each(one.v))):
@@ -230,4 +234,4 @@ def energy_of(motions, events=()):
         terms.append(
             (0.5 * moving @ (model.mass(q) @ moving), *(model.potentials(q, v) if model.k and model.is_scene else model.potentials(q)))
         )
-    return Energy(*np.array(terms, float).reshape(-1, 3).T, motions, events)
+    return Energy(*np.array(terms, float).reshape(-1, 3).T, motions, events, settled)

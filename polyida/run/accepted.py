@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.start import on_drives
 from polyida.integrate.state import Counts, State, States, Stretch, between, parted
 from polyida.integrate.switches import Switches
 from polyida.jit.user_functions import over
@@ -177,11 +178,12 @@ def _naming_function(failure, model, state):
 class Sampler:
     """Stores every `every`-th accepted state, the first and the last; or the times `output`.
 
-    rows: `FrameStore.rows` if each state becomes a frame, or None.
+    rows: `FrameStore.rows` if each state becomes a frame, or None. model: the one whose constraints frames at `output` satisfy if they are
+    driven; None in runs with events.
     """
 
-    def __init__(self, store, counts, every=1, output=None, done=0):
-        self.store, self.counts, self.every = store, counts, every
+    def __init__(self, store, counts, every=1, output=None, done=0, model=None):
+        self.store, self.counts, self.every, self.model = store, counts, every, model
         self.output, self.next, self.last_frame = output, done, None
         self.rows = store.rows if every == 1 and output is None else None
 
@@ -201,7 +203,8 @@ class Sampler:
         while self.next < len(self.output) and self.output[self.next] <= stretch.t[-1]:
             t = self.output[self.next]
             k = int(np.searchsorted(stretch.t, t))
-            self.keep(between(stretch.state(k - 1) if k else before, stretch.state(k), t))
+            state = between(stretch.state(k - 1) if k else before, stretch.state(k), t)
+            self.keep(state if self.model is None or stretch.t[k] == t else on_drives(self.model, state))
             self.next += 1
 
     def _keep_every(self, stretch, done):

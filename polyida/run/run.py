@@ -44,7 +44,7 @@ class Run:
         self.plan, self.store, self.counts, self.recorder, self.begun = plan, store, counts, recorder, begun
         self.until, self.progress, self.streams, self.happenings = until, progress, store.file is not None, happenings
         self.events = happenings.happened if happenings else Events() if events is None else events
-        self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count)
+        self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count, None if happenings else self.known)
         self.last = self.restart = self.flushed = self.watch = self.recorded = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 

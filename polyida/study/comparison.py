@@ -344,7 +344,7 @@ class ReferenceRun:
 def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
     """The ReferenceRun at increasing times, the first of which is its start. rtol: of the runs, None if unknown."""
     from polyida.integrate.radau.radau_iia import RadauIIA
-    from polyida.integrate.start import consistent_state
+    from polyida.integrate.start import consistent_state, on_drives
 
     integrator = RadauIIA(rtol=MAX_RTOL if rtol is None else max(MIN_RTOL, min(MAX_RTOL, rtol / RTOL_RATIO)))
     counts, function, begin, message = Counts(), watched_quantity(ivp), clock()[0], ""
@@ -360,7 +360,8 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
         try:
             for state in States(accepted(integrator, model, before, ivp.t_end, counts), counts):
                 while len(watched) < len(times) and times[len(watched)] <= state.t:
-                    seen = between(before, state, times[len(watched)])
+                    t = times[len(watched)]
+                    seen = state if state.t == t else on_drives(model, between(before, state, t))
                     watched.append(function(seen.q))
                     x.append(model.states_of(seen.v))
                 before = state

@@ -208,3 +208,21 @@ def test_compiled_energies_and_powers_are_those_of_the_python_functions():
         exact = np.array([[own.energy(own.places(q), own.velocities(v)), own.power(t, q, v)] for own in model.own_forces])
         assert np.allclose(known, exact, rtol=1e-9, atol=1e-8 * np.abs(exact).max()) and np.abs(exact[:, 1]).min() > 1e-6
         assert model.powers(t, q, v, np.zeros(model.m))["rope"] == known[2, 1]
+
+
+@pytest.mark.parametrize("integrator", [pi.RadauIIA(rtol=1e-8), pi.IDA(rtol=1e-6)], ids=lambda one: type(one).__name__)
+def test_between_long_steps_a_driven_motion_is_on_its_drive(integrator):
+    """A motor determines all: steps are as long as a tenth of its motion, and frames between them are exact; so is its work, nearly."""
+    scene, turn = pi.Scene(gravity=(0.0, -9.81)), pi.profile.quintic(0.0, 2.0, 0.5)
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), turn, name="motor"))
+    model = scene.build()
+    run = pi.solve(model, 1.0, integrator, output=np.linspace(0.0, 1.0, 41))
+    angle, torque = turn.over(run.t), turn.over(run.t, 2) / 3 + 0.5 * 9.81 * np.cos(turn.over(run.t))
+    assert np.abs(run.position(bar.at("right")) - np.stack([np.cos(angle), np.sin(angle)], axis=1)).max() < 1e-11
+    steps = pi.solve(model, 1.0, integrator)
+    inner = ~np.isin(run.t, steps.t)
+    assert inner.sum() > 30 and np.abs(run.reaction("motor")[:, 0] - torque)[inner].max() < 1e-8
+    for one in (run, steps):
+        assert one.energy.work["motor"][-1] == pytest.approx(0.5 * 9.81 * np.sin(2.0), rel=5e-4)
