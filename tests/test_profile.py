@@ -93,3 +93,31 @@ def test_a_compiled_profile_that_numba_does_not_take_is_refused():
 
 def odd(t):
     return float(eval("t"))
+
+
+def driven(profile):
+    scene = pi.Scene()
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), profile, name="motor"))
+    return scene.build()
+
+
+WRONG_RATES = {
+    "a kink at the start": (dict(value=lambda t: float(np.interp(t, [0.0, 0.5, 1.0], [0.0, 1.0, 0.5])), kinks=[0.5]), r"give kinks=\[0\]"),
+    "d1": (dict(value=lambda t: 0.5 * t**3, d1=lambda t: 3.0 * t**2), "correct d1"),
+    "d2": (dict(value=lambda t: 0.5 * t**3, d1=lambda t: 1.5 * t**2, d2=lambda t: 6.0 * t), "correct d2"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_RATES)
+def test_a_wrong_derivative_of_a_function_that_drives_a_joint_is_named(case):
+    arguments, words = WRONG_RATES[case]
+    with pytest.raises(pi.InputError, match=f"^motor: its profile has the derivative .*{words}"):
+        pi.solve(driven(pi.profile.from_function(**arguments)), 1.0, pi.GeneralizedAlpha(h=1e-2))
+
+
+@pytest.mark.parametrize("value", [lambda t: 0.0, lambda t: np.sin(200.0 * t), lambda t: 1e-6 * np.sin(t), lambda t: 1e3 * t])
+def test_derivatives_by_differences_are_accepted(value):
+    model = driven(pi.profile.from_function(value))
+    assert pi.solve(model, 0.05, pi.GeneralizedAlpha(h=1e-3)).success

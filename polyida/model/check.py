@@ -21,6 +21,7 @@ AGREES = 1e-5  # of its size: accepted error of a derivative
 DOUBT = 10.0  # times the disagreement of differences
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
 RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at random places
+CLOSE, RATE = 2e-5, 1e-3  # s, step of differences of profiles, and accepted relative error of their derivatives
 MOMENTS = 8  # times at which phi is evaluated
 VELOCITY_ROWS = "; a velocity constraint that has no phi is written as psi(t, q, v), with the number p of its rows"
 
@@ -97,6 +98,35 @@ def require_declared(model, t, q, v, t_end=None):
             if state is not None:
                 _require_needs(model, *state, random)
                 _require_derivatives(model, *state, random)
+
+
+def require_profiles(model, t, t_end):
+    """Raise InputError if a user's function that drives a joint has another rate at t, or at a random time before t_end, than its difference.
+
+    At t the difference looks ahead: what the function was before is no part of the run.
+    """
+    for k in sorted({*model.motor_profiles, *model.path_profiles}):
+        name, profile = model.named_profiles[k]
+        if profile.formula:
+            continue
+        times = t + (t_end - t) * np.array([0.0, *np.random.default_rng(0).random(3)])
+        largest = max(abs(profile.value(at)) for at in times)
+        for function, rate, what, noise in ((profile.value, profile.d1, "d1", 1e-6), (profile.d1, profile.d2, "d2", 1e-3)):
+            bounds = [(max(low, t - at), high) for at in times for low, high in [differences.around(profile.kinks, at)]]
+            exact = [differences.within(lambda s, at=at: function(at + s), bound, CLOSE) for at, bound in zip(times, bounds)]  # noqa: B023
+            found = [rate(differences.beside(at, 1.0) if low == 0.0 else at) for at, (low, _) in zip(times, bounds)]
+            wrong = np.abs(np.subtract(found, exact))
+            allowed = RATE * np.abs(exact).max() + noise * largest
+            if (worst := int(wrong.argmax())) == 0 and wrong[0] > allowed:
+                raise InputError(
+                    f"{name}: its profile has the derivative {what} = {found[0]:.6g} at t = {t:.6g} s, where the run begins, but just after it "
+                    f"changes at {exact[0]:.6g}: give kinks=[{t:.6g}], the time at which it is not smooth, or correct {what}"
+                )
+            if wrong[worst] > allowed:
+                raise InputError(
+                    f"{name}: its profile has the derivative {what} = {found[worst]:.6g} at t = {times[worst]:.6g} s, but it changes at "
+                    f"{exact[worst]:.6g}: correct {what}, or leave it out to have it made by differences"
+                )
 
 
 def _near(model, t, t_end, q, v, random, reaches):

@@ -22,7 +22,7 @@ from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.save import FrameStore, create, free
 from polyida.jit import clock
 from polyida.model import Model
-from polyida.model.check import require_declared
+from polyida.model.check import require_declared, require_profiles
 from polyida.model.guarded import Compiled, guard, unguarded
 from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
@@ -195,6 +195,7 @@ def solve(
             Compiled(known)  # raises InputError for a function that numba cannot compile
         if not known.compiled or known.own_forces:  # a scene of polyida's own parts needs no check
             require_declared(known, float(begin), q, v, float(t_end))
+        require_profiles(known, float(begin), float(t_end))
         if state is None:
             state = consistent_state(known, t0, q0, v0, x0)
         elif not state.restart:
