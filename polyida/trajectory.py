@@ -393,7 +393,8 @@ class Trajectory:
         if model is not None:
             notes += [model.remark, hint_of_rigid(model, self.q, method and method.relative_tolerance())]
             notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else ""]
-            notes += [f"events: {self.events.summary()}" if len(self.events) else grown(self._motion("summary"))]
+            notes += [f"events: {self.events.summary()}" if len(self.events) else ""]
+            notes += ["" if self.events.given else grown(self._motion("summary"))]
         elif self.missing != Trajectory.missing:
             notes.append(self.missing)
         name = method.class_name() if method else self.integrator

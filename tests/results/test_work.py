@@ -226,3 +226,12 @@ def test_between_long_steps_a_driven_motion_is_on_its_drive(integrator):
     assert inner.sum() > 30 and np.abs(run.reaction("motor")[:, 0] - torque)[inner].max() < 1e-8
     for one in (run, steps):
         assert one.energy.work["motor"][-1] == pytest.approx(0.5 * 9.81 * np.sin(2.0), rel=5e-4)
+
+
+def test_energy_that_grows_in_impacts_is_told_in_the_summary():
+    """A stiff plate that falls flat on the ground, in steps much longer than a wave needs through a cell."""
+    scene, stiff = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=1e10, nu=0.3, rho=1000.0)
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=40, seed=1), stiff, 0.01, origin=(0.0, 0.06), name="plate"))
+    scene.add(pi.Contact(plate.section("bottom"), pi.ground.at((0.0, 0.0)), name="floor"))
+    run = pi.solve(scene.build(), 0.06, pi.NonsmoothAlpha(h=1e-4))
+    assert run.energy.total.max() > 1.0 and "events: 'floor'" in run.summary() and "the energy grows by" in run.summary()
