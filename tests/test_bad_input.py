@@ -447,6 +447,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: precision(reference=swing()), "the reference ends at"),
     (lambda: precision(reference=digits()).plot("a"), "must be one of"),
     (lambda: step_sizes(h=(0.0,)), "h = .* must be positive steps"),
+    (lambda: step_sizes(h=(0.005, 0.02)), "h = 0.02 s must not be longer than the run, t_end = 0.01 s"),
     (lambda: step_sizes(integrators={"own": IDA}), "must be a class or a function of h"),
     (lambda: step_sizes(integrators={"IDA": pi.IDA}), "IDA makes no integrator of a step h: the class takes no h"),
     (lambda: pi.study.energy("pendulum", 0.01, integrators={"alpha": [ALPHA] * 2}), "one integrator"),

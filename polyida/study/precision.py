@@ -361,11 +361,8 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
-    def _step(self, row):
-        return row["h"]
-
     def plot(self, part: str = "q", axes: Axes | None = None) -> Axes:
-        """Draw the error at the end against h, with lines of the rounded orders.
+        """Draw the error at the end against the mean step, with lines of the rounded orders.
 
         Parameters
         ----------
@@ -387,12 +384,12 @@ class StepSizes(Precision):
             raise InputError(f"plot: part = {part!r} must be one of {', '.join(self.parts)}")
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (row["h"], error))
+                self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (self._step(row), error))
                 order, rows = self.orders[label][part], self._fitted(label, part)
                 if np.isfinite(order):
-                    steps = [row["h"] for row in rows]
+                    steps = [self._step(row) for row in rows]
                     slope_line(axis, round(order), [max(steps), min(steps)], 0.5 * max(row[f"error_{part}"] for row in rows))
-            return self._finish(axis, part, "y", xlabel="step h, s", ylabel=f"error in {part} at the end")
+            return self._finish(axis, part, "y", xlabel="mean step, s", ylabel=f"error in {part} at the end")
 
     def pictures(self) -> dict:
         """The errors of all parts against the step."""
@@ -423,14 +420,15 @@ def step_sizes(
     integrators : {label: class or function}
         A class with an argument h, or a function of h that returns an integrator.
     h : (k,) float, s
-        The steps.
+        The steps, not longer than t_end. Integrators shorten them, so that a whole number of steps ends at t_end: plots and orders use the
+        mean step of each run.
     reference, progress
         As in `work_precision`.
 
     Returns
     -------
     result : StepSizes
-        A row for each run.
+        A row for each run, with the h that was asked for.
 
     Raises
     ------
@@ -439,6 +437,8 @@ def step_sizes(
     """
     ivp = initial_value_problem("step_sizes", model, t_end, q0, v0)
     steps = step_list("step_sizes", h)
+    if steps[0] > ivp.t_end:
+        raise InputError(f"step_sizes: h = {steps[0]:g} s must not be longer than the run, t_end = {ivp.t_end:g} s")
     if isinstance(integrators, dict):
         integrators = {label: [_with_step(label, make, h) for h in steps] for label, make in integrators.items()}
     lists = integrator_lists("step_sizes", ivp, integrators)

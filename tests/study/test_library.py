@@ -212,6 +212,15 @@ def test_states_have_errors_and_orders():
     assert rows[0]["states_max"] >= rows[0]["states_end"]
 
 
+@pytest.mark.parametrize(("make", "order"), [(pi.GeneralizedAlpha, 2.0), (lambda h: pi.RadauIIA(h=h), 5.0)])
+def test_orders_are_those_of_the_steps_that_were_used(make, order):
+    h = np.array([0.09, 0.06, 0.051])  # in one second 12, 17 and 20 steps
+    study = pi.study.step_sizes("pendulum", 1.0, integrators={"own": make}, h=h)
+    assert [row["h"] for row in study.rows] == list(h) and [row["steps"] for row in study.rows] == [12, 17, 20]
+    assert study.orders["own"]["q"] == pytest.approx(order, abs=0.1)
+    assert study.plot("q").lines[0].get_xdata() == pytest.approx([1 / 12, 1 / 17, 1 / 20])
+
+
 def test_errors_of_a_quantity_without_a_reference():
     def slopes(run):
         result = np.zeros(run.q.shape)
