@@ -161,6 +161,43 @@ def test_sizes_and_needs_are_looked_at(attribute, value):
         pi.solve(type("Sized", (Pendulum,), {attribute: value})(), 0.1, INTEGRATORS[0], **START)
 
 
+def velocity_row(self, t, q, v):
+    return v[:1]
+
+
+@pytest.mark.parametrize(
+    "attributes, told",
+    [
+        ({"m": 0, "phi": Pendulum.phi}, r"phi\(t, q\), but m = 0"),
+        ({"m": 0, "phi_q": Pendulum.phi_q}, r"phi_q\(t, q\), but m = 0"),
+        ({"psi": velocity_row}, r"psi\(t, q, v\), but p = 0"),
+        ({"k": 1}, r"k = 1 states, but its class gives no rates\(t, q, v, x\)"),
+        ({"algebraic": 1}, r"algebraic = 1 states, but its class gives no rates"),
+    ],
+)
+def test_functions_that_the_sizes_leave_out_are_named(attributes, told):
+    with pytest.raises(pi.InputError, match=f"^Short: .*{told}"):
+        pi.solve(type("Short", (Pendulum,), attributes)(), 0.01, pi.RadauIIA(), **START)
+
+
+def test_a_class_may_drop_the_rows_that_it_inherits_and_an_object_its_own():
+    class Free(Pendulum):
+        m = 0
+
+    class Chain(Pendulum):
+        def __init__(self, links):
+            self.m = links
+
+        def phi(self, t, q):
+            return super().phi(t, q)[: self.m]
+
+        def phi_q(self, t, q):
+            return super().phi_q(t, q)[: self.m]
+
+    for model in (Free(), Chain(0)):
+        assert pi.solve(model, 0.1, pi.RadauIIA(rtol=1e-9), **START).q[-1, 1] == pytest.approx(-0.5 * 9.81 * 0.01)
+
+
 def test_a_rate_of_phi_of_the_users_own_is_called():
     rated = type("Rated", (Pendulum,), {"phi_rate": lambda self, t, q, v: np.array([2.0 * q @ v, 0.0])})()
     with pytest.raises(pi.InputError, match=r"Rated\.phi_rate must return an array of shape \(1,\)"):

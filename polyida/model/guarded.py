@@ -53,6 +53,7 @@ ANSWERS = {  # {function: (check of its value, description)}
 }
 OF_PLACES = ("position", "initial_velocity", "potentials")  # get the user's part of q
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default they call checked functions
+COUNTED = {"m": ("phi", "phi_q"), "p": ("psi", "psi_v")}  # {number of rows: their functions}
 
 
 def guard(model, part="solve"):
@@ -66,7 +67,27 @@ def guard(model, part="solve"):
         raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
     if isinstance(model, Guarded) or model.is_scene or model.checked:
         return model
+    _require_counted(model)
     return Guarded(with_velocity_rows(model) if model.p else model)
+
+
+def _require_counted(model):
+    """Raise InputError for functions that would never be called, because the class that writes them has no rows, and for states without rates.
+
+    A class that inherits from one with rows may set their number to zero, and an object its own.
+    """
+    name = type(model).__name__
+    for size, functions in COUNTED.items():
+        for function in functions if size not in vars(model) else ():
+            writer = next(one for one in (model, *type(model).__mro__) if function in vars(one))
+            if writes(model, function) and is_whole(getattr(writer, size, None), 0, 0):
+                arguments = ", ".join(arguments_of(function))
+                raise InputError(
+                    f"{name}: its class gives {function}({arguments}), but {size} = 0, so it would be ignored: set {size} to the number of its rows"
+                )
+    for size in ("k", "algebraic"):
+        if not (is_whole(getattr(model, size), 0, 0) or writes(model, "rates")):
+            raise InputError(f"{name}: {size} = {getattr(model, size)!r:.60} states, but its class gives no rates(t, q, v, x)")
 
 
 def unguarded(model):

@@ -57,6 +57,12 @@ def prepared(part, model, events):
         raise InputError(f"{part}: events: the names {', '.join(map(repr, names))} must differ")
     events = [replace(event, name=name) for event, name in zip(events, names)]
     if not guard(model, part).is_scene:
+        for event in events:
+            if wrong := [one for one in event.then if isinstance(one, (Remove, Impulse))] or list(event.added):
+                own = type(model).__name__
+                raise InputError(
+                    f"{event.name}: then: {wrong[0]!r:.60} is for scenes; {own} has no parts: give another model, a function of the state or an Impact"
+                )
         return model, events
     scene = Scene(model.gravity)
     scene.parts.update(model.parts)

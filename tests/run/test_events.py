@@ -388,6 +388,9 @@ def test_wrong_inputs():
         (lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=up, then=pi.Clamp(other.at("c")))]), "not in the scene"),
         (lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=lambda s: "x")]), "when gave 'x'"),
         (lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=up, name="a"), pi.Event(when=up, name="a")]), "must differ"),
+        (lambda: pi.solve(Ball(), 1.0, method, events=[pi.Event(when=up, then=pi.Remove("pin"))]), "is for scenes; Ball has no parts"),
+        (lambda: pi.solve(Ball(), 1.0, method, events=[pi.Event(when=up, then=pi.Clamp(rod.at("B")))]), "is for scenes"),
+        (lambda: pi.solve(Ball(), 1.0, method, events=[pi.Event(when=up, then=pi.Impulse(rod.at("B"), (1.0, 0.0)))]), "is for scenes"),
     ):
         with pytest.raises(pi.InputError, match=words.replace("(", r"\(")):
             make()
