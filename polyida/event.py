@@ -244,7 +244,7 @@ class Events(Sequence):
     first : tuple of str
         Names of the parts that do not act at the start.
     models : list of Model
-        Of a user, in the order of their numbers.
+        Of a user, in the order of their numbers; empty if there is one only, that of the run.
     given : bool
         True if `solve` got events; without, there are impacts of time stepping alone.
     """
@@ -287,7 +287,8 @@ class Events(Sequence):
     def modes(self, model: Any, upto: int | None = None) -> list[Any]:
         """Return the models before the first event, after it, after the second ... up to number `upto`."""
         if not model.is_scene:
-            return [self.models[k] for k in (0, *(one.model for one in self.happened[:upto]))]
+            models = self.models or [model]
+            return [models[k] for k in (0, *(one.model for one in self.happened[:upto]))]
         since: dict[str, NDArray] = {}
         result = [model.mode(frozenset(self.first), since)]
         for one in self.happened[:upto]:

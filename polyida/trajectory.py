@@ -219,7 +219,9 @@ class Trajectory:
     def known_model(self, what: str) -> Any:
         """Return the guarded model; InputError, in the name of `what`, for a loaded run without one."""
         if self.model is None:
-            raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
+            raise InputError(
+                f"{what}: {self.missing}; the run that was loaded has frames only. Give its model: polyida.load(path, model=...)"
+            )
         return guard(self.model)
 
     def position(self, name: object) -> NDArray:

@@ -199,6 +199,23 @@ def test_a_run_in_a_file_is_resumed(tmp_path):
     assert np.array_equal(pi.resume(path, END, model=CompiledPendulum()).x, whole.x)
 
 
+def test_a_run_in_a_file_is_loaded_with_its_model(tmp_path):
+    run, path = pi.solve(Pendulum(), 0.1, pi.GeneralizedAlpha(h=0.01), **START), tmp_path / "run.h5"
+    run.save(path)
+    with pytest.raises(pi.InputError, match=r"x: .* Give its model: polyida.load\(path, model=...\)"):
+        pi.load(path).x  # noqa: B018 it raises
+    loaded = pi.load(path, model=Pendulum())
+    for name in ("x", "drift", "velocity_drift"):
+        assert np.array_equal(getattr(loaded, name), getattr(run, name))
+    assert np.array_equal(loaded.states(), run.states()) and np.array_equal(loaded.energy.kinetic, run.energy.kinetic)
+    assert loaded.to_dataframe().equals(run.to_dataframe())
+    assert np.array_equal(pi.solve(loaded.model, 0.2, pi.GeneralizedAlpha(h=0.01), state=loaded.state).q[0], run.q[-1])
+    with pytest.raises(pi.InputError, match=r"5 coordinates and 2 multipliers; the model has n \+ k = 1 \+ 1 and m = 0"):
+        pi.load(path, model=Maxwell())
+    with pytest.raises(pi.InputError, match="load: the model is int"):
+        pi.load(path, model=3)
+
+
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.02), pi.RadauIIA(h=0.05)])
 def test_gradient_in_parameters_of_rates(integrator):
     def last(model):

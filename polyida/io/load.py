@@ -11,6 +11,8 @@ from polyida.event import Events
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
+from polyida.model import Model
+from polyida.model.guarded import guard
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 from polyida.validation import is_flag, named_keywords, require_bytes
@@ -21,7 +23,7 @@ TORN = "; the record of one flush is not whole: cut off by the end of the proces
 
 
 @named_keywords
-def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = True) -> Trajectory:
+def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = True, model: Model | None = None) -> Trajectory:
     """Read a trajectory from a file of `solve(..., out=path)` or `run.save(path)`.
 
     The file of a killed run has the frames up to the last flush, with status "interrupted"; one that is still written those up to now, with
@@ -36,6 +38,9 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
     check : bool
         Read all frames. If some are damaged, those before them are returned, with status "damaged" and the reason as message. False: damaged
         frames raise InputError when they are read.
+    model : Model, optional
+        The model of the run, as in `resume`: a user's own model is in no file, and without it a run has frames only. By default the scene in
+        the file.
 
     Returns
     -------
@@ -45,7 +50,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
     Raises
     ------
     InputError
-        If the file is missing, truncated or of another kind.
+        If the file is missing, truncated or of another kind, and for a model of other sizes than those of the run.
     """
     require_bytes("load", memory_limit)
     if not is_flag(check):
@@ -55,7 +60,8 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
         try:
             about, record = stored.about, stored.record
             damage = stored.check() if check else ""
-            model, missing = _model(stored)
+            events = Events.from_data(record.get("events", []))
+            model, missing = _model(stored) if model is None else (_given(stored, model, events), Trajectory.missing)
             status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
             if status == "running":
                 status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
@@ -75,7 +81,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
                 plan=dict(about["plan"]),
                 missing=missing,
                 sensors=sensors,
-                events=Events.from_data(record.get("events", [])),
+                events=events,
             )
         except BaseException:
             stored.file.close()
@@ -97,6 +103,23 @@ def _model(stored):
         return model_of(stored, drives), Trajectory.missing
     except UnknownPart as unknown:
         return None, f"the file's scene cannot be built: {unknown}"
+
+
+def _given(stored, model, events):
+    """The model that the user gives. Raises InputError unless it can be that of the run."""
+    known = guard(model, "load")
+    if max((one.model for one in events), default=0):
+        raise InputError("events of the run change to other models, which no file holds; load it without model=")
+    changing = events.given and not known.is_scene  # models that its events name may have more rows
+    if known.n != stored.n or not (known.m == stored.m or changing and known.m < stored.m):
+        states = f" + k = {known.n - known.k} + {known.k}" if known.k and not known.is_scene else f" = {known.n}"
+        raise InputError(
+            f"frames have {stored.n} coordinates and {stored.m} multipliers; the model has n{states} and m = {known.m}: it is another model"
+        )
+    if changing:
+        known.columns = slice(0, known.m)
+        events.models = [known]
+    return model
 
 
 def integrator_of(stored):

@@ -63,7 +63,10 @@ def guard(model, part="solve"):
     if not isinstance(model, Model):
         hint = "; of a Scene, call its build()"
         if model is None:
-            hint = "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before loading"
+            hint = (
+                "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before "
+                "loading, or give the model, polyida.load(path, model=...)"
+            )
         raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
     if isinstance(model, Guarded) or model.is_scene or model.checked:
         return model

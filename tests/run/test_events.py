@@ -122,7 +122,21 @@ def test_zeno_ends_at_rest_or_with_a_name():
     assert not run.success and "'floor' happened 60 times" in run.message and run.q.min() > -1e-12
 
 
-def test_own_model_goes_on_with_another_model():
+class Bouncing(Held):
+    """The same on a floor at y = 0."""
+
+    row_laws = (pi.RowLaw(0, "floor", restitution=E),)
+
+
+def test_results_of_an_own_model_with_contact_and_from_its_file(tmp_path):
+    run = pi.solve(Bouncing(), 0.6, pi.RadauIIA(rtol=1e-9), q0=[1.0], out=tmp_path / "run.h5")
+    for one in (run, pi.load(tmp_path / "run.h5", model=Bouncing())):
+        assert one.energy.total[[0, -1]] == pytest.approx([G, E**2 * G]) and one.drift.max() < 1e-9
+        assert isinstance(one.mode, Bouncing) and one.state.q == pytest.approx(run.q[-1])
+
+
+def test_own_model_goes_on_with_another_model(tmp_path):
+    path = tmp_path / "run.h5"
     held = Held()
     land = pi.Event(when=lambda s: s.q[0], then=held, name="land", direction="falling")
     let_go = pi.Event(when=lambda s: s.t - 1.0, then=lambda s: np.array([2.0]), name="push")
@@ -137,6 +151,12 @@ def test_own_model_goes_on_with_another_model():
         assert abs(run.q[rests]).max() < 1e-12 and run.lam[rests] == pytest.approx(-G, abs=1e-6)
         assert run.lam.shape == (len(t), 1) and run.lam[-1] == 0.0
         assert run.q[-1, 0] == pytest.approx(0.2 - G * 0.1**2 / 2 - G * 0.1**2 / 2, abs=1e-6)
+    run.save(path)
+    with pytest.raises(pi.InputError, match="change to other models, which no file holds"):
+        pi.load(path, model=Ball())
+    pi.solve(Ball(), 0.1, method, q0=[1.0], events=[land]).save(path, overwrite=True)
+    loaded = pi.load(path, model=Ball())  # with a column of lam for the model that did not come
+    assert loaded.lam.shape[1] == 1 and loaded.energy.total == pytest.approx(G)
 
 
 def pendulum(**options):
