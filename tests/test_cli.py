@@ -48,6 +48,12 @@ def broken():
 def nothing():
     return None
 
+def ungiven(length):
+    return build()
+
+def paired():
+    return Low(), [1.0]
+
 def misspelt():
     return build(), {"tim": 1.0}
 
@@ -232,6 +238,8 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
         (["run", "scene.py:absent"], "functions there: build, model"),
         (["run", "scene.py:negative"], ": Material: E = -1.0"),
         (["run", "scene.py:nothing"], "returned NoneType"),
+        (["compare", "scene.py:ungiven"], "scene.py:ungiven: missing a required argument: 'length'"),
+        (["compare", "scene.py:paired"], "returned Low, list; a Scene, a Model, a Problem, or a pair such as (model, {"),
         (["run", "scene.py:misspelt"], "'tim'"),
         (["run", "scene.py:pointless"], "point = 3"),
         (["run", "pendulum", "--out", "loop"], "loop is a symlink"),

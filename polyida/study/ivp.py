@@ -139,15 +139,21 @@ def load(spec, time=None, step=None, **options):
         raise InputError(f"scene {spec!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
     if unknown := set(options) - set(inspect.signature(build).parameters):
         raise InputError(f"{spec} takes no option --{min(unknown)}: its function has no argument of that name")
+    try:
+        inspect.signature(build).bind(**options)
+    except TypeError as error:
+        raise InputError(f"{spec}: {error}; its function gets no arguments but those of options such as --cells") from None
     with user_errors(file):
         result = build(**options) if file else problems.get(spec, **options)
         if isinstance(result, problems.Problem):
             ivp = replace(_of_problem(result), name=name, step=result.t_end / 1000)
         else:
-            result, settings = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
+            returned = result if isinstance(result, tuple) else (result,)
+            result, settings = returned if len(returned) == 2 else (result, {})
             if not isinstance(result, Scene | Model) or not isinstance(settings, dict):
-                expected = "a Scene, a Model, (one of them, options) or a Problem is needed"
-                raise InputError(f"{name}: its function returned {type(result).__name__}; {expected}")
+                kinds = ", ".join(type(one).__name__ for one in returned)
+                expected = 'a Scene, a Model, a Problem, or a pair such as (model, {"q0": [...], "v0": [...], "time": 2.0}) is needed'
+                raise InputError(f"{name}: its function returned {kinds}; {expected}")
             if unknown := set(settings) - set(FILE_OPTIONS):
                 raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(FILE_OPTIONS)}")
             model = result.build() if isinstance(result, Scene) else result
