@@ -241,3 +241,16 @@ def test_checks_before_a_run_keep_sparse_matrices_sparse():
 
     Chain.n = n
     require_declared(guard(Chain()), 0.0, np.zeros(n), np.zeros(n), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "given"),
+    [
+        ("mass", np.eye(2), "it is ndarray"),
+        ("mass", lambda self, t, q: np.eye(2), r"it takes \(t, q\)"),
+        ("force", lambda self, q, v: np.zeros(2), r"it takes \(q, v\)"),
+    ],
+)
+def test_a_function_with_other_arguments_is_named(name, wrong, given):
+    with pytest.raises(pi.InputError, match=rf"^Odd\.{name} must be a function {name}\(self, .*\); {given}"):
+        pi.solve(type("Odd", (Pendulum,), {name: wrong})(), 0.1, INTEGRATORS[0], **START)

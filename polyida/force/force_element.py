@@ -15,7 +15,7 @@ from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
 from polyida.registry import OwnPart
-from polyida.validation import floats, reals, settle
+from polyida.validation import floats, reals, settle, takes
 
 
 class ForceElement(OwnPart, part=False):
@@ -127,12 +127,15 @@ def require_element(element):
         names = getattr(element, field)
         if not isinstance(names, tuple) or not all(isinstance(name, str) and name for name in names) or len({*names}) < len(names):
             raise InputError(f"{label}: {field} = {names!r:.80} must be a tuple of different names")
-    names = element.states + element.algebraic
+    names, outputs = element.states + element.algebraic, getattr(element, "outputs", ())
     if both := {*element.states} & {*element.algebraic}:
         raise InputError(f"{label}: {min(both)!r} is in states and in algebraic")
     if bool(names) != writes(element, ForceElement, "rates"):
         lacking = "no rates(t, x, v, s): it must return their derivatives" if names else "rates(), but no states: it must name them"
         raise InputError(f"{label}: its class has {f'the states {names} and ' * bool(names)}{lacking}")
+    arguments = ["t", "x", "v", *["s"] * bool(names or outputs), *["u"] * bool(outputs)]
+    if not (callable(element.forces) and takes(element.forces, len(arguments))):
+        raise InputError(f"{label}: forces: its arguments must be (self, {', '.join(arguments)})")
     for slope in ("forces_x", "forces_v"):
         if names and writes(element, ForceElement, slope):
             raise InputError(f"{label}: {slope}() of an element with states is not used; remove it: its slopes are differences of forces()")

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import replace
+from inspect import signature
 from itertools import product
 from traceback import extract_tb
 
@@ -14,7 +15,7 @@ from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.row_laws import require_laws, with_velocity_rows
 from polyida.model.states import HELPERS, OwnStates, arguments_of
-from polyida.validation import floats, instance_of, is_number, is_whole, read_only
+from polyida.validation import floats, instance_of, is_number, is_whole, read_only, takes
 
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of a change of M, over that of M: above it M is not symmetric, or varies
@@ -181,6 +182,7 @@ class Guarded(Model):
         compiled = Compiled(self, whole=False).calls() if large else {}  # smaller ones get a table of C functions
         for name in CHECKED:
             if name in written and (self.m or name not in OF_CONSTRAINTS):
+                self._require_arguments(name)
                 function = compiled.get(name) or getattr(self.user, name)
                 if name == "mass" and self.needs.mass_varies:
                     function = self._examined_mass(function)
@@ -210,6 +212,13 @@ class Guarded(Model):
         if name == "user":
             raise AttributeError(name)
         return getattr(self.user, name)
+
+    def _require_arguments(self, name):
+        function, arguments = getattr(self.user, name), arguments_of(name)
+        with_states = self.own_states and takes(function, len(arguments) + 1)  # OwnStates says which functions take them
+        if not callable(function) or not (takes(function, len(arguments)) or with_states):
+            given = f"it is {type(function).__name__}" if not callable(function) else f"it takes {signature(function)}"
+            raise InputError(f"{self.name}.{name} must be a function {name}({', '.join(['self', *arguments])}); {given}")
 
     def _checked(self, name, function, shape):
         """The function with read-only arguments and a copied result: it may return one array again and again."""

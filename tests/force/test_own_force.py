@@ -224,8 +224,8 @@ def setting(self, t, x, v):
 )
 def test_what_is_wrong_with_a_compiled_force_is_told(scenes, functions, words):
     scene, upper = scenes.hinged()
-    scene.add(gusty(**functions)(upper.section("right"), name="wind"))
     with pytest.raises((pi.InputError, TypeError), match=f"(wind|positional).*({words})|{words}"):
+        scene.add(gusty(**functions)(upper.section("right"), name="wind"))
         pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
 
 
