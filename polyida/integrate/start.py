@@ -211,9 +211,12 @@ def vector_of(name, value, model):
     """A copy of the value as n floats, zeros for None and behind the coordinates of bodies or a user. Raises InputError for anything else."""
     own = model.n - len(model.hidden)
     array = np.zeros(own) if value is None else floats(value)
-    if array is None or array.shape not in ((model.n,), (own,)):
-        shape = np.shape(value) if array is None and isinstance(value, np.ndarray) else getattr(array, "shape", "none")
-        raise InputError(f"{name}: shape {shape}, it must be {own} finite numbers")
+    if array is None:
+        entries = value if isinstance(value, (list, tuple)) else value.ravel().tolist() if isinstance(value, np.ndarray) else ()
+        wrong = next((f"{name}[{k}] = {entry!r:.60}" for k, entry in enumerate(entries) if not is_number(entry)), f"{name} = {value!r:.60}")
+        raise InputError(f"{wrong}: {name} must be {own} finite numbers")
+    if array.shape not in ((model.n,), (own,)):
+        raise InputError(f"{name}: shape {array.shape}, it must be {own} finite numbers")
     return np.append(array, np.zeros(model.n - len(array)))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.linear.lu import dense
 from polyida.model import Model, differences
-from polyida.model.guarded import SAME, guard, require_constraints, require_functions, writes
+from polyida.model.guarded import SAME, guard, require_functions, require_written, writes
 from polyida.registry import is_built_in
 from polyida.validation import floats, is_number, is_whole, named_keywords
 
@@ -291,7 +291,7 @@ def check_derivatives(
     model = guard(model, "check_derivatives")
     if not (is_number(t) and is_whole(seed, 0)):
         raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
-    require_constraints(model)
+    require_written(model)
     random = np.random.default_rng(seed)
     q, v, a = _drawn(
         model,

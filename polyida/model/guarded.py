@@ -103,20 +103,18 @@ def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for a wrong or not finite result."""
     if model.compiled and not model.own_forces:
         return
-    require_constraints(model)
-    try:
-        model.call_all(t, q, v)
-    except NotImplementedError as error:
-        raise InputError(f"{model.name} has not all of the functions mass, force, phi and phi_q") from error
+    require_written(model)
+    model.call_all(t, q, v)
     if model.not_finite:
         raise InputError(f"{model.not_finite} at t = {t:.9g} s, where the run begins")
 
 
-def require_constraints(model):
-    """Raise InputError if a guarded model has m > 0 and does not write phi and phi_q."""
-    for name in ("phi", "phi_q") if model.m and not model.is_scene else ():
+def require_written(model):
+    """Raise InputError if a guarded model does not write mass and force, and with m > 0 phi and phi_q."""
+    for name in ("mass", "force", *("phi", "phi_q") * bool(model.m)) if not model.is_scene else ():
         if not writes(model.user, name):
-            raise InputError(f"{model.name}: m = {model.m} constraints, but its class gives no {name}(t, q)")
+            rows = f"m = {model.m} constraints, but " * (name in OF_CONSTRAINTS)
+            raise InputError(f"{model.name}: {rows}its class gives no {name}({', '.join(arguments_of(name))})")
 
 
 def blame(model, t, state):

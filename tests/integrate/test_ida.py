@@ -85,6 +85,8 @@ def test_absolute_tolerances():
     assert of_q.tolist() == [*range(1, model.n + 1)] and of_v.tolist() == [*range(model.n + 1, 2 * model.n + 1)]
     with pytest.raises(InputError, match=f"atol of 5 entries must be a number, a pair .* or {2 * model.n} entries"):
         IDA(atol=np.ones(5)).tolerances(model, sizes)
+    model.flexible = True  # its q has a smaller tolerance, which IDA must not refuse
+    assert pi.solve(model, 1e-6, IDA(rtol=1e-12), q0=[1.0, 0.0]).success
 
 
 @pytest.mark.parametrize("E", [1e11, 1e12])

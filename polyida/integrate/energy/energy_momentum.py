@@ -25,7 +25,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.model import Model
 from polyida.model.check import require_energies
 from polyida.model.differences import beside
-from polyida.model.guarded import Compiled, guard, require_constraints, unguarded
+from polyida.model.guarded import Compiled, guard, require_written, unguarded
 from polyida.validation import is_number, is_whole, named_keywords
 
 SAME = 1e-9  # relative difference of what should be equal
@@ -93,7 +93,7 @@ class EnergyMomentum(Integrator):
         """
         if not model.is_scene:
             own, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
-            require_constraints(own)
+            require_written(own)
             q, d = random.standard_normal((2, own.n))
             part, other = f"EnergyMomentum: {own.name}", "; use GeneralizedAlpha or IDA"
             if own.potential(q) is None:

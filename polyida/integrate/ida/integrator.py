@@ -34,6 +34,7 @@ AIM, LENGTHS, FLEXIBLE_LENGTHS = (
 )  # default rtol of a motion over that many lengths of the model; the error is about ten times
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
+LEAST_RTOL = 4 * sys.float_info.epsilon  # four units of round-off; SUNDIALS refuses less than one
 DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
 STANDSTILL = 20  # steps in a row that hardly change t and so end the run; IDA alone would not end
@@ -50,8 +51,8 @@ class IDA(Integrator):
     Parameters
     ----------
     rtol : float, optional
-        Relative tolerance. By default 1e-5, or less if the motion covers more than 3 lengths of the model (30 with flexible bodies), for an
-        error of about 1e-4 of that length.
+        Relative tolerance, at least 8.9e-16. By default 1e-5, or less if the motion covers more than 3 lengths of the model (30 with flexible
+        bodies), for an error of about 1e-4 of that length.
     atol : float, (2,) or (2n,) array_like, optional
         Absolute tolerance of q, m, with 1e3 1/s times it for v; of (q, v); or of every entry of (q, v). By default rtol times a length and a
         speed of the model's first state. Multipliers are not in the error estimate.
@@ -115,7 +116,11 @@ class IDA(Integrator):
         for name, good, expected in (
             ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
-            ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1"),
+            (
+                "rtol",
+                self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1),
+                f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1",
+            ),
             ("max_order", self.max_order is None or is_whole(self.max_order, 1, 5), "must be 1, 2, 3, 4 or 5"),
             ("max_num_steps", is_whole(self.max_num_steps), "must be a positive whole number"),
             ("max_step", is_number(self.max_step) and self.max_step >= 0, not_negative),
@@ -134,7 +139,7 @@ class IDA(Integrator):
         """(relative tolerance, absolute ones of q and of v) in a run of these sizes. Raises InputError if atol does not fit the model."""
         rtol, n = self.relative(model, sizes), model.n
         if self.atol is None and model.flexible:
-            strict = rtol ** (1 + 1 / self.order(model))
+            strict = max(rtol ** (1 + 1 / self.order(model)), LEAST_RTOL)
             return strict, strict * float(sizes[0]), LOOSE * rtol * float(sizes[1])
         if self.atol is None:
             return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
