@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 FLOOR = 1e-6  # of the first value: below it the logarithm of the objective goes on as a line
 MET = 5e-3  # relative excess of a limit that still counts as kept
+KEEPING = 1e-6  # scaled excess of a limit that the optimiser takes as kept
 LOST = 10.0  # added to the objective and to the limits where a run fails, so that the optimiser turns back
 SETTLED = 1e-4  # of the variables' range: a stage ends if no variable changes by more
 NAME = "evaluation-{:05d}.npz"
@@ -47,7 +48,7 @@ class Stage:
     beta : float or None
         Of the projection of densities; None for none.
     move : float in (0, 1]
-        Largest change of a variable in the stage.
+        Largest change of a variable in the stage; where the limits are exceeded after that, it may change by as much again.
 
     Raises
     ------
@@ -242,18 +243,20 @@ class _Search:
         _, steepest, _, each = self._scaled(start, scale, [])
         unit = 1.0 / (np.abs(steepest).max() or 1.0)  # the optimiser's first step is right for slopes of about 1
         units = 1.0 / np.maximum(np.abs(each).max(axis=1, initial=0.0), FLOOR)
-        trials, last = [], {}
+        trials, known = [], {}
 
         def at(x):
             """(f, its slope, c, their slopes) of the scaled objective and limits."""
             key = x.tobytes()
-            if key not in last:
+            if key not in known:
                 found = self.evaluated(x, stage)
-                last.clear()
-                last[key] = self._scaled(found, scale, trials)
+                known[key] = self._scaled(found, scale, trials)
                 self._note(number, stage, found)
-                trials.append((x.copy(), found, last[key]))
-            return last[key]
+                trials.append((x.copy(), found, known[key]))
+            return known[key]
+
+        def keeps(x):
+            return bool((units * at(x)[2] <= KEEPING).all())
 
         def objective(x, slope):
             f, by_x, *_ = at(x)
@@ -266,17 +269,31 @@ class _Search:
             result[:] = units * c
             if slope.size:
                 slope[:] = units[:, None] * by_x
+            if outside and keeps(x):
+                mma.force_stop()
 
-        mma = nlopt.opt(nlopt.LD_MMA, len(x))
-        mma.set_lower_bounds(np.maximum(x - stage.move, 0.0))
-        mma.set_upper_bounds(np.minimum(x + stage.move, 1.0))
-        mma.set_maxeval(stage.evaluations)
-        mma.set_xtol_abs(SETTLED)
-        mma.set_min_objective(objective)
-        if len(self.uppers):
-            mma.add_inequality_mconstraint(limits, np.full(len(self.uppers), 1e-6))
-        with suppress(nlopt.RoundoffLimited):
-            mma.optimize(x)
+        # nlopt gives limits that cannot be kept in one step multipliers of 1e40. These never become small again, so that the design would go
+        # away from the limits. A search from outside therefore ends at the first design that keeps them, and another one begins there
+        centre, outside = x, not keeps(x)
+        while True:
+            mma = nlopt.opt(nlopt.LD_MMA, len(x))
+            mma.set_lower_bounds(np.maximum(centre - stage.move, 0.0))
+            mma.set_upper_bounds(np.minimum(centre + stage.move, 1.0))
+            mma.set_maxeval(stage.evaluations - len(trials) + 1)  # nlopt counts its start, which is known
+            mma.set_xtol_abs(SETTLED)
+            mma.set_min_objective(objective)
+            if len(self.uppers):
+                mma.add_inequality_mconstraint(limits, np.full(len(self.uppers), KEEPING))
+            with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):
+                mma.optimize(x)
+            if not outside or len(trials) >= stage.evaluations:
+                break
+            whole = [(trial, found) for trial, found, _ in trials if not found.error]
+            inside = [trial for trial, _ in whole if keeps(trial)]
+            nearest = inside[0] if inside else min(whole, key=lambda one: self._excess(one[1]))[0]
+            if not inside and np.abs(nearest - x).max() <= SETTLED:
+                break
+            x, outside, centre = nearest, not inside, centre if inside else nearest
         return self._best(trials, stage), False
 
     def _begin(self, x, stage):

@@ -60,6 +60,19 @@ def test_the_least_thickness_that_is_stiff_enough():
     assert "limits kept" in repr(design)
 
 
+@pytest.mark.parametrize(
+    ("start", "log", "moves"), [(3e-2, True, (1.0,)), (5e-3, True, (1.0,)), (5e-3, False, (1.0,)), (1e-2, True, (0.3, 0.1))]
+)
+def test_a_start_outside_of_the_limits_leads_to_the_same_optimum(start, log, moves):
+    thickness = pi.design.Size("arm.thickness", 2e-3, 5e-2, start=start, log=log)
+    stages = [pi.design.Stage(20, move=move) for move in moves]
+    with pytest.warns(UserWarning, match="the start exceeds a limit"):
+        design = pi.design.minimise(
+            MASS, [pi.objective.Limit(COMPLIANCE, 0.25 * START)], [thickness], pi.design.Case(arm(), at_rest), stages
+        )
+    assert design.met and design.values["arm.thickness"] == pytest.approx(0.04, rel=1e-4)
+
+
 def test_the_harder_of_two_load_cases_decides():
     cases = [pi.design.Case(arm(load=load), at_rest, name) for name, load in (("light", 0.1), ("heavy", 0.2))]
     limit = pi.objective.Limit(COMPLIANCE, 4.0 * START)
