@@ -113,12 +113,14 @@ class Loops:
     def __init__(self, parts, bodies, size):
         self.bodies, self.size = bodies, size
         self.index = {id(body.body): k for k, body in enumerate(bodies)}
-        self.names, self.rows, self.edges = [], [], []
+        self.names, self.rows, self.edges, radii = [], [], [], []
         for name, joint in of_kind(parts, Joint).items():
             rows = [row for row in given_rows(name, joint.facing()) if not row.rate]
             if isinstance(joint, Contact) and joint.edges:
                 self.edges.append((slice(len(self.rows), len(self.rows) + len(rows)), joint.edges))
+            radii += [joint.radius or 0.0 if isinstance(joint, Contact) else 0.0] * len(rows)
             self.names, self.rows = self.names + [name] * len(rows), self.rows + rows
+        self.radii = np.array(radii)
         self.scale, self.gaps = np.ones(len(self.rows)), np.zeros(len(self.rows), bool)
         slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(self.rows), -1, 3))
         along = np.hypot(slope[..., 0], slope[..., 1]).max(axis=1, initial=0.0), slope[..., 2].max(axis=1, initial=0.0)
@@ -131,6 +133,10 @@ class Loops:
         phi, slope = np.array([value for value, _ in rows]), np.array([slope for _, slope in rows]).reshape(len(rows), x.size)
         for at, sides in self.edges:
             phi[at], slope[at] = self._gaps(sides, x.reshape(-1, 3))
+        # a gap at a circle is |w| - R here: a step along phi = (w . w - R^2) / (2 R) would end outside, where the gap no longer counts
+        circles, R = self.radii > 0.0, self.radii[self.radii > 0.0]
+        away = np.sqrt(np.maximum(R * (R + 2.0 * phi[circles]), 0.0))
+        phi[circles], slope[circles] = away - R, (R / np.maximum(away, STILL * R))[:, None] * slope[circles]
         held = np.where(self.gaps & (phi > 0.0), 0.0, self.scale)
         return held * phi / self.size, held[:, None] * slope
 

@@ -134,6 +134,15 @@ def test_what_is_clamped_stays_and_plain_ground_is_where_it_was_drawn():
     assert report.shift["coupler"] < wide < report.largest * 2
 
 
+def test_a_point_within_a_circle_moves_out_by_as_little_as_it_was_within():
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(1.0, 0.01, {"center": (0.0, 0.0)}, origin=(0.06, 0.08), name="body"))
+    scene.add(pi.Contact(body.at("center"), pi.ground.at((0.0, 0.0)), radius=0.2, name="circle"))
+    report = scene.assemble()
+    assert report.gap == pytest.approx(0.1, rel=1e-12) and report.largest == pytest.approx(0.1, rel=1e-9)
+    assert body.at("center").point == pytest.approx([0.12, 0.16], rel=1e-9)
+
+
 @pytest.mark.parametrize("offset", [0.4, -0.2])
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_motor_begins_where_its_profile_does(offset, swapped):
