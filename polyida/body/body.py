@@ -232,6 +232,11 @@ class BodyPoint(Attachment):
         """Reference direction, (2,), unit vector, or None."""
         return None if self.turn_weights is None else pairs_of(self.turn_weights @ coordinates_of(self.body))
 
+    @property
+    def size(self) -> float:
+        """Largest coordinate of its body at rest, m."""
+        return float(np.abs(coordinates_of(self.body)).max())
+
     def on(self, body: Any) -> "Attachment":
         """Return the point of the same name of a similar body, whose weights may differ, with its direction turned by the same angle."""
         if self.name not in body.attachments():

@@ -42,6 +42,11 @@ class Ground:
         return self if self.point is not None else Ground(other.point, other.direction)
 
     @property
+    def size(self) -> float:
+        """Largest coordinate, m."""
+        return float(np.abs(self.point).max())
+
+    @property
     def x(self) -> Vector:
         """Its place as a Vector of a joint's formula."""
         return self._vector("point", self.point)
@@ -91,6 +96,11 @@ class Attachment:
     def direction(self) -> np.ndarray | None:
         """Reference direction, (2,), unit vector, or None."""
         return None if self.turn_weights is None else self.turn_weights @ _from_first(self.body, self.nodes)
+
+    @property
+    def size(self) -> float:
+        """Largest coordinate of its body at rest, m."""
+        return float(np.abs(self.body.points).max())
 
     def on(self, body: Any) -> "Attachment":
         """Return the same attachment of a similar body."""

@@ -13,6 +13,8 @@ from polyida.joint.joint import FORCE, Joint
 from polyida.profile import Profile, as_profile
 from polyida.validation import is_number, named_keywords, number, positive, settle
 
+COINCIDENT = 1e-12  # of the coordinates: distances that are round-off
+
 
 def across(a, b):
     """`d_A x (x_B - x_A)`: the point of b stays on the line through a along its direction."""
@@ -253,7 +255,7 @@ class Distance(Joint):
     Raises
     ------
     InputError
-        For a length that is not positive, and as for Joint.
+        For a length that is not positive or only round-off, and as for Joint.
     """
 
     length: float | None = None
@@ -265,7 +267,11 @@ class Distance(Joint):
         label = self.label
         require_places(label, self.a, self.b)
         drawn = float(np.linalg.norm(self.b.point - self.a.point))
-        settle(self, length=positive(label, "length", drawn if self.length is None else self.length, "metres"))
+        length, size = positive(label, "length", drawn if self.length is None else self.length, "metres"), max(self.a.size, self.b.size)
+        if length <= COINCIDENT * size:
+            what = "the points coincide: their distance" if self.length is None else "length"
+            raise InputError(f"{label}: {what} is {length:.3g} m, round-off beside coordinates of {size:.3g} m; it must be larger")
+        settle(self, length=length)
 
     def rows(self) -> list[Row | Vector]:
         """`(w . w - l^2) / (2 l)`."""
