@@ -87,8 +87,8 @@ def gradient(
     parameters : list of str, optional
         Names. By default all whose slopes cost next to nothing: of plates `stiffness` and `mass` (factors of each cell), `E`, `thickness`,
         `rho`, and `prony` of viscoelastic ones; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
-        velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also any number of a part, such as
-        `spring.stiffness`.
+        velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also the numbers of bodies, plates,
+        forces and driven joints, such as `spring.stiffness`; not the places of bodies, lengths of joints, and laws of contact and friction.
     memory_limit : float, bytes
         Memory for the steps of the run. A longer run keeps checkpoints and is solved a third time between them.
     progress : function or bool, optional

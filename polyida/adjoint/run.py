@@ -23,7 +23,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.objective.objective import Slopes, slopes_at
 from polyida.reprs import counted, short, table
-from polyida.validation import is_one_of, named_keywords
+from polyida.validation import is_number, is_one_of, named_keywords
 
 MOVES = 1e-8  # of the model's size: a parameter moves constraints if doubling it moves them by more
 NEAR = 1e-9  # of |v|: an initial velocity farther from the bodies' own was given by the user
@@ -96,13 +96,27 @@ class Totals:
     def __init__(self, model, names=None, with_v0=False):
         own = {one.name: one for one in names or () if isinstance(one, Parameter)}
         self.known = known = parameters_of(model) | own
+        self.parts = getattr(model, "parts", {})
         names = names and [getattr(one, "name", one) for one in names]
         inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
-        wanted = inexpensive if names is None else [_find(name, known, with_v0).name for name in names if not (with_v0 and name == "v0")]
+        wanted = inexpensive if names is None else [self._find(name, with_v0).name for name in names if not (with_v0 and name == "v0")]
         self.parameters = {name: known[name] for name in wanted}
         self.with_v0 = with_v0 and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
         self.left_out = {} if names is not None else {name: parameter.reason for name, parameter in known.items() if parameter.only_by_name}
+
+    def _find(self, name, with_v0=False):
+        """The parameter of a name. Raises InputError for an unknown one, and for a number of a part that has no slope."""
+        if is_one_of(name, self.known):
+            return self.known[name]
+        part, _, key = name.rpartition(".") if isinstance(name, str) else ("", "", "")
+        if part in self.parts and is_number(value := getattr(self.parts[part], key, None)):
+            raise InputError(
+                f"gradient: {name!r}, which is {value:g}, has no slope: numbers of laws of contact and friction, lengths of joints and places of "
+                "bodies have none; take the difference of two runs"
+            )
+        names = [*self.known, "v0"] if with_v0 else self.known
+        raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
 
     def empty(self):
         """Totals of the same parameters without slopes, for another objective."""
@@ -123,7 +137,7 @@ class Totals:
     def add_own(self, slopes):
         """Add the parts of an objective's Slopes that belong to parameters."""
         for name, slope in slopes.direct.items():
-            shape = np.shape(_find(name, self.known).value)
+            shape = np.shape(self._find(name).value)
             if np.shape(slope) != shape:
                 raise InputError(f"gradient: the objective's own slope in {name!r} has shape {np.shape(slope)}, the parameter {shape}")
             if name in self.sums:
@@ -175,14 +189,6 @@ class OwnSlopes:
         each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
         arrays = {name: at_all(slopes) for name, slopes in each.items() if slopes is not None}
         return Slopes(**arrays, energies={name: at_all(factor) for name, factor in own.energies.items()})
-
-
-def _find(name, known, with_v0=False):
-    """The parameter of a name. Raises InputError for an unknown one."""
-    if not is_one_of(name, known):
-        names = [*known, "v0"] if with_v0 else known
-        raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
-    return known[name]
 
 
 class AdjointTable:

@@ -150,6 +150,18 @@ def test_slopes_in_what_moves_the_constraints_of_a_held_state_are_refused(integr
             pi.gradient(given, far, parameters=["bar.inertia"])
 
 
+def test_numbers_of_laws_and_places_are_said_to_have_no_slope():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    ball = scene.add(pi.RigidBody(1.0, 0.01, {"centre": (0.0, 0.3)}, name="ball"))
+    scene.add(pi.Contact(ball.at("centre"), pi.ground.at((0.0, 0.0)), restitution=0.7, friction=0.2, name="floor"))
+    run, height = pi.solve(scene.build(), 2e-3, pi.RadauIIA(h=1e-3)), pi.objective.Deviation("floor", (0.0, 0.0))
+    for name, value in (("floor.restitution", 0.7), ("floor.friction", 0.2), ("ball.angle", 0)):
+        with pytest.raises(pi.InputError, match=f"^gradient: '{name}', which is {value}, has no slope: numbers of laws of contact"):
+            pi.gradient(run, height, [name])
+    with pytest.raises(pi.InputError, match="'floor.resitution' is no parameter of what it is taken for; known: "):
+        pi.gradient(run, height, ["floor.resitution"])
+
+
 @pytest.mark.parametrize(
     ("slopes", "word"),
     [({"arm.stifness": 1.0}, "'arm.stifness' is no parameter"), ({"arm.mass": 1.0}, r"has shape \(\), the parameter \(8,\)")],
