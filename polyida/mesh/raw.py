@@ -16,6 +16,7 @@ from polyida.validation import is_number, is_one_of, named_keywords
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 WIDE = 20.0  # m: a wider part of a mechanism was probably drawn in millimetres
+WITHIN = 1e-6  # of an edge's length: a node that is nearer lies within the edge
 FLAT = 1e-9  # variation of z relative to the size of the mesh
 
 
@@ -127,6 +128,10 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         raise InputError("no cell has three different corners; each must have an area")
     if gone.size:
         notes.append(f"left out {counted(gone.size, 'cell')} with fewer than three different corners")
+    repeated = np.flatnonzero(~keep & (size[cell] >= 3))
+    if repeated.size:
+        where = f"equal to the corner before, the first in cell {cell[repeated[0]]}"
+        notes.append(f"left out {counted(repeated.size, 'corner')} {where}")
     keep &= size[cell] >= 3
     nodes, offsets = nodes[keep], np.concatenate([[0], np.cumsum(size[size >= 3])])
     own = topology.corner_cells(offsets)
@@ -168,7 +173,28 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         if (rows >= 0).any():
             named[name] = rows[rows >= 0]
     automatic = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
-    return PolygonMesh(points, nodes, offsets, automatic | named, supports, loads), notes
+    mesh = PolygonMesh(points, nodes, offsets, automatic | named, supports, loads)
+    return mesh, notes + _unjoined(mesh)
+
+
+def _unjoined(mesh):
+    """[note on the nodes that lie within an edge of the boundary: the cells on its two sides are not joined], or []."""
+    from scipy.spatial import cKDTree
+
+    nodes, (start, end) = mesh.boundary_nodes, mesh.points[mesh.boundary_edges.T]
+    length = np.linalg.norm(end - start, axis=1)
+    near = cKDTree(mesh.points[nodes]).query_ball_point(0.5 * (start + end), (0.5 - WITHIN) * length)
+    edge = np.repeat(np.arange(len(near)), [len(one) for one in near])
+    node = nodes[np.concatenate(near).astype(int)]
+    away = np.abs(topology.cross(end[edge] - start[edge], mesh.points[node] - start[edge])) / length[edge]
+    found = np.flatnonzero(away < WITHIN * length[edge])
+    if not found.size:
+        return []
+    first, (a, b) = node[found[0]], mesh.boundary_edges[edge[found[0]]]
+    return [
+        f"node {first} at {mesh.points[first].tolist()} lies within the edge from node {a} to node {b}, of whose cell it is no corner: the cells "
+        f"are not joined there ({counted(len(np.unique(node[found])), 'such node')})"
+    ]
 
 
 def _joined(cells):

@@ -67,8 +67,8 @@ def _format_of(path, name):
 def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
     """Return the mesh in a file of triangles, quadrilaterals and polygons.
 
-    Close points are merged, unused points dropped, clockwise cells reversed, elements of higher order reduced to their corners; one
-    MeshWarning lists all changes. Nodes are renumbered if that reduces the bandwidth by a fifth; cells are sorted by their nodes.
+    Close points are merged, unused points and repeated corners dropped, clockwise cells reversed, elements of higher order reduced to their
+    corners; one MeshWarning lists all changes, and nodes within an edge, where cells are not joined. Nodes are renumbered if that reduces the bandwidth by a fifth; cells are sorted by their nodes.
 
     Parameters
     ----------

@@ -1,5 +1,7 @@
 """Meshes from arrays and lists: numbers stay, 0 or 1 first, repairs are said, wrong ones are named as the user counts."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,24 @@ def test_all_that_is_repaired_is_said():
         "left out 1 point of no cell, the first at [9.0, 9.0]",
     ):
         assert words in str(said[0].message)
+
+
+def test_a_corner_given_twice_is_said():
+    with pytest.warns(MeshWarning, match="left out 2 corners equal to the corner before, the first in cell 0$"):
+        mesh = from_lists(POINTS, [[0, 1, 4, 3, 0], [1, 2, 2, 5, 4]])
+    assert np.diff(mesh.offsets).tolist() == [4, 4]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+def test_a_node_within_the_edge_of_a_neighbour_is_said(angle):
+    points = np.array([[0, 0], [1, 0], [1, 0.5], [1, 1], [0, 1], [2, 0], [2, 0.5], [2, 1]])
+    points = points @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+    with pytest.warns(
+        MeshWarning, match=r"node 2 at \[.*\] lies within the edge from node 1 to node 3, .* not joined there \(1 such node\)"
+    ):
+        from_lists(points, [[0, 1, 3, 4], [1, 5, 6, 2], [2, 6, 7, 3]])
+    with warnings.catch_warnings(action="error"):
+        from_lists(points, [[0, 1, 2, 3, 4], [1, 5, 6, 2], [2, 6, 7, 3]])
 
 
 def test_merging_by_tolerance():
