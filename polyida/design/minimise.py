@@ -207,6 +207,11 @@ def minimise(
     return design
 
 
+def limits_in_words(excess):
+    """'limits kept' for a largest relative excess that still counts as kept, or by how much they are exceeded."""
+    return "limits kept" if excess <= MET else f"limits exceeded by {100 * excess:.2g} %"
+
+
 def _nlopt():
     try:
         import nlopt
@@ -347,7 +352,7 @@ class _Search:
         row |= {"excess": self._excess(found), "error": found.error, "seconds": spent}
         self.rows.append(row)
         left = f"{spent / self.fresh * (self.total - done):.0f} s left" if self.fresh else "read"
-        what = f"run failed: {found.error}" if found.error else f"{row['objective']:.4g}, limits exceeded by {100 * row['excess']:.2g} %"
+        what = f"run failed: {found.error}" if found.error else f"{row['objective']:.4g}, {limits_in_words(row['excess'])}"
         self.report(done, self.total, f"stage {number}: {what}; {left}")
 
     def _best(self, trials, stage):
@@ -359,7 +364,7 @@ class _Search:
         x, found = min(kept, key=lambda one: one[1].values[0]) if kept else min(whole, key=lambda one: self._excess(one[1]))
         limits = {label: (float(v), float(u)) for label, v, u in zip(self.problem.labels, found.largest[1:], self.uppers)}
         failed = sum(bool(row["error"]) for row in self.rows)
-        message = "limits kept" if kept else f"limits exceeded by {100 * self._excess(found):.2g} %"
+        message = limits_in_words(self._excess(found))
         message += f"; {failed} of {len(self.rows)} runs failed, and the search stepped back" if failed else ""
         return Design(self.problem, x, stage.sharp, float(found.values[0]), limits, bool(kept), message, DataFrame(self.rows))
 

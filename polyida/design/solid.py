@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from polyida.design.densities import neighbours, threshold
-from polyida.design.minimise import MET
+from polyida.design.minimise import MET, limits_in_words
 from polyida.design.problem import Case, FailedRun, Problem
 from polyida.design.variables import BuiltSizeMap, Densities, DensityMap, Sharpness
 from polyida.errors import InputError
@@ -51,7 +51,7 @@ class SolidDesign:
         A row for the objective and each limit: upper, the value of the optimiser, and that of the solid design by the case's own run and by each
         other one.
     excess : float
-        Largest relative excess of a limit.
+        Largest relative excess of a limit; negative if all are kept.
     """
 
     at: float
@@ -63,7 +63,7 @@ class SolidDesign:
 
     def __repr__(self):
         words = "from given meshes" if np.isnan(self.at) else f"density from {self.at:g}"
-        return f"SolidDesign({words}, limits exceeded by {100 * self.excess:.2g} %)\n{self.table}"
+        return f"SolidDesign({words}, {limits_in_words(self.excess)})\n{self.table}"
 
 
 @named_keywords

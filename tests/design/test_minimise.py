@@ -2,6 +2,7 @@
 
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -253,6 +254,7 @@ def test_a_solid_design_is_run_again():
         "nonlinear",
     }
     assert str(again.at) in repr(again)
+    assert ", limits kept)" in repr(replace(again, excess=-0.0054)) and ", limits exceeded by 1.2 %)" in repr(replace(again, excess=0.012))
     with pytest.raises(pi.InputError, match="no level gives a design that runs"):
         pi.design.solid(design, lambda arm: globals()["arm"](mesh=arm), levels=[2.0])
 
