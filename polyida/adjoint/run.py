@@ -96,7 +96,7 @@ class Totals:
     def __init__(self, model, names=None, with_v0=False):
         own = {one.name: one for one in names or () if isinstance(one, Parameter)}
         self.known = known = parameters_of(model) | own
-        self.parts = getattr(model, "parts", {})
+        self.parts = model.parts if model.is_scene else {}
         names = names and [getattr(one, "name", one) for one in names]
         inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
         wanted = inexpensive if names is None else [self._find(name, with_v0).name for name in names if not (with_v0 and name == "v0")]

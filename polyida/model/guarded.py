@@ -89,9 +89,9 @@ def _require_counted(model):
                 raise InputError(
                     f"{name}: its class gives {function}({arguments}), but {size} = 0, so it would be ignored: set {size} to the number of its rows"
                 )
-    for size in ("k", "algebraic"):
-        if not (is_whole(getattr(model, size), 0, 0) or writes(model, "rates")):
-            raise InputError(f"{name}: {size} = {getattr(model, size)!r:.60} states, but its class gives no rates(t, q, v, x)")
+    for size, count in (("k", model.k), ("algebraic", model.algebraic)):
+        if not (is_whole(count, 0, 0) or writes(model, "rates")):
+            raise InputError(f"{name}: {size} = {count!r:.60} states, but its class gives no rates(t, q, v, x)")
 
 
 def unguarded(model):
