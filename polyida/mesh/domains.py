@@ -112,7 +112,7 @@ def meet(points, first, second, steps=20):
 def nearest(points, start, along, low=0.0, high=1.0):
     """Return (edge (n,), share (n,)) of the nearest position start + share along, low <= share <= high, for each point."""
     x, y = points[:, :1] - start[:, 0], points[:, 1:] - start[:, 1]
-    share = np.clip((x * along[:, 0] + y * along[:, 1]) / np.sum(along**2, axis=1), low, high)
+    share = np.clip((x * along[:, 0] + y * along[:, 1]) / np.maximum(np.sum(along**2, axis=1), 1e-300), low, high)
     x -= share * along[:, 0]
     y -= share * along[:, 1]
     edge = np.argmin(x * x + y * y, axis=1)

@@ -15,16 +15,22 @@ from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
 from polyida.mesh.domains import Domain, Moved, Rectangle, meet, project
 from polyida.mesh.polygon_mesh import PolygonMesh
+from polyida.mesh.raw import counted
 from polyida.mesh.sections import ON_CIRCLE, automatic
 from polyida.validation import is_whole, named_keywords, positive, vector2
 
 SHIFTS = 1e-3, *[0.5] * 7  # of given seeds, over the size of cells there, in attempts until all parts of the boundary have cells
+BY_CHANCE = 12  # places where cells fail to follow the boundary, up to which other seeds are tried
 SAMPLES = 20_000  # points that estimate the area of a domain
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
 class Unresolved(InputError):
-    """The cells are too few to follow the boundary."""
+    """The cells are too few to follow the boundary. places: (n, 2) points of the boundary where they fail; none if only the area is wrong."""
+
+    def __init__(self, message, places=()):
+        super().__init__(message)
+        self.places = np.reshape(places, (-1, 2))
 
 
 def _whole(function, name, value, least):
@@ -71,7 +77,34 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
             f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
             "too far for the digits of its walls; mesh it at the origin and move the plate by its origin="
         )
-    return numbered(voronoi_polygons(Moved(domain, -shift) if shift.any() else domain, cells, seed, iterations), shift)
+    near = Moved(domain, -shift) if shift.any() else domain
+    try:
+        return numbered(voronoi_polygons(near, cells, seed, iterations), shift)
+    except Unresolved as error:
+        told = f"polygonize: cells = {cells} are too few to follow the boundary of the domain; use more cells"
+        if len(error.places):
+            (width, (x, y)), count = _narrowest(near, error.places, cells, shift), counted(len(error.places), "place")
+            told += f", or leave details out: the narrowest of {count} where they fail is about {width:.2g} m wide, at ({x:.6g}, {y:.6g})"
+        raise InputError(told) from None
+
+
+def _narrowest(domain, places, cells, shift):
+    """(width, m, place plus shift) of the narrowest place of the boundary: the distance to another wall, or the size of a wall through it."""
+    size, corners = float(np.max(domain.upper - domain.lower)), domain.corners()
+    if len(corners):  # near a corner, the distance to its other wall says nothing
+        away = np.linalg.norm(places[:, None] - corners, axis=2)
+        at_corner = away.min(axis=1) < np.sqrt(np.prod(domain.upper - domain.lower) / cells)
+        places = np.where(at_corner[:, None], corners[away.argmin(axis=1)], places)
+    width = np.full(len(places), size)
+    for wall in domain.walls:
+        samples = wall.samples(domain.lower, domain.upper)
+        samples = samples[domain.on_boundary(samples)]
+        if len(samples):
+            away, extent = np.linalg.norm(places[:, None] - samples, axis=2).min(axis=1), np.ptp(samples, axis=0).max()
+            on = np.abs(wall.distance(places)) < 1e-9 * size  # or on its straight continuation
+            width = np.minimum(width, np.where(on, np.where(away < 0.02 * extent, extent, size), away))
+    first = int(width.argmin())
+    return width[first], places[first] + shift
 
 
 def numbered(polygons, shift=0.0):
@@ -225,8 +258,11 @@ def voronoi_polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None
         return polygons
 
     for shift in SHIFTS[:-1]:
-        with suppress(Unresolved):
+        try:
             return attempt(shift)
+        except Unresolved as error:
+            if len(error.places) > BY_CHANCE:
+                raise
     return attempt(SHIFTS[-1])
 
 
@@ -243,23 +279,24 @@ def _require_resolved(polygons, domain, corners, area):
     rim = topology.boundary_edges(polygons.nodes, polygons.offsets, len(polygons.points))
     start, end = polygons.points[rim[:, 0]], polygons.points[rim[:, 1]]
     areas = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
-    resolved = [np.linalg.norm(start - corner, axis=1).min() < 1e-9 * size for corner in corners]
+    middle, places = 0.5 * (start + end), [corner for corner in corners if np.linalg.norm(start - corner, axis=1).min() >= 1e-9 * size]
     along = np.zeros(len(rim), bool)
     for wall in domain.walls:  # no nodes are needed on a wall that is not part of the boundary
-        part = np.mean(domain.on_boundary(wall.samples(domain.lower, domain.upper)))
-        needed = 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
+        samples = wall.samples(domain.lower, domain.upper)
+        samples, count = samples[domain.on_boundary(samples)], len(samples)
+        needed = 0 if not len(samples) else (ON_CIRCLE if len(samples) == count and wall.closed else 2)
         begins, ends = (np.abs(wall.distance(nodes)) < 1e-9 * size for nodes in (start, end))
-        resolved.append(np.sum(begins) >= needed)
+        if np.sum(begins) < needed:
+            places.append(samples[len(samples) // 2])
         along |= begins & ends
-    resolved += [
-        along.all(),
-        np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
-        len(np.unique(rim[:, 0])) == len(rim),
-        (areas > 1e-9 * areas.mean()).all(),
-        abs(areas.sum() - area) < 0.2 * area,
-    ]
-    if not all(resolved):
-        raise Unresolved(f"{len(areas)} cells are too few to follow the boundary of the domain; use more cells")
+    cuts = ~(np.abs(domain.distance(middle)) < 0.35 * np.linalg.norm(end - start, axis=1))
+    pinched = np.bincount(rim[:, 0], minlength=len(polygons.points))[rim[:, 0]] > 1
+    tiny = polygons.points[polygons.nodes[polygons.offsets[:-1][~(areas > 1e-9 * areas.mean())]]]
+    places = np.concatenate(
+        [np.reshape(places, (-1, 2)), _to_boundary(np.concatenate([middle[~along | cuts], start[pinched], tiny]), domain)]
+    )
+    if len(places) or not abs(areas.sum() - area) < 0.2 * area:
+        raise Unresolved(f"{len(areas)} cells are too few to follow the boundary of the domain; use more cells", places)
 
 
 def _snapped(seeds, diagram, domain, size, corners):

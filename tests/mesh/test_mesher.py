@@ -1,10 +1,13 @@
 """The mesher: areas, topology, convexity, exact boundary, reproducibility."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from polyida.mesh import Circle, Difference, Intersection, Link, Rectangle, Union, polygonize, rectangle
+from polyida.errors import InputError
+from polyida.mesh import Circle, Difference, Intersection, Link, Outline, Rectangle, Union, mesher, polygonize, rectangle
 
 SIZES = [(1.0, 0.1, 160), (1.0, 0.1, 2), (1.0, 1.0, 40), (0.1, 1.0, 60), (1.0, 0.005, 80), (2e-3, 1e-3, 30), (3.0, 1.0, 700)]
 
@@ -112,3 +115,14 @@ def test_a_domain_far_away_gives_the_mesh_at_the_origin_moved(make):
     assert (moved.n_cells, moved.n_nodes, list(moved.sections)) == (near.n_cells, near.n_nodes, list(near.sections))
     away = cKDTree(near.points).query(moved.points - far)[0]  # numbers of nodes side by side may differ
     assert away.max() < 1e-6, "Lloyd's sweeps amplify the round-off of the walls"
+
+
+def test_cells_that_are_far_too_few_are_told_by_their_number_and_the_narrowest_place_after_one_attempt(monkeypatch):
+    attempts, attempt = [], mesher._require_resolved
+    monkeypatch.setattr(mesher, "_require_resolved", lambda *args: attempts.append(args) or attempt(*args))
+    teeth = [(x, 0.02 * k + y) for k in range(20) for x, y in ((1.0, 0.0), (1.0, 0.01), (0.95, 0.01), (0.95, 0.02))]
+    comb = Outline([(0.0, 0.0), *teeth, (0.0, 0.4)])
+    told = r"^polygonize: cells = 60 are too few .* the narrowest of \d+ places .* about 0.0\d* m wide, at \((1|0.95), 0.\d+\)$"
+    with warnings.catch_warnings(action="error"), pytest.raises(InputError, match=told):
+        polygonize(comb, 60, iterations=3)
+    assert len(attempts) == 1
