@@ -81,7 +81,7 @@ class Event:
         drawing: plain `ground` is the present place of its other side, angles stay as they are. Places must fit, to 1e-6 of the scene's size.
         Velocities jump by the plastic impact law, the least change in the metric of M. `pi.Remove`: parts are removed. `pi.Impulse`,
         `pi.Impact`: velocities jump. A function of the state: it returns new velocities (n,), a model, None, or a `pi.State`, whose
-        q and v count; first-order states change with a `pi.State` only. A `pi.Model` of the same n: own models only. "stop": the run ends with status "stopped".
+        q and v count; first-order states change with a `pi.State` only, as of `pi.consistent_state(model, s.t, s.q, s.v, x0=...)`. A `pi.Model` of the same n: own models only. "stop": the run ends with status "stopped".
     name : str, optional
         By default "event" and its number in the list.
     direction : "both", "rising" or "falling"

@@ -417,6 +417,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: swing(q0=[-1.0, np.nan]), r"q0\[1\] = nan: q0 must be 2 finite numbers"),
     (lambda: swing(v0=["a", 0.0]), r"v0\[0\] = 'a': v0 must be 2 finite numbers"),
     (lambda: swing(q0=[[1.0], [2.0, 3.0]]), r"q0\[0\] = \[1.0\]: q0 must be"),
+    (lambda: swing(every=2, output=[0.05]), "every = 2 and output are given; output has the times of all frames"),
     (lambda: swing(q0="rest"), "q0 = 'rest': q0 must be"),
     (lambda: pi.IDA(rtol=1e-17), "rtol 1e-17 must lie between 8.9e-16, which double precision resolves, and 1"),
     (lambda: own().plot.deformed(), "is no scene's model"),

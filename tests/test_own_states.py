@@ -199,6 +199,21 @@ def test_a_run_in_a_file_is_resumed(tmp_path):
     assert np.array_equal(pi.resume(path, END, model=CompiledPendulum()).x, whole.x)
 
 
+@pytest.mark.parametrize(
+    "reset",
+    [
+        lambda s: pi.consistent_state(CompiledPendulum(), s.t, s.q, s.v, x0=[0.1, s.x[1]]),
+        lambda s: pi.State(s.t, s.q, np.append(s.v, [0.1 / 1.0, s.x[1] / 0.1]), s.a, s.lam),
+    ],
+)
+def test_an_event_resets_states(reset):
+    event = pi.Event(when=lambda s: s.t - 0.05, then=reset)
+    run = pi.solve(CompiledPendulum(), 0.1, pi.RadauIIA(rtol=1e-9), events=event, **START)
+    k = run.events[0].frame
+    assert run.x[k] == pytest.approx([0.1, run.x[k - 1, 1]]) and abs(run.x[k - 1, 0] - 0.1) > 0.1
+    assert run.q[k, :3] == pytest.approx(run.q[k - 1, :3], abs=1e-9) and run.v[k, :3] == pytest.approx(run.v[k - 1, :3], abs=1e-7)
+
+
 def test_a_run_in_a_file_is_loaded_with_its_model(tmp_path):
     run, path = pi.solve(Pendulum(), 0.1, pi.GeneralizedAlpha(h=0.01), **START), tmp_path / "run.h5"
     run.save(path)

@@ -400,9 +400,9 @@ class RollingDisc(Joint):
 
         `phi = d_A x (x_B - x_A) - s r`,   `psi = d_A . (x_B' - x_A') + s r w_B`
 
-    On a circle of radius R about a, with r negative if the disc rolls inside it:
+    On a circle of radius R about a, with s = 1 if the disc is drawn outside it, s = -1 inside, and e = s r:
 
-        `phi = (w . w - (R + r)^2) / (2 (R + r))`,   `psi = (w x w') / (R + r) - r w_B - R w_A`,   `w = x_B - x_A`
+        `phi = (w . w - (R + e)^2) / (2 (R + e))`,   `psi = (w x w') / (R + e) - e w_B - R w_A`,   `w = x_B - x_A`
 
     The line or circle moves with its body. The disc neither lifts off nor slips, whatever the force. Reaction on b, (2,): force at the contact,
     N; its moment about the centre is not listed.

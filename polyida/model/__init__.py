@@ -54,11 +54,14 @@ class Model:
     defaults: derivatives are fourth-order differences. Override them if the exact form is known, and check them with `check_derivatives`.
     Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers have the sign of r.
 
-    `solve` calls each of the four functions once before the run and checks their values, then compares `needs` and overridden derivatives
-    with differences. Integrators call `residual`, `phi`, `tangent` and `phi_q` in Newton's method; `phi_rate`, `phi_bias` and `mass_system`
-    at the start and after kinks; `rejection_reason` at the end of a step; `kinks` once for a run; `gaps` after each step. `run.energy` calls
-    `potentials` and `powers`, `run.momentum` calls `momenta`, `pi.gradient` calls `residual_p` and `phi_p`. A model whose forces act only in
-    a part of the motion, as a contact, must write `gaps`: otherwise steps may miss them.
+    `solve` calls each of the four functions once before the run and checks their values. Then it compares with differences `needs` and,
+    if they are written, phi_q, phi_t, phi_rate, phi_bias and psi_v; `EnergyMomentum` compares the slope of `potential` with the force. No
+    run compares force_q, force_v, mass_a_q, reaction_q, tangent, residual_p and phi_p: `pi.check_derivatives(model)` compares these,
+    phi_q, phi_t, phi_bias and the slope of `potential`. Integrators call `residual`, `phi`, `tangent` and `phi_q` in Newton's method;
+    `phi_rate`, `phi_bias` and `mass_system` at the start and after kinks; `rejection_reason` at the end of a step; `kinks` once for a
+    run; `gaps` after each step. `run.energy` calls `potentials` and `powers`, `run.momentum` calls `momenta`, `pi.gradient` calls
+    `residual_p` and `phi_p`. A model whose forces act only in a part of the motion, as a contact, must write `gaps`: otherwise steps may
+    miss them.
 
     Attributes
     ----------

@@ -87,7 +87,7 @@ def solve(
     state : State, optional
         Start from this state, for example `run.state`, instead of q0, v0, x0 and t0.
     every : int
-        Every how many accepted steps a frame is stored; the first and the last state always are.
+        Every how many accepted steps a frame is stored; the first and the last state always are. Not together with output.
     output : (k,) float, s, optional
         Increasing times. The frames are then exactly those, interpolated within the accepted steps: q cubic from q and v, v its derivative,
         a and lam linear.
@@ -172,6 +172,8 @@ def solve(
         raise InputError("solve: output must be increasing finite times in s, at least one")
     if times is not None and (times[0] < begin or times[-1] > t_end):
         raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
+    if times is not None and every != 1:
+        raise InputError(f"solve: every = {every} and output are given; output has the times of all frames, so leave every out")
     require_bytes("solve", memory_limit)
     path = None if out is None else free(out, overwrite)
     # a state of a run has the memory of its integrator, or is between two steps; one of `static` has only its residual, `rest`
