@@ -100,6 +100,9 @@ class _Motions:
     def _changed(self, change, state, fired):
         one, self.impact = self.happenings, None
         before, status = one.mode, getattr(one, "status", None)
+        if not fired:
+            why = f"a contact is hit at the start of the run, t = {state.t:.9g} s, for which there is no adjoint"
+            raise InputError(f"gradient: {why}; begin with the velocities behind the impact")
         law = one.events[fired[0]]
         after, happened, stops = change(state, fired)
         if not happened:

@@ -22,7 +22,7 @@ from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
-from polyida.run.events import Happenings
+from polyida.run.events import Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
@@ -91,6 +91,10 @@ class Modes(Happenings):
 
     def _motion(self, before, t_end, counts):
         self.at, self.step = before, self.method.fixed_step()
+        if self.started and self._hit(before).any():  # contacts that are closed and approach at the start of the run
+            self.started = False
+            yield Change(None, *self._change(before, []))
+            return
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
@@ -226,11 +230,9 @@ class Modes(Happenings):
             self.at, self.step = state, 0.0
             raise self.mode.singular()
         contacts, t, q = self.contacts, state.t, state.q
-        gaps, rates = contacts.gaps(t, q), self.whole.phi_rate(t, q, state.v)[contacts.rows]
-        old, size, still = self.status.copy(), TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
-        hit = contacts.contact & (old != CLOSED) & ((gaps <= size) & (rates < -still))
-        closed = contacts.contact & ((old == CLOSED) | ((gaps <= size) & (rates <= still)))
-        v, happened = state.v, []
+        rates, old, hit = self.whole.phi_rate(t, q, state.v)[contacts.rows], self.status.copy(), self._hit(state)
+        size, still = TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
+        closed, v, happened = (old == CLOSED) | hit | contacts.at_rest(t, q, state.v), state.v, []
         if hit.any():
             none = np.zeros(len(contacts.rows))
             v, P, _, _ = contacts.impact(
@@ -260,6 +262,12 @@ class Modes(Happenings):
             happened,
             "",
         )
+
+    def _hit(self, state):
+        """True for the contacts that have closed and approach."""
+        contacts, still, size = self.contacts, self.contacts.still(state.v), TOUCH * (self.whole.extent or 1.0)
+        rates = self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
+        return contacts.contact & (self.status != CLOSED) & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)
 
     def _begins(self, state, closed, fired):
         """Directions in which rows that reached their bounds slip; opens the contacts without pressure. At a bound the laws allow both statuses."""

@@ -219,3 +219,5 @@ def test_what_has_no_adjoint_is_refused():
     scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), block.at("c"), friction=0.3, name="guide"))
     with pytest.raises(pi.InputError, match="'guide' slips with friction that its pressure gives"):
         pi.gradient(pi.solve(scene.build(), 0.1, RADAU), J)
+    with pytest.raises(pi.InputError, match="hit at the start of the run, t = 0 s"):
+        pi.gradient(pi.solve(Ball(), 0.1, RADAU, v0=[-1.0]), J)

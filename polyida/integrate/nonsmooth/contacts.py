@@ -191,9 +191,9 @@ class Contacts:
         return result
 
     def at_rest(self, t, q, v):
-        """True for the contacts that are closed and do not open."""
+        """True for the contacts that are closed and neither open nor approach; one that approaches is hit."""
         size = self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
-        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (self.rates(t, q, v)[self.rows] <= self.still(v))
+        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (np.abs(self.rates(t, q, v)[self.rows]) <= self.still(v))
 
     def begin(self, state):
         """The start of a run from a consistent State of the equations: forces of the contacts that are closed and at rest, memory of `closed`.
