@@ -241,7 +241,8 @@ class Modes(Happenings):
             after = self.whole.phi_rate(t, q, v)[contacts.rows]
             lost = -0.5 * P * (rates + after)
             closed &= after <= still
-            for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(hit & (P > 0.0))):
+            listed = (hit & (P > 0.0)) | ((P != 0.0) & (np.abs(rates + after) > still))  # friction elsewhere may lose energy, too
+            for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(listed)):
                 of_part = np.array([other == name for other in contacts.names])
                 happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
         behind = self._settled(t, q, v, closed, self._begins(state, closed, fired) if not hit.any() else 0.0)

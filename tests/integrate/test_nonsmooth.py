@@ -206,6 +206,17 @@ def test_energy_lost_in_an_impact_with_friction(integrator, error):
     assert abs(run.events[0].energy_lost - lost) < error * lost and abs(balance).max() < error
 
 
+def test_energy_lost_by_what_slides_during_the_impact_of_another_contact():
+    feet = {"left": (-0.1, -0.04), "right": (0.1, -0.05)}
+    run = pi.solve(on_floor(feet, (0.0, 0.05), mu=0.2, velocity=(1.0, 0.0)).build(), 0.1, RADAU)
+    impact = [one for one in run.events if one.energy_lost]
+    assert run.success and [one.name for one in impact] == ["left", "right"] and impact[0].t == impact[1].t, run.message
+    before, *_, behind = np.flatnonzero(run.t == impact[0].t)
+    energy, lost = run.energy.total, [one.energy_lost for one in impact]
+    assert min(lost) > 1e-3 and abs(energy[before] - energy[behind] - sum(lost)) < 1e-10
+    assert abs(energy[0] - energy[-1] - sum(run.energy.dissipated[name][-1] for name in feet)) < 1e-7
+
+
 def test_pin_friction_to_second_order():
     """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
     errors = [angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.NonsmoothAlpha(h=h))) - PENDULUM for h in (2e-2, 1e-2)]
