@@ -105,6 +105,17 @@ def test_circle():
     assert np.abs(run.v[-1, :2] - [2 * 0.8 * 0.6, 2 * 0.8 * 0.8 - 1.0]).max() < 1e-9 and run.drift.max() < 1e-9
 
 
+@pytest.mark.parametrize("integrator", [pi.NonsmoothAlpha(h=2e-4), pi.MoreauJean(h=2e-4)], ids=lambda x: type(x).__name__)
+def test_a_reduced_plate_rests_on_more_nodes_than_it_has_coordinates(integrator):
+    scene = pi.Scene(gravity=(0.0, -G))
+    plate = pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=20, seed=1), pi.Material(1e8, 0.3, 1000.0), 0.01, origin=(0.0, 0.05), name="plate")
+    plate = scene.add(pi.Reduced(plate, 4))
+    scene.add(pi.Contact(plate.section("bottom"), EAST, name="floor"))
+    run = pi.solve(scene.build(), 4e-3, integrator)
+    assert run.success, run.message
+    assert run.lam.max() <= 0.0 and np.abs(run.position(plate.section("bottom"))[:, 1]).max() < 1e-6
+
+
 def test_assemble_opens_penetration_alone():
     scene = block(y=0.05, friction=0.3)
     with pytest.raises(pi.InputError, match=r"left: its sides are 0\.05 m within each other"):
