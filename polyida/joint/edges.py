@@ -41,7 +41,8 @@ class Pieces(NamedTuple):
 class FacingEdges:
     """Two sides: edges (k, 2) of numbers among the points of the first side, (0, 0) if that is a point; others: of the second side.
 
-    first, second: nodes of the sides, attachments. count: rows. reach: deepest penetration that counts, m.
+    first, second: nodes of the sides, attachments. count: rows. reach: deepest penetration that counts, m; at rest all that is within the rim of
+    the second body counts.
     """
 
     def __init__(self, label, a, b):
@@ -55,31 +56,54 @@ class FacingEdges:
         lengths = (np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1) for x, edges in zip(self.rest, (self.edges, self.others)))
         depths = (getattr(side, "depth", 0.0) or np.inf for side in (a, b))
         self.reach = 0.5 * min(max(float(length.max()) for length in lengths), *depths)
+        self.rim = _rim(b, self.rest[1][self.others])
 
     @property
     def rest(self):
         """Places of the nodes of both sides at rest, (k, 2) each, m."""
         return tuple(np.array([node.point for node in side]) for side in (self.first, self.second))
 
-    def pieces(self, x, y):
-        """The Pieces of points x (k, 2) of the first side and y of the second side."""
+    def pieces(self, x, y, reach=None):
+        """The Pieces of points x (k, 2) of the first side and y of the second side. reach: deepest penetration that counts, by default its own."""
         most = 4 * len(self.edges) * len(self.others)
         found = Pieces(*(np.empty(most, np.int64) for _ in range(2)), np.empty((most, 2), np.int64), np.empty((most, 4)))
-        count = find_pieces(x, self.edges, y, self.others, self.reach, *found)
+        count = find_pieces(x, self.edges, y, self.others, self.reach if reach is None else reach, *found)
         return Pieces(*(values[:count] for values in found))
 
     def gaps(self, far):
         """Gaps at rest, (rows,), `far` where nothing faces."""
-        (x, y), result = self.rest, np.full(self.count, far)
-        pieces = self.pieces(x, y)
-        result[pieces.row] = 0.0
-        d, w = directions(self, y, pieces), np.einsum("ki,kij->kj", pieces.weights, self.places(x, y, pieces))
-        np.add.at(result, pieces.row, d[:, 0] * w[:, 1] - d[:, 1] * w[:, 0])
+        (x, y), result, rows = self.rest, np.full(self.count, far), np.ones(self.count, bool)
+        for reach in (self.reach, np.inf):
+            pieces = self.pieces(x, y, reach)
+            pieces = Pieces(*(values[rows[pieces.row]] for values in pieces))
+            result[pieces.row] = 0.0
+            d, w = directions(self, y, pieces), np.einsum("ki,kij->kj", pieces.weights, self.places(x, y, pieces))
+            np.add.at(result, pieces.row, d[:, 0] * w[:, 1] - d[:, 1] * w[:, 0])
+            found = result < 0.0
+            rows = np.resize(_within(x, self.rim) & ~(found if len(x) == self.count else found.any()), self.count)  # deeper than reach
         return result
 
     def places(self, x, y, pieces):
         """The four points of each product, (k, 4, 2)."""
         return np.concatenate([x[pieces.points], y[self.others[pieces.edge]]], axis=1)
+
+
+def _rim(side, edges):
+    """Edges at rest, (k, 2, 2), around the body of a side that has these edges; none if they are not known."""
+    mesh, ends = getattr(side.body, "mesh", None), edges.reshape(-1, 4)
+    if mesh is not None:
+        return side.body.points[mesh.boundary_edges]
+    closed = {tuple(end) for end in ends[:, :2]} == {tuple(end) for end in ends[:, 2:]}
+    return edges if closed else edges[:0]
+
+
+def _within(x, rim):
+    """True for the points x (k, 2) that a ray to the left joins to an odd number of edges (n, 2, 2)."""
+    (ax, ay), (bx, by) = (rim[:, end].T for end in (0, 1))
+    px, py = x.T[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = ax + (py - ay) * (bx - ax) / (by - ay) < px
+    return (((ay > py) != (by > py)) & left).sum(axis=1) % 2 == 1
 
 
 def directions(sides, y, pieces):

@@ -233,6 +233,21 @@ def test_assemble_opens_penetrated_edges():
     assert pi.solve(model, 0.01, pi.NonsmoothAlpha(h=1e-3)).success
 
 
+@pytest.mark.parametrize("kind", [lambda plate: plate, pi.Rigid], ids=["full", "rigid"])
+@pytest.mark.parametrize("depth", [0.02, 0.25, 0.39])
+def test_a_start_deep_within_the_other_plate_is_refused(kind, depth):
+    """Cells are 0.1 m long, plates 0.4 m high; a plate behind the other one is allowed."""
+    scene = pi.Scene()
+    low, high = (scene.add(kind(plate(1.0, 10, y, name, x=y / 8))) for name, y in (("low", 0.0), ("high", 0.4 - depth)))
+    scene.add(pi.Contact(high.section("bottom"), low.section("top"), name="between"))
+    with pytest.raises(pi.InputError, match=f"between: its sides are {depth:g} m within each other at rest"):
+        scene.build()
+    scene = pi.Scene()
+    low, high = (scene.add(kind(plate(1.0, 10, y, name))) for name, y in (("low", 0.0), ("high", -0.5)))
+    scene.add(pi.Contact(high.section("bottom"), low.section("top")))
+    scene.build()
+
+
 THIN = pi.Material(E=2e6, nu=0.3, rho=1000.0, viscosity=3e-2)
 
 
