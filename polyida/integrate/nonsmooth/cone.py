@@ -78,7 +78,7 @@ def newton(G, b, x, p, status, matrix, right, slope):
     """Iterations until p no longer changes; p and status are then the best ones. Returns (the largest error of p over the largest p, iterations)."""
     k, least, kept, kept_status = p.shape[0], np.inf, p.copy(), status.copy()
     for iteration in range(NEWTON):
-        error, size, same = 0.0, 0.0, iteration > 0
+        error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
             u, scale = b[i], abs(b[i])
             for j in range(k):
@@ -105,6 +105,9 @@ def newton(G, b, x, p, status, matrix, right, slope):
                 matrix[i, i] += 1.0
                 right[i] = -p[i] - way * limit
             error, size = max(error, abs(right[i])), max(size, abs(p[i]), limit if now >= SLIPS_UP else rho * scale)
+            finite = finite and np.isfinite(right[i])
+        if not finite:
+            break
         error = error / size if size > 0.0 else 0.0
         if error <= EXACT or (same and error <= 100.0 * EXACT):
             return error, iteration
@@ -112,7 +115,7 @@ def newton(G, b, x, p, status, matrix, right, slope):
             least = error
             put(1.0, p, kept)
             kept_status[:] = status
-        if not error < np.inf or not solve_small(matrix, right):
+        if not solve_small(matrix, right):
             break
         for i in range(k):
             p[i] += right[i]
