@@ -58,8 +58,15 @@ class Modes(Happenings):
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
-        state = self._settled(state.t, state.q, state.v, self.contacts.at_rest(state.t, state.q, state.v))
+        try:
+            state = self._settled_at_rest(state)
+        except StepFailure:  # no forces satisfy the laws; the first motion raises it again, so that the run ends with it
+            self.status = np.zeros(len(self.events), np.int64)
+            self._set_mode(state.t, state.q, state.v)
         return replace(state, memory={"status": self.status.astype(float)}, restart=True)
+
+    def _settled_at_rest(self, state):
+        return self._settled(state.t, state.q, state.v, self.contacts.at_rest(state.t, state.q, state.v))
 
     def whole_state(self, state):
         state = super().whole_state(state)
@@ -91,10 +98,12 @@ class Modes(Happenings):
 
     def _motion(self, before, t_end, counts):
         self.at, self.step = before, self.method.fixed_step()
-        if self.started and self._hit(before).any():  # contacts that are closed and approach at the start of the run
-            self.started = False
-            yield Change(None, *self._change(before, []))
-            return
+        if self.started:
+            self._settled_at_rest(before)
+            if self._hit(before).any():  # contacts that are closed and approach at the start of the run
+                self.started = False
+                yield Change(None, *self._change(before, []))
+                return
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()

@@ -217,6 +217,22 @@ def test_energy_lost_by_what_slides_during_the_impact_of_another_contact():
     assert abs(energy[0] - energy[-1] - sum(run.energy.dissipated[name][-1] for name in feet)) < 1e-7
 
 
+def test_a_start_at_which_sliding_friction_has_no_force():
+    """A rod slides into its friction (Painleve): time stepping passes it by an impact, events end the run at its start."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    rod = scene.add(pi.RigidBody.bar(1.0, 1.0, angle=1.0, velocity=(-2.0, 0.0), name="rod"))
+    scene.add(pi.Contact(rod.at("left"), pi.ground.at((0.0, 0.0)), friction=2.0, name="tip"))
+    model, ends = scene.build(), []
+    for integrator in (pi.NonsmoothAlpha(h=5e-4), pi.MoreauJean(h=5e-4)):
+        run = pi.solve(model, 0.1, integrator)
+        assert run.success and run.energy.total[-1] < run.energy.total[0], run.message
+        ends.append(run.q[-1])
+    assert np.abs(ends[1] - ends[0]).max() < 1e-3
+    for integrator in (RADAU, ALPHA, IDA):
+        run = pi.solve(model, 0.1, integrator)
+        assert run.status == "contact" and "friction of tip" in run.message and len(run) == 1
+
+
 def test_pin_friction_to_second_order():
     """th(3) from 1 rad, with two reversals of the slip on the way; DOP853 between located reversals gives -0.119172717."""
     errors = [angle_of(pi.solve(pendulum(1.0).build(), 3.0, pi.NonsmoothAlpha(h=h))) - PENDULUM for h in (2e-2, 1e-2)]

@@ -205,8 +205,18 @@ class Contacts:
         if gaps.min(initial=0.0) < -OPENED * size:
             name = model.constraint_name(int(self.rows[np.argmin(gaps)]))
             raise InputError(f"the start: {name} is penetrated by {-gaps.min():.3g}; move the bodies apart, or let scene.assemble() do it")
-        closed = self.at_rest(t, q, v)
-        a, lam, p, _ = self.accelerations(t, q, v, closed)
+        return self.with_forces(t, q, v, self.at_rest(t, q, v))
+
+    def with_forces(self, t, q, v, closed):
+        """The State with consistent accelerations, and memory of `closed`.
+
+        Where sliding friction has no force (Painleve), contacts do not act, and the next step closes them by an impact.
+        """
+        try:
+            a, lam, p, _ = self.accelerations(t, q, v, closed)
+        except StepFailure:
+            closed = np.zeros(len(closed), bool)
+            a, lam, p, _ = self.accelerations(t, q, v, closed)
         return State(t, q, v, a, self.all(lam, p), {"closed": closed, "p": p, "a_alg": a})
 
     def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None):

@@ -212,9 +212,7 @@ class _Steps:
 
     def restarted(self, state, v):
         """The state behind a kink or a sample at its time, with the velocities v there and consistent accelerations."""
-        closed = np.asarray(state.memory["closed"], bool)
-        a, lam, p, _ = self.contacts.accelerations(state.t, state.q, v, closed)
-        return State(state.t, state.q, v, a, self.contacts.all(lam, p), {"a_alg": a, "closed": closed, "p": p})
+        return self.contacts.with_forces(state.t, state.q, v, np.asarray(state.memory["closed"], bool))
 
     def step(self, state, t, h):
         """The State after a step of h to t."""
