@@ -121,6 +121,8 @@ class Modes(Happenings):
 
     def _first(self, before, after):
         """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
+        # speeds that are round-off of the motion so far: at rest, and without gravity, a state gives no size for them
+        self.contacts.speed = max(self.contacts.speed, float(np.abs(before.v).max(initial=0.0)))
         hit = super()._first(before, after)
         ahead = self._singular(before, after) if isinstance(self.mode, Slips) else None
         if ahead and (ahead.t > after.t or (hit and hit[0] < ahead.t)):

@@ -239,6 +239,18 @@ def test_pin_friction_to_second_order():
     assert abs(np.log2(abs(errors[0] / errors[1])) - 2.0) < 0.15
 
 
+@pytest.mark.parametrize("integrator", [pi.RadauIIA(h=1e-2), pi.IDA(rtol=1e-8)], ids=lambda x: type(x).__name__)
+def test_a_pin_sticks_without_gravity(integrator):
+    """A load presses a flywheel onto its pin: it stops within w^2 J / (2 mu r F); at rest no speed tells what is round-off."""
+    scene = pi.Scene()
+    wheel = scene.add(pi.RigidBody(mass=2.0, inertia=0.1, points={"c": (0.0, 0.0)}, spin=5.0, name="wheel"))
+    scene.add(pi.Revolute(pi.ground, wheel.at("c"), friction=0.3, pin_radius=0.05, name="pin"))
+    scene.add(pi.PointLoad(wheel.at("c"), (0.0, -40.0)))
+    run = pi.solve(scene.build(), 1.0, integrator)
+    assert run.success and [one.name for one in run.events] == ["pin sticks"], run.message
+    assert abs(run.angle("pin")[-1] - 5.0**2 * 0.1 / (2 * 0.3 * 0.05 * 40.0)) < 1e-5
+
+
 def test_slip_reverses_within_steps_that_round_off_dominates():
     """IDA begins anew with steps of 1e-9 s, in which velocities from differences of positions are round-off: they hid the direction of slip."""
     run = pi.solve(pendulum(1.0).build(), 3.0, pi.IDA(rtol=1e-9))
