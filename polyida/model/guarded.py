@@ -89,9 +89,8 @@ def _require_counted(model):
                 raise InputError(
                     f"{name}: its class gives {function}({arguments}), but {size} = 0, so it would be ignored: set {size} to the number of its rows"
                 )
-    for size, count in (("k", model.k), ("algebraic", model.algebraic)):
-        if not (is_whole(count, 0, 0) or writes(model, "rates")):
-            raise InputError(f"{name}: {size} = {count!r:.60} states, but its class gives no rates(t, q, v, x)")
+    if not (is_whole(model.algebraic, 0, 0) or writes(model, "rates")):  # k may be a number of the user's own, such as a stiffness
+        raise InputError(f"{name}: algebraic = {model.algebraic!r:.60} states, but its class gives no rates(t, q, v, x)")
 
 
 def unguarded(model):
