@@ -6,11 +6,7 @@ their arguments are its options. studies: a `Study` each.
 """
 
 from importlib import import_module
-from inspect import Parameter, Signature
-from typing import Any, ClassVar
-
-from polyida.errors import InputError
-from polyida.validation import labelled
+from typing import Any
 
 parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
@@ -123,36 +119,3 @@ def find(book: dict[str, Any], name: str) -> Any:
         module, _, attribute = known.partition(":")
         known = getattr(import_module(module), attribute)
     return known
-
-
-class OwnPart:
-    """A part that a user can subclass: a frozen dataclass with a field `name`; its other fields are its data, which files store."""
-
-    name: str | None = None
-    _own: ClassVar[bool] = False  # False: only a base of other classes
-    by_numba = False  # True if numba compiles the functions of the class (jit/user_functions.py)
-
-    def __init_subclass__(cls, part: bool = True, **options):
-        """Register the class for files; part=False: it is only a base of other classes."""
-        super().__init_subclass__(**options)
-        cls._own = part
-        if part:
-            parts[name_of(cls)] = cls
-
-    def __new__(cls, *args, **kwargs):
-        """Raises InputError if a class has fields that are not those of a dataclass: Python's own message would be of __init__."""
-        for kind in (kind for kind in cls.__mro__ if vars(kind).get("_own")):
-            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
-            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
-                raise InputError(
-                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
-                )
-        return super().__new__(cls)
-
-    @property
-    def label(self) -> str:
-        """Name of the part in messages."""
-        return labelled(type(self).__name__, self.name)
-
-
-OwnPart.__new__.__signature__ = Signature([Parameter("cls", Parameter.POSITIONAL_ONLY)])  # type: ignore[attr-defined]  # of its classes in help()

@@ -16,9 +16,9 @@ from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.joint.attachment import OwnPart
 from polyida.joint.joint import Joint
 from polyida.profile import Profile, as_profile
-from polyida.registry import OwnPart
 from polyida.reprs import counted, cut, settings, short, table
 from polyida.validation import is_number, is_one_of, named_keywords, number, vector2
 

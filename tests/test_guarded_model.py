@@ -169,7 +169,6 @@ def velocity_row(self, t, q, v):
     "attributes, told",
     [
         ({"m": 0, "phi": Pendulum.phi}, r"phi\(t, q\), but m = 0"),
-        ({"m": 0, "phi_q": Pendulum.phi_q}, r"phi_q\(t, q\), but m = 0"),
         ({"psi": velocity_row}, r"psi\(t, q, v\), but p = 0"),
         ({"algebraic": 1}, r"algebraic = 1 states, but its class gives no rates"),
     ],
@@ -258,3 +257,8 @@ def test_a_function_with_other_arguments_is_named(name, wrong, given):
 def test_k_may_be_a_number_of_the_users_own():
     run = pi.solve(type("Spring", (Pendulum,), {"k": 100})(), 0.1, INTEGRATORS[0], **START)
     assert run.success and run.x.shape == (len(run), 0)
+
+
+def test_functions_without_rows_may_be_written():
+    empty = {"m": 0, "phi": lambda self, t, q: np.zeros(0), "phi_q": lambda self, t, q: np.zeros((0, 2))}
+    assert pi.solve(type("Free", (Pendulum,), empty)(), 0.1, INTEGRATORS[0], **START).success

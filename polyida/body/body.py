@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment
+from polyida.joint.attachment import Attachment, OwnPart
 from polyida.joint.formula import Row, Vector
-from polyida.registry import OwnPart
 from polyida.validation import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
 
 SAME = 1e-9  # relative tolerance of equality

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike
 
 from polyida.body.body import compiled_functions, require_whole, writes
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, Ground
+from polyida.joint.attachment import Attachment, Ground, OwnPart
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
-from polyida.registry import OwnPart
 from polyida.validation import floats, reals, settle, takes
 
 

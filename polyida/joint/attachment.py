@@ -1,15 +1,17 @@
-"""Attachments: weighted sets of nodes that joints, masses and loads act on, and the ground."""
+"""Attachments: weighted sets of nodes that joints, masses and loads act on, and the ground; the base class of joints, bodies and forces."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from inspect import Parameter, Signature
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.joint.formula import Summand, Vector
 from polyida.mesh.sections import edges_within
-from polyida.validation import vector2
+from polyida.validation import labelled, vector2
 
 ROUND = 1e-6  # second moments count as equal if their relative difference is less: otherwise round-off would choose the larger one
 
@@ -244,3 +246,36 @@ def require_sides(part, a, b):
         raise InputError(f"{part}: both sides are ground; one must be an attachment of a body")
     if not any(grounds) and a.body is b.body:
         raise InputError(f"{part}: both sides belong to {a.body.label}; they must belong to two bodies, or one of them must be ground")
+
+
+class OwnPart:
+    """A part that a user can subclass: a frozen dataclass with a field `name`; its other fields are its data, which files store."""
+
+    name: str | None = None
+    _own: ClassVar[bool] = False  # False: only a base of other classes
+    by_numba = False  # True if numba compiles the functions of the class (jit/user_functions.py)
+
+    def __init_subclass__(cls, part: bool = True, **options):
+        """Register the class for files; part=False: it is only a base of other classes."""
+        super().__init_subclass__(**options)
+        cls._own = part
+        if part:
+            registry.parts[registry.name_of(cls)] = cls
+
+    def __new__(cls, *args, **kwargs):
+        """Raises InputError if a class has fields that are not those of a dataclass: Python's own message would be of __init__."""
+        for kind in (kind for kind in cls.__mro__ if vars(kind).get("_own")):
+            own = [name for name, hint in vars(kind).get("__annotations__", {}).items() if "ClassVar" not in str(hint)]
+            if "__dataclass_fields__" not in vars(kind) and (own or "__init__" in vars(kind)):
+                raise InputError(
+                    f"{kind.__name__}: its fields need @dataclass(frozen=True, eq=False) above the class, in place of __init__"
+                )
+        return super().__new__(cls)
+
+    @property
+    def label(self) -> str:
+        """Name of the part in messages."""
+        return labelled(type(self).__name__, self.name)
+
+
+OwnPart.__new__.__signature__ = Signature([Parameter("cls", Parameter.POSITIONAL_ONLY)])  # type: ignore[attr-defined]  # of its classes in help()

@@ -12,9 +12,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from polyida.joint.attachment import Attachment, Ground, require_directions, require_sides
+from polyida.joint.attachment import Attachment, Ground, OwnPart, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
-from polyida.registry import OwnPart
 from polyida.validation import pairs_of, settle
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction

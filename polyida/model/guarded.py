@@ -1,6 +1,7 @@
 """Guarded: a user's model with read-only arguments and checked, copied results. The model of a scene is called directly."""
 
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import replace
 from inspect import signature
 from itertools import product
@@ -54,7 +55,6 @@ ANSWERS = {  # {function: (check of its value, description)}
 }
 OF_PLACES = ("position", "initial_velocity", "potentials")  # get the user's part of q
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default they call checked functions
-COUNTED = {"m": ("phi", "phi_q"), "p": ("psi", "psi_v")}  # {number of rows: their functions}
 
 
 def guard(model, part="solve"):
@@ -76,19 +76,21 @@ def guard(model, part="solve"):
 
 
 def _require_counted(model):
-    """Raise InputError for functions that would never be called, because the class that writes them has no rows, and for states without rates.
+    """Raise InputError for rows that would be ignored, because the class that writes them counts none, and for states without rates.
 
     A class that inherits from one with rows may set their number to zero, and an object its own.
     """
     name = type(model).__name__
-    for size, functions in COUNTED.items():
-        for function in functions if size not in vars(model) else ():
-            writer = next(one for one in (model, *type(model).__mro__) if function in vars(one))
-            if writes(model, function) and is_whole(getattr(writer, size, None), 0, 0):
-                arguments = ", ".join(arguments_of(function))
-                raise InputError(
-                    f"{name}: its class gives {function}({arguments}), but {size} = 0, so it would be ignored: set {size} to the number of its rows"
-                )
+    for size, function, call in (("m", "phi", model.phi), ("p", "psi", model.psi)):
+        writer = next(one for one in (model, *type(model).__mro__) if function in vars(one))
+        if size in vars(model) or not (writes(model, function) and is_whole(getattr(writer, size, None), 0, 0)):
+            continue
+        rows, arguments = 0, arguments_of(function)
+        with suppress(Exception), np.errstate(all="ignore"):
+            rows = np.size(call(0.0, *np.zeros((len(arguments) - 1, model.n))))
+        if rows:
+            told = f"its class gives {function}({', '.join(arguments)}), but {size} = 0, so it would be ignored"
+            raise InputError(f"{name}: {told}: set {size} to the number of its rows")
     if not (is_whole(model.algebraic, 0, 0) or writes(model, "rates")):  # k may be a number of the user's own, such as a stiffness
         raise InputError(f"{name}: algebraic = {model.algebraic!r:.60} states, but its class gives no rates(t, q, v, x)")
 
