@@ -19,8 +19,7 @@ from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
-from polyida.assembly.own_forces import NEAR as ENERGY_RANGE
-from polyida.assembly.own_forces import Elastic, OwnForce, slopes_of, take_from
+from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slopes_of, take_from
 from polyida.assembly.own_laws import NO_ENERGY, add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
@@ -43,7 +42,6 @@ SMALL = 100  # largest n + m with dense matrices at the start and in adjoints: u
 KEPT = 64  # modes that a model with events keeps
 SAME_TIME = 1e-9  # of a period: distance of a time from a sample that is round-off
 SECOND = 1.0  # s: time in which a state of typical size passes the scene's extent, without gravity
-NEAR = 1e-3  # of the size of its sides' places: range over which the energy of an element is differentiated; contacts are that shallow
 
 
 class SceneModel(SceneBodies):
@@ -464,7 +462,7 @@ class SceneModel(SceneBodies):
             return None
         result = np.empty((len(self.own_forces), 2))
         nodal = self._nodal(np.array(q, float)), self._nodal(np.array(v, float))
-        energies_and_powers(self.laws, self.arrays.links, self.drives(t), *nodal, FIRST_ORDER_STEP * ENERGY_RANGE, result)
+        energies_and_powers(self.laws, self.arrays.links, self.drives(t), *nodal, FIRST_ORDER_STEP * NEAR, result)
         return result if np.isfinite(result).all() else None
 
     def strain_energy(self, q, v=None, energies=None):

@@ -133,12 +133,16 @@ def on_drives(model, state, gap=0.0):
 
     Where drives determine the motion, an integrator takes long steps, between which its polynomial is off by more than its tolerance. With
     flexible bodies steps are short, and consistent multipliers of an interpolated state are noise. gap: |phi| over the size of q below which
-    the interpolated state is returned.
+    the interpolated state is returned; so it is where the constraints cannot be solved.
     """
     if model.flexible or not model.needs.driven or model.row_laws:
         return state
-    size = max(1.0, np.abs(state.q).max(initial=0))
-    return state if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * size else restarted(model, state)
+    if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * max(1.0, np.abs(state.q).max(initial=0)):
+        return state
+    try:
+        return restarted(model, state)
+    except (InputError, StepFailure, SingularSystem, np.linalg.LinAlgError):  # constraints that depend on each other: the run decides
+        return state
 
 
 def consistent_acceleration(model, t, q, v):

@@ -90,7 +90,7 @@ def solve(
         Every how many accepted steps a frame is stored; the first and the last state always are. Not together with output.
     output : (k,) float, s, optional
         Increasing times. The frames are then exactly those, interpolated within the accepted steps: q cubic from q and v, v its derivative,
-        a and lam linear.
+        a and lam linear. Between steps of rigid bodies with driven constraints q and v are then put on these, with consistent a and lam.
     until : function f(t, q, v) or f(t, q, v, x) -> float, optional
         The run stops, with status "stopped", where f changes sign; x (k,) are the first-order states. That time is located on the same
         interpolation and is the last frame.

@@ -235,3 +235,18 @@ def test_energy_that_grows_in_impacts_is_told_in_the_summary():
     scene.add(pi.Contact(plate.section("bottom"), pi.ground.at((0.0, 0.0)), name="floor"))
     run = pi.solve(scene.build(), 0.06, pi.NonsmoothAlpha(h=1e-4))
     assert run.energy.total.max() > 1.0 and "events: 'floor'" in run.summary() and "the energy grows by" in run.summary()
+
+
+def test_an_interpolated_state_is_kept_where_constraints_cannot_be_solved(monkeypatch):
+    from polyida.integrate import start
+
+    def fails(model, state):
+        raise pi.SingularSystem("dependent constraints")
+
+    monkeypatch.setattr(start, "restarted", fails)
+    scene = pi.Scene()
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.quintic(0.0, 2.0, 0.5), name="motor"))
+    run = pi.solve(scene.build(), 0.5, pi.RadauIIA(), output=[0.0, 0.12, 0.5])
+    assert run.success and len(run) == 3
