@@ -26,12 +26,15 @@ HALVINGS = 40  # of the share of restitution that keeps the energy
 
 
 class Group(NamedTuple):
-    """Rows with laws that take part in a cone problem: their numbers, and its arrays, which each problem fills.
+    """Rows with laws that take part in a cone problem: their numbers, those among all rows of the model, and its arrays, which each problem fills.
 
-    entries, equations: of the entries of `cone.l` and `cone.L` that are multipliers of equations, and the numbers of these.
+    friction: True for rows of friction. entries, equations: of the entries of `cone.l` and `cone.L` that are multipliers of equations, and the
+    numbers of these.
     """
 
     rows: np.ndarray
+    of_model: np.ndarray
+    friction: np.ndarray
     cone: Cone
     entries: np.ndarray
     equations: np.ndarray
@@ -142,31 +145,35 @@ class Contacts:
         _, Y, G = self.mass_columns(t, q, B)
         return G, self.mobility(B), Y
 
-    def solve(self, t, active, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
-        """(p, status) of the active rows, each (k,) of all rows with laws.
+    def solve(self, t, group, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
+        """(p, status) of the rows of a group, all arguments of these.
 
-        G, b, p, Y: of the active rows, p a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. slip:
-        of all rows, 0 or the sign of the rate. scale: of the friction's constant. slips: True if rows with a slip go on to slip. Raises
-        StepFailure.
+        p: a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. slip: 0 or the sign of the rate.
+        scale: of the friction's constant. slips: True if rows with a slip go on to slip. Raises StepFailure.
         """
         fixed = G.diagonal() <= FIXED * mobility  # the equations hold these: they carry no force, but friction if they slip
-        if some := fixed.any():
-            free = ~fixed | (slip[active] != 0.0)
-            G, b, p, Y, fixed, active = G[np.ix_(free, free)], b[free], p[free], Y[:, free], fixed[free], active.copy()
-            active[active] = free
-        rows, cone, entries, equations = self._group(active)
-        cone.c[:], cone.sign[:] = scale * self.constant[rows], slip[rows] if slips else np.where(fixed, slip[rows], 0.0) if some else 0.0
-        if len(entries):
-            cone.l[entries], cone.L[entries] = lam[equations], Y[equations]
+        if fixed.any():
+            free, result, status = ~fixed | (slip != 0.0), np.zeros(len(b)), np.zeros(len(b), np.int64)
+            if not free.all():
+                chosen = np.zeros(len(self.rows), bool)
+                chosen[group.rows[free]] = True
+                part = (G[np.ix_(free, free)], b[free], p[free], lam, Y[:, free], mobility[free], slip[free])
+                result[free], status[free] = self.solve(t, self.group(chosen), *part, scale, slips)
+                return result, status
+            slip = slip if slips else np.where(fixed, slip, 0.0)
+        elif not slips:
+            slip = 0.0
+        rows, cone = group.rows, group.cone
+        cone.c[:], cone.sign[:] = scale * self.constant[rows], slip
+        if len(group.entries):
+            cone.l[group.entries], cone.L[group.entries] = lam[group.equations], Y[group.equations]
         result, status = np.array(p, float), np.zeros(len(rows), np.int64)
         if len(rows) and solve_cone(np.array(G), np.ascontiguousarray(b), cone, result, status) < 0:
             names = ", ".join(dict.fromkeys(self.names[i] for i in rows))
             raise StepFailure("contact", f"no forces satisfy the laws of contact and friction of {names}", t)
-        pressures, statuses = np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
-        pressures[rows], statuses[rows] = result, status
-        return pressures, statuses
+        return result, status
 
-    def _group(self, chosen):
+    def group(self, chosen):
         """The Group of a mask of rows with laws; the last ones are kept."""
         key = chosen.tobytes()
         if key not in self._groups:
@@ -181,13 +188,19 @@ class Contacts:
             L = np.concatenate([np.eye(len(rows))[on[:, 1]], np.zeros((len(held), len(rows)))])[order]
             kind, entries = np.where(self.contact[rows], CONTACT, FRICTION), np.flatnonzero(order >= len(on))
             cone = Cone(kind, np.zeros(len(rows)), self.mu[rows], np.zeros(len(rows)), start, np.zeros(len(order)), L)
-            self._groups[key] = Group(rows, cone, entries, held[order[entries] - len(on), 1])
+            self._groups[key] = Group(rows, self.rows[rows], kind == FRICTION, cone, entries, held[order[entries] - len(on), 1])
         return self._groups[key]
 
-    def all(self, lam, p):
-        """lam of all rows of the model."""
-        result = np.empty(self.model.m)
-        result[self.equations], result[self.rows] = lam, -p
+    def spread(self, group, values):
+        """Values of the rows of a group at all rows with laws, 0 at the others."""
+        result = np.zeros(len(self.rows), values.dtype)
+        result[group.rows] = values
+        return result
+
+    def all(self, lam, p, group=None):
+        """lam of all rows of the model, from p of all rows with laws, or of those of a group."""
+        result = np.zeros(self.model.m)
+        result[self.equations], result[self.rows if group is None else group.of_model] = lam, -p
         return result
 
     def at_rest(self, t, q, v):
@@ -225,22 +238,22 @@ class Contacts:
         closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip. status: of
         the rows, if it is known which stick; their rates are round-off then.
         """
-        model = self.model
-        force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
+        model, group = self.model, self.group(self.active(closed))
+        force, bias, rows = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0), group.rows
         mass = self.base.mass_system(t, q)
         a, lam = mass.solve(force, bias[self.equations])
-        active = self.active(closed)
-        if not active.any():
+        if not len(rows):
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
-        rate = self.rates(t, q, v)[self.rows]
-        slip = self.slip(rate, self.still(v)) if status is None else np.where(status == STICKS, 0.0, self.slip(rate, self.still(v)))
-        slip = np.where(slip == 0.0, begins, slip)
-        B, start = self.slopes(t, q, active), np.zeros(active.sum()) if p is None else p[active]
-        (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[self.rows][active]
-        passes = ~self.contact[active] & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
+        slip = self.slip(group, self.rates(t, q, v), self.still(v))
+        if status is not None:
+            slip[status[rows] == STICKS] = 0.0
+        slip = np.where(slip == 0.0, begins if np.ndim(begins) == 0 else begins[rows], slip)
+        B, start = self.slopes(t, q, rows), np.zeros(len(rows)) if p is None else p[rows]
+        (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[group.of_model]
+        passes = group.friction & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
-        p, status = self.solve(t, active, G, now, start, lam, Y, mobility, slip, slips=True)
-        return a + X @ p[active], lam + Y @ p[active], p, status
+        p, status = self.solve(t, group, G, now, start, lam, Y, mobility, slip, slips=True)
+        return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
         """(v, P of the rows with laws, change of the equations' impulses, status) after an impact, or a step's end; a contact that rebounds is OPEN.
@@ -252,37 +265,39 @@ class Contacts:
         With friction, Newton's law of restitution may add energy where slip reverses (Kane, Levinson, Dynamics, 1985). All coefficients are
         then multiplied by the number below 1 that keeps the energy.
         """
-        model, rate, active = self.model, self.rates(t, q, v), self.active(closed)
+        rate, group = self.rates(t, q, v), self.group(self.active(closed))
         if rate[self.equations].any():
-            v = v + self.base.mass_system(t, q).solve(np.zeros(model.n), rate[self.equations])[0]
-        if not active.any():
+            v = v + self.base.mass_system(t, q).solve(np.zeros(self.model.n), rate[self.equations])[0]
+            rate = self.rates(t, q, v)
+        rows = group.rows
+        if not len(rows):
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
-        B = self.slopes(t, q, active)
-        (X, Y, G), rate = self.mass_columns(t, q, B), self.rates(t, q, v)[self.rows]
-        free, slip = rate[active] - h * (G @ p[active]), self.slip(rate, self.still(v))
-        back = self.restitution[active] * np.minimum(before[active], 0.0)
-        if back.any():
-            back = back if plastic is None else np.where(plastic[active], 0.0, back)
-            back = np.where(np.abs(back) < np.abs(free - before[active]), 0.0, back) if h else back
-        shift = 0.0 if wanted is None else -wanted[active]
-        start, size = h * p[active], self.mobility(B)
+        B, p, before = self.slopes(t, q, rows), p[rows], before[rows]
+        (X, Y, G), slip, rate = self.mass_columns(t, q, B), self.slip(group, rate, self.still(v)), rate[group.of_model]
+        free, back = rate - h * (G @ p), self.restitution[rows] * np.minimum(before, 0.0)
+        if some := back.any():
+            back = back if plastic is None else np.where(plastic[rows], 0.0, back)
+            back = np.where(np.abs(back) < np.abs(free - before), 0.0, back) if h else back
+        shift = 0.0 if wanted is None else -wanted[rows]
+        start, size = h * p, self.mobility(B)
 
         def rebound(share):
-            """(P, status, change of the active rows, work of it) with this share of the restitution."""
-            P, status = self.solve(t, active, G, free + share * back + shift, start, h * (lam - Y @ p[active]), Y, size, slip, h)
-            change = P[active] - start
-            return P, status, change, 0.5 * (before[active] + rate[active] + G @ change) @ change
+            """(P, status, change, work of it) of the active rows with this share of the restitution."""
+            P, status = self.solve(t, group, G, free + share * back + shift, start, h * (lam - Y @ p), Y, size, slip, h)
+            change = P - start
+            return P, status, change, 0.5 * (before + rate + G @ change) @ change
 
         P, status, change, work = rebound(1.0)
-        if work > GAINED * float(np.abs(before[active] * change).sum()) and back.any():
+        if some and work > GAINED * float(np.abs(before * change).sum()) and back.any():
             bounds = 0.0, 1.0
             for _ in range(HALVINGS if rebound(0.0)[3] < 0.0 else 0):
                 middle = 0.5 * sum(bounds)
                 bounds = (middle, bounds[1]) if rebound(middle)[3] <= 0.0 else (bounds[0], middle)
             back = bounds[0] * back
             P, status, change, _ = rebound(bounds[0])
-        status[np.flatnonzero(active)[back != 0.0]] = OPEN
-        return v + X @ change, P, Y @ change, status
+        if some:
+            status[back != 0.0] = OPEN
+        return v + X @ change, self.spread(group, P), Y @ change, self.spread(group, status)
 
     def remaining(self, t, q, v, touching, status):
         """(rates of the rows with laws, contacts that stay closed) behind an impact; the rate of those that carry a force is round-off."""
@@ -309,9 +324,10 @@ class Contacts:
         wanted[slipped] = np.where(goes_on, behind * left, 0.0)
         return wanted if goes_on.any() else None
 
-    def slip(self, rate, still):
-        """Signs of the rates of friction, 0 for rows that stick, up to `still`, and for contacts."""
-        return np.where(self.contact | (np.abs(rate) <= still), 0.0, np.sign(rate))
+    def slip(self, group, rates, still):
+        """Signs of the rates of friction in a group, 0 for rows that stick, up to `still`, and for contacts. rates: of all rows of the model."""
+        rate = rates[group.of_model]
+        return np.where(group.friction & (np.abs(rate) > still), np.sign(rate), 0.0)
 
     def still(self, v):
         """Rate below which a row of friction sticks; that of the last v is kept."""
@@ -328,7 +344,7 @@ class Contacts:
             rest, right, chosen = G[np.ix_(free, free)] - onto @ G[np.ix_(pressed, free)], b[free] - onto @ b[pressed], np.array(rows)
             chosen[rows] = free
             size, none = DEPENDENT / FIXED * G.diagonal()[free], np.zeros(len(self.equations))
-            p[free] = self.solve(t, chosen, rest, right, p[free], none, np.outer(none, right), size, np.zeros(len(rows)))[0][chosen]
+            p[free] = self.solve(t, self.group(chosen), rest, right, p[free], none, np.outer(none, right), size, np.zeros(len(right)))[0]
         p[pressed] = -inverse @ (b[pressed] + G[np.ix_(pressed, free)] @ p[free])
         return p
 

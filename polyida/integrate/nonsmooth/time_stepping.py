@@ -180,7 +180,7 @@ class Columns:
         if not len(B):
             return *self.contacts.columns(solve, B), np.zeros((0, 0)), 0
         if self.together[0] != key:
-            rows = np.flatnonzero(active).tolist()
+            rows = active.tolist()
             new = [k for k, row in enumerate(rows) if row not in self.known]
             if count := len(new):
                 made = self.contacts.columns(solve, B[new])
@@ -236,30 +236,29 @@ class _Steps:
         if self.shares is None or model.needs.mass_varies:
             self.shares = weights(model, q)
         fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, self.shares, 0, 1.0
-        still = contacts.still(v)
+        still, group = contacts.still(v), contacts.group(active)
+        p, back = p[group.rows], back[group.rows] / to_v if np.any(back) else 0.0
         norm = lambda x: float(np.sqrt(shares @ (x * x)))  # noqa: E731
         for _ in range(self.settings.max_iterations):
             if fresh:
                 self._factor(h, (c_m, to_v), t, q, v, a, lam)
                 self.tolerances = self.settings.newton_tolerance(to_a * h * h)
                 fresh, last, count = False, 0.0, 0
-            r, rate = residual(model, q, v, a, contacts.all(lam, p)), model.phi_rate(t, q, v) / to_v
-            B = contacts.slopes(t, q, active, model)
+            r, rate = residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
+            B = contacts.slopes(t, q, group.rows, model)
             try:
-                dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations])
+                dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations] / to_v)
                 if count > 2 and fall > SLOW:
                     self.columns.forget()
-                X, Y, G, new = self.columns.of(active, B, self.system, t, q, lam)
+                X, Y, G, new = self.columns.of(group.rows, B, self.system, t, q, lam)
                 self.counts.solves += new
             except SingularSystem as error:
                 raise StepFailure("singular", str(error), t) from None
             self.counts.add(residuals=1, iterations=1)
-            old = p[active]
             if len(B):
-                now = (rate[contacts.rows] + back / to_v)[active] + B @ dq
-                free, slip = contacts.mobility(B) / c_m, contacts.slip(to_v * rate[contacts.rows], still)
-                p, _ = contacts.solve(t, active, G, now - G @ old, old, lam + dlam - Y @ old, Y, free, slip, scale)
-                dq, dlam = dq + X @ (p[active] - old), dlam + Y @ (p[active] - old)
+                now, free, slip = rate[group.of_model] / to_v + back + B @ dq, contacts.mobility(B) / c_m, contacts.slip(group, rate, still)
+                old, (p, _) = p, contacts.solve(t, group, G, now - G @ p, p, lam + dlam - Y @ p, Y, free, slip, scale)
+                dq, dlam = dq + X @ (p - old), dlam + Y @ (p - old)
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
             moved, count = norm(dq), count + 1
             if not np.isfinite(moved):
@@ -269,7 +268,7 @@ class _Steps:
             allowed = min(max(least * accel, share * norm(a - before)), most * accel) / to_a
             if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= allowed):
                 self.columns.served(count, len(B))
-                return q, v, a, lam, p
+                return q, v, a, lam, contacts.spread(group, p)
             fresh = count >= MANY
             last = moved
         raise StepFailure("newton", f"Newton's method does not converge in {self.settings.max_iterations} iterations", t)
