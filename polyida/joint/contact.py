@@ -28,6 +28,9 @@ class Contact(Joint):
     friction also the slip `psi` of each point, m/s, with `|nu| <= mu |lam|` (Coulomb): `psi = (d_B . (x_A - x_B))'` on the line, on the
     circle `psi = w x w' / R - R w_B`, w_B the angular velocity of b. The line or circle moves with its body.
 
+    A disc of radius r about the point, `disc=`, slides, rolls or lifts off: `phi = d_B x (x_A - x_B) - r`, `psi = d_B . (x_A' - x_B') + r w_A`
+    on the line; on the circle `phi = (w . w - D^2) / (2 D)`, `psi = w x w' / D - r w_A - R w_B`, D = R + r.
+
     If b has edges, a section of a plate or `body.edges(...)`, a point has its distance from each edge that it faces, and a node of such a
     side a the mean `phi = int N gap ds / int N ds` over what faces b, N its hat function (mortar); slips likewise. Mean gaps are for sides that
     lie along each other: a corner that may touch a side is a point of its own, `plate.node(...)` or `body.at(...)`. Such models need
@@ -47,6 +50,9 @@ class Contact(Joint):
     friction : float
         Coefficient mu >= 0 of dry friction.
     radius : float, m, > 0, optional
+        R of the circle.
+    disc : float, m, > 0, optional
+        r of a disc about the point a of a body.
     contact_mass : float, in [0.01, 1]
         Share of its mass that each node of a in contact keeps; the nodes behind it in the same cells take the rest. 0.1 for a full plate that
         meets a line with restitution 0: otherwise each impact annuls the kinetic energy of the nodes, and the plate bounces too low. A change
@@ -56,7 +62,7 @@ class Contact(Joint):
     Raises
     ------
     InputError
-        For a wrong number, a line, `contact_mass` of a body that is no full plate, or a circle with friction, whose side has no direction, a
+        For a wrong number, a line, a disc about more than a point or against edges, `contact_mass` of a body that is no full plate, or a circle with friction, whose side has no direction, a
         section of edges with a corner or a node without an edge, a start in penetration, and as for Joint.
 
     Notes
@@ -70,6 +76,7 @@ class Contact(Joint):
     restitution: float = 0.0
     friction: float = 0.0
     radius: float | None = None
+    disc: float | None = None
     contact_mass: float = 1.0
     kind = "contact"
     components = FORCE
@@ -84,6 +91,11 @@ class Contact(Joint):
             settle(self, radius=positive(label, "radius", self.radius, "metres"))
         if self.edges is None and (self.radius is None or self.friction):
             require_directions(label, self.b)
+        if self.disc is not None:
+            settle(self, disc=positive(label, "disc", self.disc, "metres"))
+            if isinstance(self.a, Ground) or self.a.has_edges or self.edges is not None:
+                raise InputError(f"{label}: disc = {self.disc!r}, but it needs a point of a body for a, and a line or a circle for b")
+            require_directions(label, *([self.a] if self.friction else []))
         if not 0.01 <= number(label, "contact_mass", self.contact_mass, "no unit") <= 1.0:
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r} must be in [0.01, 1]")
         if self.contact_mass < 1.0 and (isinstance(self.a, Ground) or self.a.body.few):
@@ -98,14 +110,24 @@ class Contact(Joint):
         """The gap of each point of a, and with friction its slip. With edges, gaps are those at rest; the model finds them at each position."""
         a, b, R, edges = self.a, self.b, self.radius, self.edges
         rows: list[Row | Vector] = []
-        points = edges.count * [a] if edges else a.each() if a.has_edges else [a]
+        r, points = self.disc or 0.0, edges.count * [a] if edges else a.each() if a.has_edges else [a]
         at_rest = edges.gaps(1.0) if edges else ()
         for k, point in enumerate(points):
             w, which = point.x - b.x, f" {k}" if len(points) > 1 else ""
-            gap = Row((), float(at_rest[k])) if edges else cross(b.d, w) if R is None else (dot(w, w) - R * R) / (2.0 * R)
+            if edges:
+                gap = Row((), float(at_rest[k]))
+            elif R is None:
+                gap = cross(b.d, w) - r
+            else:
+                gap = (dot(w, w) - (R + r) ** 2) / (2.0 * (R + r))
             rows.append(gap.named(f"gap{which}", "N").opens(self.restitution))
             if self.friction:
-                slip = dot(b.d, w) if R is None else cross(w, w.rate) / R - R * cross(b.d, b.d.rate)
+                if R is not None:
+                    slip = cross(w, w.rate) / (R + r) - R * cross(b.d, b.d.rate) - (r * cross(a.d, a.d.rate) if r else 0.0)
+                elif r:
+                    slip = dot(b.d, w.rate) + r * cross(a.d, a.d.rate)
+                else:
+                    slip = dot(b.d, w)
                 rows.append(slip.named(f"slip{which}", "N").rubs(self.friction, on=[rows[-1]]))
         return rows
 

@@ -135,6 +135,39 @@ def test_a_prismatic_joint_jams_beyond_the_angle_of_friction(integrator):
         assert run.success and abs(run.q[-1, 0] - expected) < 1e-12 * load, (share, load, run.message)
 
 
+def disc_of(place, velocity, **contact):
+    """A disc of 0.1 m and 2 kg in contact with the ground; places are of its centre."""
+    scene, r = pi.Scene(gravity=(0.0, -G)), 0.1
+    disc = scene.add(pi.RigidBody(2.0, 0.5 * 2.0 * r * r, points={"c": (0.0, 0.0)}, origin=place, velocity=velocity, name="disc"))
+    scene.add(pi.Contact(disc.at("c"), EAST, disc=r, name="floor", **contact))
+    return scene.build()
+
+
+@pytest.mark.parametrize(
+    "integrator, error",
+    [(RADAU, 1e-7), (ALPHA, 5e-3), (IDA, 2e-7), (pi.NonsmoothAlpha(h=2e-3), 2e-4), (pi.MoreauJean(h=1e-3), 1e-1)],
+    ids=lambda x: type(x).__name__,
+)
+def test_a_disc_that_slides_begins_to_roll_at_two_thirds_of_its_speed(integrator, error):
+    v, mu = 3.0, 0.2
+    run, rolls = pi.solve(disc_of((0.0, 0.1), (v, 0.0), friction=mu), 1.0, integrator), v / (3.0 * mu * G)
+    assert run.success, run.message
+    way = v * rolls - 0.5 * mu * G * rolls**2 + 2.0 / 3.0 * v * (1.0 - rolls)
+    assert abs(run.v[-1, 0] - 2.0 / 3.0 * v) < error and np.abs(run.q[-1, :2] - [way, 0.0]).max() < error
+    assert abs(run.energy.total[-1] - run.energy.total[0] + run.energy.kinetic[0] / 3.0) < 10.0 * error
+    if integrator in (RADAU, IDA):
+        assert [one.name for one in run.events] == ["floor sticks"] and abs(run.events[0].t - rolls) < 1e-6
+
+
+def test_a_disc_that_rolls_down_a_circle_lifts_off_at_the_known_angle():
+    R, D, top = 1.0, 1.1, 0.2
+    start = D * np.array([np.sin(top), np.cos(top)])
+    run = pi.solve(disc_of(start, (0.0, 0.0), friction=1e4, radius=R), 1.5, RADAU)
+    opens = next(one for one in run.events if "opens" in one.name)
+    x, y = start + run.q[np.argmin(np.abs(run.t - opens.t)), :2]
+    assert abs(np.hypot(x, y) - D) < 1e-9 and abs(y / D - 4.0 / 7.0 * np.cos(top)) < 1e-3
+
+
 @pytest.mark.parametrize("integrator", [RADAU, pi.NonsmoothAlpha(h=5e-3), pi.MoreauJean(h=5e-3)], ids=lambda x: type(x).__name__)
 def test_no_creep_on_an_incline(integrator):
     a = 0.3

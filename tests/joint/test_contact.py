@@ -164,6 +164,17 @@ def test_rigid_bodies_have_no_contact_mass():
         pi.Contact(body("ball", (0.0, 1.0)).at("c"), EAST, contact_mass=0.1)
 
 
+def test_a_disc_is_about_a_point_of_a_body():
+    plate = pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=10, seed=1), pi.Material(E=1e7, nu=0.3, rho=1000.0), 0.01)
+    for a, b, disc, message in (
+        (plate.section("bottom"), EAST, 0.1, "a point of a body for a"),
+        (body("ball", (0.0, 1.0)).at("c"), plate.section("top"), 0.1, "a line or a circle for b"),
+        (body("ball", (0.0, 1.0)).at("c"), EAST, 0.0, "disc = 0.0"),
+    ):
+        with pytest.raises(pi.InputError, match=message):
+            pi.Contact(a, b, disc=disc)
+
+
 def test_files_keep_contacts_and_read_the_former_name_of_penalty_contacts():
     scene = block(friction=0.3)
     scene.add(pi.PenaltyContact(scene.parts["block"].at("c"), EAST, 1e3, name="soft"))
