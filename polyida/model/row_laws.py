@@ -119,7 +119,7 @@ class WithRows(Model):
         self.whole, self.kept = whole, np.asarray(rows, np.int64)
         self.n, self.m, self.k, self.needs = whole.n, len(self.kept), whole.k, whole.needs
         self.velocity_rows = np.flatnonzero(np.isin(self.kept, whole.velocity_rows))
-        self.columns = self.kept
+        self.columns, self.small = self.kept, whole.is_scene and whole.small  # small: True if matrices are dense
         for name in TAKEN:
             setattr(self, name, getattr(whole, name))
 
@@ -144,7 +144,7 @@ class WithRows(Model):
         return float(sum(self.whole.potentials(q)))
 
     def mass(self, q):
-        return self.whole.mass(q)
+        return self.whole.small_mass() if self.small else self.whole.mass(q)
 
     def force(self, t, q, v):
         return self.whole.force(t, q, v)
@@ -165,13 +165,20 @@ class WithRows(Model):
         return self.whole.reaction_q(t, q, self._all(lam))
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
-        return self.whole.tangent(t, q, v, a, self._all(lam), c_m, c_v, c_q)
+        if not self.small:
+            return self.whole.tangent(t, q, v, a, self._all(lam), c_m, c_v, c_q)
+        rates = c_v * dense(self.force_v(t, q, v)) if c_v and self.needs.velocity_forces else 0.0
+        return c_m * self.mass(q) + rates + (c_q * self.whole.small_tangent(t, q, v, self._all(lam)) if c_q else 0.0)
 
     def phi(self, t, q):
         return self.whole.phi(t, q)[self.kept]
 
     def phi_q(self, t, q):
-        return self.whole.phi_q(t, q)[self.kept]
+        return self.phi_q_of_whole(t, q)[self.kept]
+
+    def phi_q_of_whole(self, t, q):
+        """phi_q with all rows."""
+        return (self.whole.small_phi_q if self.small else self.whole.phi_q)(t, q)
 
     def phi_t(self, t, q):
         return self.whole.phi_t(t, q)[self.kept]
@@ -232,12 +239,12 @@ class Slips(WithRows):
         force = self.whole.force(t, q, v)
         for law, sign in self.slips:
             if law.constant:
-                force = force + sign * law.constant * dense(self.whole.phi_q(t, q)[[law.row]])[0]
+                force = force + sign * law.constant * dense(self.phi_q_of_whole(t, q)[[law.row]])[0]
         return force
 
     def columns_of_forces(self, t, q, lam):
         """The rows of phi_q, with the friction that grows with their multipliers."""
-        B, forces = dense(self.whole.phi_q(t, q)), self._all(lam)
+        B, forces = dense(self.phi_q_of_whole(t, q)), self._all(lam)
         columns = B[self.kept]
         pressures = self.pressures(forces, [list(law.on) for law, _ in self.slips])
         for (law, sign), (_, slopes) in zip(self.slips, pressures):
@@ -290,7 +297,7 @@ class SlippingMasses:
 
     def __init__(self, model, t, q):
         self.model, self.system = model, super(Slips, model).mass_system(t, q)
-        rows, none = dense(model.whole.phi_q(t, q)[[law.row for law, _ in model.slips]]), np.zeros(model.m)
+        rows, none = dense(model.phi_q_of_whole(t, q)[[law.row for law, _ in model.slips]]), np.zeros(model.m)
         solved = [self.system.solve(row, none) for row in rows]
         self.X, self.Y = (np.array(part).T for part in zip(*solved))
         place = {int(row): k for k, row in enumerate(model.kept)}

@@ -26,6 +26,7 @@ from polyida.run.events import Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
+UNIQUE = 1e-7  # of `Slips.uniqueness`: below it forces are errors of the state, 1e7 times as large
 AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
@@ -141,10 +142,12 @@ class Modes(Happenings):
         """
         from scipy.optimize import brentq
 
-        crossed = not self._uniqueness(before, after) > 0.0
-        ahead = self._singular_ahead(before, after.t - before.t) if crossed or not self.mode.agrees(after) else None
-        if ahead is None and crossed:
-            ahead = between(before, after, brentq(lambda t: self._uniqueness(before, between(before, after, t)), before.t, after.t))
+        unique = self._uniqueness(before, after)
+        reached = not unique > UNIQUE
+        ahead = self._singular_ahead(before, after.t - before.t) if reached or not self.mode.agrees(after) else None
+        if ahead is None and reached:
+            unique_at = lambda t: self._uniqueness(before, between(before, after, t))  # noqa: E731
+            ahead = after if unique > 0.0 else between(before, after, brentq(unique_at, before.t, after.t))
         return ahead
 
     def _singular_ahead(self, state, h, most=2.0):

@@ -9,7 +9,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, MISSES
-from polyida.integrate.radau.tableau import through, through_zero
+from polyida.integrate.radau.tableau import through
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, Stretch
 
@@ -29,7 +29,8 @@ class Collocation(NamedTuple):
 
     def __call__(self, t):
         s = (t - self.t) / self.h
-        moved, rest = through_zero(self.c, s), through(self.c, s)
+        rest = through(self.c, s)
+        moved = s / self.c * rest  # q - q_0 and v - v_0 are zero at the start
         e, dv, a, lam = self.stages
         q = self.q + ((t - self.t) * self.v + moved @ e)
         return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)

@@ -74,12 +74,7 @@ def _modes(W):
     return tuple(modes)
 
 
-def through_zero(c, s):
-    """Weights (..., s) at s of the polynomial through values at the nodes and zero at 0: for q - q_0 and v - v_0."""
-    return np.asarray(s)[..., None] / c * through(c, s)
-
-
 def through(c, s):
-    """Weights (..., s) at s of the polynomial through values at the nodes alone: for a and lam."""
-    s, others = np.asarray(s)[..., None], [np.delete(c, i) for i in range(len(c))]
-    return np.stack([np.prod((s - rest) / (c[i] - rest), axis=-1) for i, rest in enumerate(others)], axis=-1)
+    """Weights (stages,) at a time s of the step of the polynomial through values at the nodes alone; times s/c also through zero at 0."""
+    own = np.eye(len(c))
+    return np.prod(np.where(own, 1.0, (s - c) / (c[:, None] - c + own)), axis=1)
