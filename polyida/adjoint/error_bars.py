@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,8 @@ from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.nonsmooth.time_stepping import MoreauJean, NonsmoothAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts, State, declared
 from polyida.io.layout import MEMORY_LIMIT
@@ -227,8 +229,8 @@ def error_of(
     objective : Objective
         The quantity J, one of `pi.objective`.
     again : bool
-        True: solve the run again with 2 h (GeneralizedAlpha and EnergyMomentum; a third of the difference), h / 2 (RadauIIA) or a tenth of the
-        tolerances, with three more fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
+        True: solve the run again with 2 h (a third of the difference; all of it for MoreauJean), h / 2 (RadauIIA) or a tenth of the tolerances,
+        with three more fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -299,11 +301,13 @@ def _time_again(run, objective, value):
     settings, one = run.integrator, declared(run.integrator)
     if one.fixed_step() and isinstance(settings, RadauIIA):
         return _solved(run, run.model, replace(settings, h=settings.h / 2), objective) - value
-    if one.fixed_step() and is_dataclass(settings):
-        first = isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
+    if one.fixed_step() and isinstance(settings, (GeneralizedAlpha, EnergyMomentum, NonsmoothAlpha, MoreauJean)):
+        first = isinstance(settings, MoreauJean) or (
+            isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
+        )
         return (value - _solved(run, run.model, replace(settings, h=2 * settings.h), objective)) / (1.0 if first else 3.0)
-    if not hasattr(settings, "rtol"):
-        raise InputError(f"error_of: {type(settings).__name__} has neither h nor rtol that another run could change")
+    if one.fixed_step() or not hasattr(settings, "rtol"):
+        raise InputError(f"error_of: the order of {type(settings).__name__} is not known; again=True takes integrators of polyida")
     rtol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL)
     finer = {"rtol": TENTH * rtol} | ({} if settings.atol is None else {"atol": TENTH * np.asarray(settings.atol, float)})
     finer = {name: float(x) if np.ndim(x) == 0 else tuple(x.tolist()) for name, x in finer.items()}

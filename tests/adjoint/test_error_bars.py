@@ -1,5 +1,7 @@
 """Estimated errors of quantities of runs beside those against extrapolated runs."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -393,10 +395,33 @@ def test_error_of_modes_by_the_fields_that_are_missing():
         pi.missing_fields(run, "rod")
 
 
-@pytest.mark.parametrize("settings", [pi.EnergyMomentum(h=2e-3), pi.IDA(rtol=1e-6), pi.RadauIIA(rtol=1e-4), pi.RadauIIA(h=1e-2)])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pi.EnergyMomentum(h=2e-3),
+        pi.NonsmoothAlpha(h=1e-3),
+        pi.MoreauJean(h=1e-3),
+        pi.IDA(rtol=1e-6),
+        pi.RadauIIA(rtol=1e-4),
+        pi.RadauIIA(h=1e-2),
+    ],
+)
 def test_errors_by_another_run(settings):
     model, objectives = rigid_crank()
     value, run = references(model, 0.1, [objectives[3]], 2.5e-4)[0], pi.solve(model, 0.1, settings)
     bars = pi.error_of(run, objectives[3], again=True)
     assert bars.trusted and bars.mesh is None
     assert abs(bars.corrected - value) <= max(0.5 * abs(bars.value - value), 1e-10)
+
+
+def test_another_run_needs_a_known_order():
+    @dataclasses.dataclass(frozen=True)
+    class Own:
+        h: float
+
+        def steps(self, model, state, t_end, counts):
+            return pi.GeneralizedAlpha(h=self.h).steps(model, state, t_end, counts)
+
+    model, objectives = rigid_crank()
+    with pytest.raises(pi.InputError, match="the order of Own is not known"):
+        pi.error_of(pi.solve(model, 0.01, Own(1e-3)), objectives[3], again=True)
