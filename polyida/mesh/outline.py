@@ -17,7 +17,7 @@ from polyida.mesh import topology
 from polyida.mesh.domains import Capsule, Chain, Domain, nearest
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, counted, guarded, unit_note, unit_size
-from polyida.mesh.read_write import existing
+from polyida.mesh.read_write import existing, path_of, put
 from polyida.mesh.sections import ROUND, centre, signed_area
 from polyida.validation import floats, is_number, named_keywords
 
@@ -423,7 +423,7 @@ def _turn(points, before, at, end):
 
 
 @named_keywords
-def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm") -> None:
+def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwrite: bool = False) -> None:
     """Write the outline of a mesh with its holes as a drawing, to be cut or extruded: SVG or DXF, which `read_outline` reads again.
 
     Parameters
@@ -433,13 +433,15 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm") -> None
         .svg or .dxf (needs ezdxf: `pip install 'polyida[mesh]'`).
     unit : "m", "cm" or "mm"
         Of the drawing.
+    overwrite : bool
+        True to replace an existing file.
 
     Raises
     ------
     InputError
-        For another ending or unit, or if ezdxf is not installed.
+        For an existing file without overwrite=True, for another ending or unit, or if ezdxf is not installed.
     """
-    path = Path(path)
+    path = path_of(path)
     if unit not in UNITS:
         raise InputError(f"write_outline: unit = {unit!r:.40} must be one of {', '.join(UNITS)}")
     rings = [ring / UNITS[unit] for ring in outline_of(mesh)]
@@ -450,13 +452,15 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm") -> None
         drawing = ezdxf.new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
         for ring in rings:
             drawing.modelspace().add_lwpolyline(ring.tolist(), close=True)
-        drawing.saveas(path)
+        write = drawing.saveas
     elif path.suffix.lower() == ".svg":
         low, high = np.min([ring.min(axis=0) for ring in rings], axis=0), np.max([ring.max(axis=0) for ring in rings], axis=0)
         width, height = high - low
         lines = [" L ".join(f"{x - low[0]:.9g} {high[1] - y:.9g}" for x, y in ring) for ring in rings]
         ways = " ".join(f"M {line} Z" for line in lines)
         size = f'width="{width:.9g}{unit}" height="{height:.9g}{unit}" viewBox="0 0 {width:.9g} {height:.9g}"'
-        path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {size}><path fill-rule="evenodd" d="{ways}"/></svg>\n', encoding="utf-8")
+        text = f'<svg xmlns="http://www.w3.org/2000/svg" {size}><path fill-rule="evenodd" d="{ways}"/></svg>\n'
+        write = lambda temporary: temporary.write_text(text, encoding="utf-8")  # noqa: E731
     else:
         raise InputError(f"write_outline: {str(path)!r} must end in .svg or .dxf")
+    put(f"drawing {path}", path, overwrite, write)

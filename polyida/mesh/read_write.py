@@ -139,13 +139,11 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
     """
     if not isinstance(mesh, PolygonMesh):
         raise InputError(f"mesh to write is {repr(mesh)[:80]}; it must be a PolygonMesh")
-    path = _path(path)
+    path = path_of(path)
     kind = _format_of(path, format)
     if unit is None:
         raise InputError(f"mesh file {path}: unit is None; it must be the name of a unit, or the metres in one unit")
     size = unit_size(unit)
-    if not is_flag(overwrite):
-        raise InputError(f"mesh file {path}: overwrite = {overwrite!r} must be True or False")
     if kind.write is None:
         raise InputError(f"mesh file {path} is of a format that can only be read")
     sizes = np.diff(mesh.offsets)
@@ -155,19 +153,9 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
             f"mesh file {path}: its format holds triangles and quads only; cell {np.argmax(sizes)} has {sizes.max()} corners. "
             f"Polygons go into {able}"
         )
-    if path.exists() and not overwrite:
-        raise InputError(f"mesh file {path} exists; pass overwrite=True to replace it")
     named = dict(mesh.sections), dict(mesh.supports), dict(mesh.loads)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        kind.write(mesh if size == 1.0 else PolygonMesh(mesh.points / size, mesh.nodes, mesh.offsets, *named), partial)
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"mesh file {path} cannot be written: {error.strerror or error}") from None
-    except InputError as error:
-        raise InputError(f"mesh file {path} cannot be written: {error}") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    scaled = mesh if size == 1.0 else PolygonMesh(mesh.points / size, mesh.nodes, mesh.offsets, *named)
+    put(f"mesh file {path}", path, overwrite, lambda temporary: kind.write(scaled, temporary))
     # sections of the boundary are found again by read
     automatic = sections.automatic(mesh.points, mesh.boundary_edges)
     names = [name for name, nodes in mesh.sections.items() if not np.array_equal(np.sort(nodes), np.sort(automatic.get(name, [])))]
@@ -179,13 +167,29 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
     return path
 
 
+def put(part, path, overwrite, write):
+    """Write a file by `write(temporary path)` and rename it. Raises InputError in the name of `part` if it exists and overwrite is False."""
+    if not is_flag(overwrite):
+        raise InputError(f"{part}: overwrite = {overwrite!r} must be True or False")
+    if path.exists() and not overwrite:
+        raise InputError(f"{part} exists; pass overwrite=True to replace it")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    except (OSError, InputError) as error:
+        raise InputError(f"{part} cannot be written: {getattr(error, 'strerror', None) or error}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def _merge_tolerance(tolerance):
     if not is_number(tolerance) or not 0 <= tolerance < 1:
         raise InputError(f"merge tolerance is {tolerance!r}; it must be a share of the mesh's size from 0 to below 1")
     return float(tolerance)
 
 
-def _path(path):
+def path_of(path):
     try:
         return Path(path)
     except TypeError:
@@ -194,7 +198,7 @@ def _path(path):
 
 def existing(path):
     """Return the Path of an existing file. Raise InputError if there is none."""
-    path = _path(path)
+    path = path_of(path)
     try:
         exists = path.is_file()
     except (OSError, ValueError):

@@ -39,6 +39,19 @@ def test_drawings_read_as_the_same_outline(ending, tmp_path):
     assert cells.area == pytest.approx(17.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("ending", ["svg", "dxf"])
+def test_drawings_replace_no_file_unless_told(ending, tmp_path):
+    path = tmp_path / f"plate.{ending}"
+    path.write_text("mine")
+    with pytest.raises(pi.InputError, match="exists; pass overwrite=True"):
+        pi.mesh.write_outline(plate_with_holes(), path)
+    assert path.read_text() == "mine"
+    pi.mesh.write_outline(plate_with_holes(), path, overwrite=True)
+    assert pi.mesh.read_outline(path) and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(pi.InputError, match="cannot be written: No such file"):
+        pi.mesh.write_outline(plate_with_holes(), tmp_path / "absent" / path.name)
+
+
 def test_wrong_endings_and_units(tmp_path):
     with pytest.raises(pi.InputError, match="must end in .svg or .dxf"):
         pi.mesh.write_outline(plate_with_holes(), tmp_path / "plate.stl")
