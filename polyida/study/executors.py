@@ -34,17 +34,23 @@ class Worker:
     def __init__(self):
         self.process = self.pipe = None
 
+    def start(self):
+        """Start the process unless it runs. Raises RuntimeError in a process that still imports the main module."""
+        if self.process is None:
+            context = multiprocessing.get_context("spawn")
+            pipe, pipe_of_process = context.Pipe()
+            process = context.Process(target=_serve, args=(pipe_of_process,), daemon=True)
+            process.start()
+            pipe_of_process.close()
+            self.process, self.pipe = process, pipe
+
     def call(self, function, arguments, limit):
         """Return the dictionary of `function(**arguments)` as plain values with "error" empty.
 
         Otherwise {"error": text}: with the traceback of an exception, or with "outcome" "crash" or "hang" (longer than `limit` seconds).
         """
-        if self.process is None:
-            context = multiprocessing.get_context("spawn")
-            self.pipe, pipe_of_process = context.Pipe()
-            self.process = context.Process(target=_serve, args=(pipe_of_process,), daemon=True)
-            self.process.start()
-            pipe_of_process.close()
+        self.start()
+        answer = None
         try:
             self.pipe.send((function, arguments, limit))
             for patience in (START_LIMIT + limit, limit):  # for the beginning and for the end of the task
@@ -59,7 +65,8 @@ class Worker:
             self.close()
             names = {item.value: item.name for item in signal.Signals}
             ending = f"signal {names.get(-code, -code)}" if code is not None and code < 0 else f"exit code {code}"
-            return {"error": f"crash: {ending}", "outcome": "crash"}
+            early = "" if answer else ', before the case began (is what starts processes in the script under `if __name__ == "__main__":`?)'
+            return {"error": f"crash: {ending}{early}", "outcome": "crash"}
         except BaseException:
             self.close()
             raise
@@ -139,6 +146,7 @@ class Isolated(SerialExecutor):
         future : Future
             Finished; its result is the row of the call.
         """
+        self._worker.start()
         future = super().submit(self._worker.call, function, named, self._limit)
         if self._fresh:
             self._worker.close()

@@ -180,8 +180,8 @@ if __name__ == "__main__":
 """
 
 
-def run_script(folder, *arguments, **environment):
-    (folder / "cases.py").write_text(SCRIPT)
+def run_script(folder, *arguments, script=SCRIPT, timeout=None, **environment):
+    (folder / "cases.py").write_text(script)
     path = os.pathsep.join([str(Path(pi.__file__).parents[1])])
     return subprocess.run(
         [sys.executable, "cases.py", *arguments],
@@ -189,7 +189,20 @@ def run_script(folder, *arguments, **environment):
         env=os.environ | {"PYTHONPATH": path} | environment,
         capture_output=True,
         text=True,
+        timeout=timeout,
     )
+
+
+def test_a_script_that_starts_processes_as_it_is_imported_ends_with_the_reason(tmp_path):
+    text = """
+import polyida as pi
+def case(k):
+    return {"value": k}
+with pi.study.Isolated(limit=1.0) as own:
+    print(pi.study.sweep(case, [{"k": 1}, {"k": 2}], own).rows)
+"""
+    ended = run_script(tmp_path, script=text, timeout=60.0)  # less than each case waited for its process
+    assert ended.stdout.count("crash: exit code 1, before the case began (is what starts processes in the script under `if __name__") == 2
 
 
 def test_a_scripts_own_function_gives_the_same_rows_here_in_processes_and_on_a_cluster(tmp_path):
