@@ -5,6 +5,8 @@ from html import escape
 
 import numpy as np
 
+from polyida.validation import is_number
+
 FEW, LONGEST, CELL = 6, 60, 240  # shown entries of an array; characters of a value, and of a cell of a table
 
 
@@ -12,6 +14,19 @@ def brief(thing: object) -> str:
     """`Kind(name=value, ...)` of a dataclass on one line: of large arrays the shape, of long values the beginning."""
     shown = (f"{entry.name}={short(getattr(thing, entry.name))}" for entry in fields(thing) if entry.repr)  # type: ignore[arg-type]
     return f"{type(thing).__name__}({', '.join(shown)})"
+
+
+def shown(part):
+    """The `repr` of a part; `Kind(h=0.01)` of an object whose class has none of its own."""
+    if type(part).__repr__ is not object.__repr__:
+        return repr(part)
+    return f"{type(part).__name__}({', '.join(f'{name}={value!r}' for name, value in numbers_and_texts(part).items())})"
+
+
+def numbers_and_texts(part):
+    """{attribute: value} of an object, without what begins with an underscore."""
+    held = getattr(part, "__dict__", {})
+    return {name: value for name, value in held.items() if name[0] != "_" and (is_number(value) or isinstance(value, str))}
 
 
 def short(value, longest=LONGEST):

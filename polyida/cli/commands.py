@@ -234,9 +234,11 @@ def run(
 
 def _run_data(run, file, command):
     """{"figures", "rows", "notes", "machine", "command"} of one run; machine: where it was computed."""
+    from polyida.reprs import shown
+
     row = {
         "run": str(file),
-        "settings": repr(run.integrator),
+        "settings": shown(run.integrator),
         "success": bool(run.success),
         "status": run.status,
         "t_end": float(run.t[-1]) if len(run.t) else None,
@@ -310,13 +312,11 @@ def show(context: typer.Context, file: options.RunFile, json: options.Json = Fal
             set_document(_run_data(run, file, context.obj))
             return
         counts, machine = (", ".join(f"{key} {value}" for key, value in data.items()) for data in (run.counts.as_dict(), run.machine))
+        kind = "not in the file" if run.model is None else type(run.model).__name__
         rows = [
             ["run", run.summary()],
             ["frames", f"{len(run.t)}" + (f", t = {run.t[0]:g} .. {run.t[-1]:g} s" if len(run.t) else "")],
-            [
-                "model",
-                f"{'not in the file' if run.model is None else type(run.model).__name__}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints",
-            ],
+            ["model", f"{kind}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints"],
             ["integrator", repr(run.integrator)],
             ["counts", counts],
             ["time", f"{run.cpu_seconds:.2f} CPU s, {run.wall_seconds:.2f} s"],

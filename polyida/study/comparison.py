@@ -15,6 +15,7 @@ from polyida.integrate.state import Counts, States, between
 from polyida.jit import clock
 from polyida.model.guarded import guard
 from polyida.objective.objective import UserObjective
+from polyida.reprs import shown
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.accepted import accepted
 from polyida.run.solve import require_run
@@ -239,7 +240,7 @@ def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
     rows, estimates, published = [], [], ivp.published.get("q") if ivp.point is None else None
     for label, run in runs.items():
         distance = distances[label][1]
-        row = {"run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
+        row = {"run": label, "settings": shown(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
         row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
         row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
         if errors and isinstance(run.integrator, GeneralizedAlpha) and run.success and np.isfinite(distance[-1]):

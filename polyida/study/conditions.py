@@ -29,6 +29,7 @@ from polyida.linear.saddle import assemble, scaling_size
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 from polyida.progress import teller
+from polyida.reprs import shown
 from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.ivp import require_labels, resolve_model, step_list
 from polyida.study.result import Result
@@ -101,7 +102,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
     """The scaled matrix of one Newton iteration, with the arguments of `condition_number`: CSC if the model's matrices are sparse, else dense."""
     model = guard(model, "condition_number")
     if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):
-        raise InputError(f"condition_number: integrator {integrator!r} must be GeneralizedAlpha, IDA or RadauIIA")
+        raise InputError(f"condition_number: integrator {shown(integrator)} must be GeneralizedAlpha, IDA or RadauIIA")
     name, of_stages = type(integrator).__name__, isinstance(integrator, RadauIIA)
     if not is_one_of(unknown, UNKNOWNS):
         raise InputError(f"condition_number: unknown = {unknown!r} must be one of {', '.join(UNKNOWNS)}")

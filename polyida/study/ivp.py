@@ -13,6 +13,7 @@ from polyida.integrate.start import consistent_state
 from polyida.integrate.state import declared
 from polyida.model import Model
 from polyida.model.guarded import guard
+from polyida.reprs import numbers_and_texts
 from polyida.run.solve import require_run, solve
 from polyida.study.user_files import load_object, user_errors
 from polyida.validation import floats, is_number
@@ -207,30 +208,30 @@ def step_list(study, h):
 
 def settings_text(integrator, others):
     """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()"."""
-    if not is_dataclass(integrator):
+    if not is_dataclass(integrator) and type(integrator).__repr__ is not object.__repr__:
         return repr(integrator)[:MAX_LENGTH]
-    items, kind, values = [item for item in fields(integrator) if item.repr and item.init], type(integrator), _settings(integrator)
+    kind, values = type(integrator), _settings(integrator)
+    items = fields(integrator) if is_dataclass(integrator) else ()
+    defaults = {item.name: item.default for item in items if item.repr and item.init} or dict.fromkeys(values, MISSING)
 
     def text(names):
         return ", ".join(f"{name}={values[name]:g}" if is_number(values[name]) else f"{name}={values[name]!r}" for name in names)
 
     if all(type(other) is kind for other in others):
         others = [_settings(other) for other in others]
-        varied = [item.name for item in items if any(not np.array_equal(values[item.name], other[item.name]) for other in others)]
+        varied = [name for name in defaults if any(not np.array_equal(values[name], other.get(name)) for other in others)]
         if varied:
             return text(varied)[:MAX_LENGTH]
-    changed = [item.name for item in items if item.default is MISSING or not np.array_equal(values[item.name], item.default)]
+    changed = [name for name, default in defaults.items() if default is MISSING or not np.array_equal(values[name], default)]
     return f"{kind.__name__}({text(changed)})"[:MAX_LENGTH]
 
 
 def kind_of(integrator):
     """A text that is equal for integrators with the same kernels: class and settings without their numbers."""
-    if not is_dataclass(integrator):
-        return repr(type(integrator))
     values = _settings(integrator).items()
     return f"{type(integrator)} { {name: value is None if value is None or is_number(value) else value for name, value in values} }"
 
 
 def _settings(part):
-    """{field: value} of a dataclass."""
-    return {item.name: getattr(part, item.name) for item in fields(part)}
+    """{field: value} of a dataclass; of another object its numbers and texts."""
+    return {item.name: getattr(part, item.name) for item in fields(part)} if is_dataclass(part) else numbers_and_texts(part)

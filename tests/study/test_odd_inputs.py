@@ -7,6 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.errors import InputError
+from polyida.reprs import shown
 from polyida.show.figure_files import csv
 from polyida.study.ivp import initial_value_problem
 from polyida.study.references import make_reference
@@ -55,6 +56,20 @@ def test_a_model_without_constraints_has_orders_and_no_errors_of_multipliers():
     assert abs(study.reference["q"][0] - exact) < 2 * study.known_to["q"] < 1e-9 and np.isnan(study.known_to["lam"])
     assert study.orders["own"]["q"] == pytest.approx(2, abs=0.1) and study.orders["alpha"]["v"] == pytest.approx(2, abs=0.1)
     assert np.isnan([row["error_lam"] for row in study.rows]).all() and not study.plot("lam").lines
+
+
+def test_objects_without_a_repr_are_shown_by_their_numbers_and_texts():
+    class Plain:
+        def __init__(self, h, kind="own"):
+            self.h, self.kind, self.work, self._calls = h, kind, np.zeros(3), 0
+
+        def steps(self, model, state, t_end, counts):
+            return Leapfrog(self.h).steps(model, state, t_end, counts)
+
+    several = pi.study.step_sizes(Spring(), 0.5, q0=[1.0], integrators={"own": Plain}, h=(0.02, 0.01))
+    assert [row["setting"] for row in several.rows] == ["h=0.02", "h=0.01"]
+    alone = pi.study.drift(Spring(), 0.5, q0=[1.0], integrators={"own": Plain(0.01)})
+    assert alone.rows[0]["setting"] == "Plain(h=0.01, kind='own')" == shown(Plain(0.01))
 
 
 def test_integrators_that_stand_still_away_from_the_reference_are_told():
