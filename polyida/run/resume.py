@@ -127,7 +127,7 @@ def _model_and_integrator(stored, model, integrator, events):
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
         own = ", ".join(map(repr, about["drives"].values())) or about["model"]
-        raise InputError(f"{own} has functions of the user's own, which no file holds; give model=")
+        raise InputError(f"{own} has functions of the user's own, which no file holds; give model=, or SCENE to `polyida run`")
     try:
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:

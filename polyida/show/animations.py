@@ -75,7 +75,7 @@ def animation(
     if suffix == ".mp4":
         _ffmpeg()
     if path.exists() and not overwrite:
-        raise InputError(f"animation {path} exists: choose another name or say overwrite")
+        raise InputError(f"animation {path} exists: choose another name, or pass overwrite=True (--overwrite)")
     seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
     default = GIF_FRAMES if suffix == ".gif" else max(1, round(MP4_RATE * seconds))
     indices = plates.spread(run, default if frames is None else frames)

@@ -70,7 +70,7 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         raise InputError(f"export folder {folder} is a file")
     old = [*folder.glob("frame-*.vtu"), *folder.glob(COLLECTION)] if folder.exists() else []
     if old and not overwrite:
-        raise InputError(f"export folder {folder} holds frames already: choose another folder or say overwrite")
+        raise InputError(f"export folder {folder} holds frames already: choose another folder, or pass overwrite=True (--overwrite)")
     folder.mkdir(parents=True, exist_ok=True)
     for path in old:
         path.unlink()

@@ -171,7 +171,9 @@ def run_figures(ivp, runs, comparison=None):
     caption = "Energies of the first run, and the change of each run's energy less external work plus dissipation."
     figures["energy"] = lambda: plots.energy(runs_with_frames), caption
     if ivp.model.m:
-        caption = f"Violation of the constraints: its maximum in each of {plots.INTERVALS} intervals."
+        caption = (
+            f"Violation of the constraints: its maximum in each of {plots.INTERVALS} intervals, {plots.SMALLEST_DRIFT:g} if it is less."
+        )
         figures["drift"] = lambda: plots.drift(runs_with_frames), caption
     return figures
 

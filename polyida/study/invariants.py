@@ -67,9 +67,11 @@ class Invariants(Result):
 
     def pictures(self) -> dict:
         """The history of each quantity."""
+        least = f", {FLOOR:g} if it is less"
         return {
-            name.replace("_", "-"): (f"{self.quantities[name][0]} against time.", lambda axes, name=name: self.plot(name, axes))
-            for name in self._known()
+            name.replace("_", "-"): (f"{label} against time{least if logarithmic else ''}.", lambda axes, name=name: self.plot(name, axes))
+            for name, (label, logarithmic) in self.quantities.items()
+            if name in self._known()
         }
 
     def _known(self):
@@ -166,7 +168,9 @@ def energy(
     InputError
         For invalid arguments, before the first run.
     """
-    return _run_all(EnergyKept, _energy_row, "energy", model, t_end, q0, v0, integrators, frames, every, progress)
+    kept = _run_all(EnergyKept, _energy_row, "energy", model, t_end, q0, v0, integrators, frames, every, progress)
+    kept.notes += ["the model has no `potential`, and therefore no energy"] if "total" not in kept._known() else []  # noqa: SLF001
+    return kept
 
 
 def _energy_row(run, indices):

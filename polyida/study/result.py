@@ -138,7 +138,7 @@ class Result:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"report: {folder} is a file; give a folder")
         if folder.is_dir() and any(folder.iterdir()) and not overwrite:
-            raise InputError(f"report: {folder} has something in it: choose another folder, or say overwrite=True")
+            raise InputError(f"report: {folder} has something in it: choose another folder, or pass overwrite=True")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:

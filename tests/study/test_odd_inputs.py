@@ -72,6 +72,13 @@ def test_objects_without_a_repr_are_shown_by_their_numbers_and_texts():
     assert alone.rows[0]["setting"] == "Plain(h=0.01, kind='own')" == shown(Plain(0.01))
 
 
+def test_what_has_no_energy_and_what_is_drawn_at_a_bound_are_told():
+    kept = pi.study.energy(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
+    assert np.isnan(kept.rows[0]["energy_change"]) and "no `potential`" in kept.notes[0]
+    off = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
+    assert off.pictures()["drift"][0] == "largest |phi| against time, 1e-17 if it is less."
+
+
 def test_integrators_that_stand_still_away_from_the_reference_are_told():
     study = pi.study.work_precision(Spring(pulse=0.277), 0.3, q0=[0.0], integrators={"own": settings(Leapfrog, (2e-5, 1e-5))})
     exact = 1e3 * (np.cos(10 * (0.3 - 0.2771)) - np.cos(10 * (0.3 - 0.277)))
