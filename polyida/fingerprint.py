@@ -114,7 +114,8 @@ class _Reader:
         elif isinstance(thing, (FunctionType, type)) and self.by_name(thing.__module__):
             self.note(thing.__module__, thing.__qualname__)
         elif isinstance(thing, CodeType):
-            self._code(thing)
+            self.note(*(getattr(thing, name) for name in BESIDE))
+            self._all(thing.co_consts)
         elif isinstance(thing, FunctionType):
             self._function(thing)
         elif isinstance(thing, type):
@@ -127,10 +128,6 @@ class _Reader:
             self._all(chain.from_iterable(thing.items()))
         else:
             self._all(_wrapped(thing) or self._reduced(thing))
-
-    def _code(self, code):
-        self.note(*(getattr(code, name) for name in BESIDE))
-        self._all(code.co_consts)
 
     def _function(self, function):
         self.add(function.__code__)

@@ -25,8 +25,8 @@ def shown(part):
 
 def numbers_and_texts(part):
     """{attribute: value} of an object, without what begins with an underscore."""
-    held = getattr(part, "__dict__", {})
-    return {name: value for name, value in held.items() if name[0] != "_" and (is_number(value) or isinstance(value, str))}
+    items = getattr(part, "__dict__", {}).items()
+    return {name: value for name, value in items if name[0] != "_" and (is_number(value) or isinstance(value, str))}
 
 
 def short(value, longest=LONGEST):
@@ -42,12 +42,9 @@ def settings(part):
     """The fields of a dataclass that differ from their defaults, without its name, on one line."""
     if not is_dataclass(part):
         return short(part, CELL)
-    entries = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
-    return ", ".join(f"{entry.name} {short(value, CELL // 2)}" for entry, value in entries if not _is_default(entry, value))
-
-
-def _is_default(entry, value):
-    return type(value) is type(entry.default) and value == entry.default
+    entries = ((entry.name, getattr(part, entry.name), entry.default) for entry in fields(part) if entry.repr and entry.name != "name")
+    changed = ((name, value) for name, value, default in entries if type(value) is not type(default) or value != default)
+    return ", ".join(f"{name} {short(value, CELL // 2)}" for name, value in changed)
 
 
 def counted(things, most=FEW):

@@ -302,9 +302,8 @@ def _time_again(run, objective, value):
     if one.fixed_step() and isinstance(settings, RadauIIA):
         return _solved(run, run.model, replace(settings, h=settings.h / 2), objective) - value
     if one.fixed_step() and isinstance(settings, (GeneralizedAlpha, EnergyMomentum, NonsmoothAlpha, MoreauJean)):
-        first = isinstance(settings, MoreauJean) or (
-            isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
-        )
+        damped = isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
+        first = damped or isinstance(settings, MoreauJean)
         return (value - _solved(run, run.model, replace(settings, h=2 * settings.h), objective)) / (1.0 if first else 3.0)
     if one.fixed_step() or not hasattr(settings, "rtol"):
         raise InputError(f"error_of: the order of {type(settings).__name__} is not known; again=True takes integrators of polyida")

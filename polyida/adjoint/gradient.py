@@ -151,7 +151,8 @@ def gradient(
                 f"gradient: {one!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
             )
     names = _names(parameters)
-    if isinstance(run, (Trajectory, Equilibrium, Modes)) and (relaxing := _relaxing(run.model)):
+    model = run.model if isinstance(run, (Trajectory, Equilibrium, Modes)) else None
+    if relaxing := [body.name for body in (*model.bodies, *model.few) if body.prony] if model is not None and model.is_scene else []:
         names_of = ", ".join(map(repr, relaxing))
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
@@ -221,11 +222,6 @@ def _require_no_velocity_rows(part, model, what, other):
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
         raise InputError(f"{part}: {name} is a velocity row, for which {what} no adjoint; {other}")
-
-
-def _relaxing(model):
-    """Names of the viscoelastic plates of a model or None."""
-    return [] if model is None or not model.is_scene else [body.name for body in (*model.bodies, *model.few) if body.prony]
 
 
 def _names(parameters):

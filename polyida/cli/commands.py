@@ -96,8 +96,6 @@ def _make_folder(folder):
 def _load_run(file):
     from polyida.io.load import load
 
-    if not file.is_file():
-        raise InputError(f"{file}: there is no such file")
     return load(file)
 
 
@@ -146,7 +144,9 @@ def compare(
                 comparison.prepare(ivp, members, progress)
                 writer.wait_until_ready()
                 runs = comparison.run_timed(ivp, members, progress)
-                comparison.draw_early(ivp, runs, writer)
+                for name, (draw, _) in comparison.run_figures(ivp, runs).items():  # drawn while the reference run is computed
+                    with suppress(Exception):  # a figure that fails is drawn later
+                        writer.add(name, draw())
                 result = comparison.measure(ivp, runs, progress, errors)
                 data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text))
         finally:

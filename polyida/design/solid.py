@@ -198,14 +198,13 @@ class _Solids:
         alone = {name: 1e-3 * np.sqrt(mesh.cell_areas.min()) for name, mesh in meshes.items()}  # a radius that no other cell is in
         cells = [Densities(name, radius, start=1.0) for name, radius in alone.items()]
         cases = [Case(self.model(case, meshes), case.run, case.name) for case in problem.cases]
-        limits = [replace(limit, objective=_by_strain(limit.objective)) for limit in problem.limits]
+        # the stress at the cell's strain has the same value, but removing the cell with the largest stress does not lower it
+        limits = [
+            replace(one, objective=replace(one.objective, power=0.0)) if isinstance(one.objective, PeakStress) else one
+            for one in problem.limits
+        ]
         solid = Problem(problem.objective, limits, cells, cases, problem.executor)
         return solid.evaluate(solid.start, HOLE)
-
-
-def _by_strain(objective):
-    """The objective with the stress at the cell's strain: its value is the same, but removing the cell with the largest stress does not lower it."""
-    return replace(objective, power=0.0) if isinstance(objective, PeakStress) else objective
 
 
 def _searched(solids, meshes, changes):

@@ -47,7 +47,8 @@ class Source(io.RawIOBase):
         self._head = b""
         head = self._part(LENGTH)
         marked = head[:10] == START and len(head) == LENGTH and head[11] != 0
-        self._head = _unmarked(head, self.size) if marked else head
+        body = head[:11] + b"\0" + head[12:28] + struct.pack("<Q", self.size) + head[36:44]
+        self._head = body + struct.pack("<I", checksum(body)) if marked else head
 
     def __del__(self):
         os.close(self._descriptor)
@@ -76,11 +77,6 @@ class Source(io.RawIOBase):
             os.lseek(self._descriptor, self._at, os.SEEK_SET)
             data = os.read(self._descriptor, size)
         return self._head[self._at : self._at + len(data)] + data[max(0, len(self._head) - self._at) :]
-
-
-def _unmarked(head, size):
-    body = head[:11] + b"\0" + head[12:28] + struct.pack("<Q", size) + head[36:44]
-    return body + struct.pack("<I", checksum(body))
 
 
 def checksum(data):

@@ -58,8 +58,8 @@ def _format_of(path, name):
     suffix = path.suffix if name is None else name
     known = FORMATS.get("." + suffix.lower().removeprefix(".")) if isinstance(suffix, str) else None
     if known is None:
-        what = f"has the suffix {suffix!r}" if name is None else f"shall have the format {name!r}"
-        raise InputError(f"mesh file {path} {what}; known are {', '.join(FORMATS)}")
+        what = f"{'has the suffix' if name is None else 'shall have the format'} {suffix!r}; known are {', '.join(FORMATS)}"
+        raise InputError(f"mesh file {path} {what}")
     return known
 
 

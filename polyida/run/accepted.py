@@ -198,7 +198,11 @@ class Sampler:
     def step(self, before, stretch):
         """Store frames of the steps from an accepted state to those of a stretch, the last of which is number `counts.steps`."""
         if self.output is None:
-            self._keep_every(stretch, self.counts.steps - len(stretch))
+            done = self.counts.steps - len(stretch)
+            first = -(done + 1) % self.every
+            if first < len(stretch):
+                self.store.extend(stretch.part(first, len(stretch), self.every))
+                self.last_frame = None if (done + len(stretch)) % self.every else stretch.last
             return
         while self.next < len(self.output) and self.output[self.next] <= stretch.t[-1]:
             t = self.output[self.next]
@@ -206,12 +210,6 @@ class Sampler:
             state = between(stretch.state(k - 1) if k else before, stretch.state(k), t)
             self.keep(state if self.model is None or stretch.t[k] == t else on_drives(self.model, state))
             self.next += 1
-
-    def _keep_every(self, stretch, done):
-        first = -(done + 1) % self.every
-        if first < len(stretch):
-            self.store.extend(stretch.part(first, len(stretch), self.every))
-            self.last_frame = None if (done + len(stretch)) % self.every else stretch.last
 
     def keep(self, state):
         """Store a state as the next frame, unless it is the last one already."""

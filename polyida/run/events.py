@@ -342,7 +342,7 @@ class Happenings:
         absent = tuple(sorted(absent - set(names)))
         happened = Happened(t, event.name, 0.0, np.nan, 0, {}, absent, held, model)
         try:
-            self.mode = mode = self._mode_behind(happened)
+            self.mode = mode = guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
             after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), label)
             laws = [law.row for law in mode.row_laws]  # contacts take part in the next step
             equations = mode.with_rows(np.setdiff1d(np.arange(mode.m), laws)) if laws else mode
@@ -373,10 +373,6 @@ class Happenings:
             largest = max(np.abs(jump).max(initial=0.0), *(abs(x) for values in impulses.values() for x in values), 0.0)
         lost = energy - self._energy(after)
         return after, replace(happened, impulse=float(largest), energy_lost=float(lost), impulses=impulses), stops
-
-    def _mode_behind(self, happened):
-        """The mode behind an event that happens."""
-        return guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
 
     def _name(self, part):
         return part if isinstance(part, str) else next(name for name, known in self.whole.parts.items() if known is part)

@@ -1,7 +1,6 @@
 """`polyida compare`: integrators on one initial value problem against a reference run, and the report with runs, pictures and movie."""
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -176,13 +175,6 @@ def run_figures(ivp, runs, comparison=None):
         )
         figures["drift"] = lambda: plots.drift(runs_with_frames), caption
     return figures
-
-
-def draw_early(ivp, runs, writer):
-    """Give the figures of the runs to a FigureWriter while the reference run is computed; figures that fail are drawn later."""
-    for name, (draw, _) in run_figures(ivp, runs).items():
-        with suppress(Exception):
-            writer.add(name, draw())
 
 
 def _drawable(runs):

@@ -16,6 +16,7 @@ from typing import Any
 
 from polyida.errors import InputError
 from polyida.jit import clock
+from polyida.reprs import short
 from polyida.run.run import interruptions
 
 START_LIMIT = 60.0  # s for the start of a process and the imports of its first task
@@ -200,7 +201,7 @@ def _checked_call(function, arguments):
     """The result of a case as plain values under permitted names."""
     result = function(**arguments)
     if not isinstance(result, dict):
-        raise InputError(f"the function returned {_shortened(result)}; it must return a dictionary {{name: number, text or list of them}}")
+        raise InputError(f"the function returned {short(result, 80)}; it must return a dictionary {{name: number, text or list of them}}")
     result = to_plain_value("the result of the function", result)
     for name, value in result.items():
         if name in RESERVED:
@@ -230,13 +231,8 @@ def to_plain_value(name, value):
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {key: to_plain_value(f"{name}[{key!r}]", entry) for key, entry in value.items()}
     raise InputError(
-        f"{name} = {_shortened(value)} is no plain value; those are numbers, texts, True, False, None, and lists and dictionaries of them"
+        f"{name} = {short(value, 80)} is no plain value; those are numbers, texts, True, False, None, and lists and dictionaries of them"
     )
-
-
-def _shortened(value):
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:60]}... (a {type(value).__name__})"
 
 
 def _reset_peak_memory():

@@ -199,9 +199,8 @@ def errors_of_all(choices: Iterable[IntegratorChoice]) -> ExitStack:
 
 def _can_be_integrator(value: object) -> bool:
     """True for an integrator, a class of integrators, or a function of a step that may return one."""
-    return hasattr(value, "steps") or (
-        inspect.isfunction(value) and ("h" in inspect.signature(value).parameters or len(_required_arguments(value)) == 1)
-    )
+    of_step = inspect.isfunction(value) and ("h" in inspect.signature(value).parameters or len(_required_arguments(value)) == 1)
+    return of_step or hasattr(value, "steps")
 
 
 def _required_arguments(function):

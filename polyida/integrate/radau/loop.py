@@ -119,11 +119,6 @@ def record(count, stages, n, m, tied):
     return Record(*map(np.empty, sizes), np.full((MADE, 3 + 3 * n + m), np.inf))
 
 
-def empty_slots(n, m):
-    """FactorSlots without factors."""
-    return FactorSlots(np.zeros((5, SLOTS)), np.zeros((SLOTS, 1 + 3 * n + m)))
-
-
 @part
 def step_of_level(first, level):
     """The step of a level, s: first 2^(level/2)."""

@@ -94,7 +94,7 @@ class Steps:
         self.table = _table(settings, model, self.tableau, self.tied)
         self.compiled_tableau = compiled_tableau(self.tableau)
         self.memory, self.trial, self.scratch = empty(settings.stages, model.n, model.m, self.tied)
-        self.slots, self.state = loop.empty_slots(model.n, model.m), None
+        self.slots, self.state = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m))), None
         self.done = np.zeros(loop.COUNTS, np.int64)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
         self.most = max(1, min(STEPS, most, 1 if model.switching else STEPS))
@@ -220,7 +220,9 @@ class Steps:
                 )
             self.state, before = None, replace(self.counts)
             if accepted:
-                memory = self._common_memory(), partial(position_memory, taken), self._lazy_motion()
+                shares = {"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {}
+                motion = None if self.table.functions[ACCELERATION] else (self.model, self.clamp)  # to compute a and lam later
+                memory = self.run_memory | shares, partial(position_memory, taken), motion
                 counts_at = partial(self.counts_at, before, o.counts)
                 states = StretchStates(
                     StretchData(
@@ -264,13 +266,6 @@ class Steps:
     def run_memory(self):
         """The part of the memory that all states of a run share."""
         return {"sizes": self.sizes} | ({} if self.run is None else {"run": self.run})
-
-    def _common_memory(self):
-        return self.run_memory | ({"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {})
-
-    def _lazy_motion(self):
-        """(model, clamp) to compute a and lam of the states later, or None if the driver computes them."""
-        return None if self.table.functions[ACCELERATION] else (self.model, self.clamp)
 
     def make(self, control, new):
         """Make the factors of the attempted step: new ones, or the stored ones of this step again."""
