@@ -247,6 +247,11 @@ def test_checks_before_a_run_keep_sparse_matrices_sparse():
         ("mass", np.eye(2), "it is ndarray"),
         ("mass", lambda self, t, q: np.eye(2), r"it takes \(t, q\)"),
         ("force", lambda self, q, v: np.zeros(2), r"it takes \(q, v\)"),
+        ("initial_velocity", lambda self: np.zeros(2), r"it takes \(\)"),
+        ("rejection_reason", lambda self, q: None, r"it takes \(q\)"),
+        ("gaps", lambda self, q: q, r"it takes \(q\)"),
+        ("kinks", (0.1,), "it is tuple"),
+        ("powers", lambda self, t, q, v: {}, r"it takes \(t, q, v\)"),
     ],
 )
 def test_a_function_with_other_arguments_is_named(name, wrong, given):

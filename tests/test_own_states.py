@@ -383,6 +383,27 @@ def test_algebraic_states_are_those_eliminated_by_hand(kind, integrator):
     assert np.abs(0.3 * p + p * np.abs(p) - 1.0 + run.v[:, 0] - x).max() < 1e-12 and np.abs(p - w - run.q[:, 0]).max() < 1e-12
 
 
+def test_algebraic_states_of_a_rising_function_are_found_at_any_state():
+    """`x^3 + x = 4 q` from x0 = 1, some of whose corrections are longer than x0."""
+
+    class Cubic(pi.Model):
+        n, m, algebraic, x0 = 1, 0, 1, (1.0,)
+
+        def mass(self, q):
+            return np.eye(1)
+
+        def rates(self, t, q, v, x):
+            return x**3 + x - 4.0 * q
+
+        def force(self, t, q, v, x):
+            return x
+
+    x = np.linspace(-3.0, 3.0, 121)
+    assert np.allclose([pi.consistent_state(Cubic(), q0=[0.25 * (one**3 + one)]).a[0] for one in x], -x, rtol=0.0, atol=1e-12)
+    near = np.linspace(-1.00001, -0.9995, 11)
+    assert np.allclose([-(a**3) - a - 4.0 * q for q in near for a in pi.consistent_state(Cubic(), q0=[q]).a], 0.0, atol=1e-11)
+
+
 def test_algebraic_states_with_a_singular_slope_are_refused():
     class Flat(Valve):
         def rates(self, t, q, v, x):

@@ -131,6 +131,11 @@ class WrongShape(Skate):
         return np.zeros(2)
 
 
+class Short(Disc):
+    def psi(self, q, v):
+        return v[:1]
+
+
 class NoPsi(Skate):
     psi = pi.Model.psi
 
@@ -150,6 +155,7 @@ class Dependent(Disc):
         (Quadratic(), r"Quadratic\.psi must be linear in v"),
         (WrongSlope(), r"WrongSlope\.psi must be linear in v, with psi_v"),
         (WrongShape(), r"WrongShape\.psi must return an array of shape \(1,\), not \(2,\)"),
+        (Short(), r"Short\.psi must be a function psi\(self, t, q, v\); it takes \(q, v\)"),
         (NoPsi(), r"NoPsi: p = 1 velocity rows, but its class gives no psi"),
         (Moving(), r"Moving\.psi is not zero at v = 0.* driven=True"),
         (Dependent(), r"phi\[0\].* psi\[0\]|psi\[0\].* phi\[0\]"),

@@ -152,7 +152,8 @@ def gradient(
             )
     names = _names(parameters)
     model = run.model if isinstance(run, (Trajectory, Equilibrium, Modes)) else None
-    if relaxing := [body.name for body in (*model.bodies, *model.few) if body.prony] if model is not None and model.is_scene else []:
+    relaxing = [body.name for body in (*model.bodies, *model.few) if body.prony] if model is not None and model.is_scene else []
+    if relaxing:
         names_of = ", ".join(map(repr, relaxing))
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")

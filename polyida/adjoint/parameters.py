@@ -37,7 +37,7 @@ from polyida.joint.joint import Joint
 from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
 from polyida.model.guarded import guard, unguarded, writes
-from polyida.validation import complex_of_pairs, floats, read_only
+from polyida.validation import complex_of_pairs, floats, is_number, read_only
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 
@@ -305,7 +305,8 @@ def _named_numbers(part):
         yield from _with_path(part, ("plate", "material"), OF_REDUCED)
         yield from _with_path(part, ("plate",), ("thickness",))
     elif isinstance(part, (Body, ForceElement, Joint)):
-        known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
+        numbers = {field.name: (getattr(part, field.name), field.type in (float, "float")) for field in fields(part) if field.init}
+        known = [key for key, (value, is_float) in numbers.items() if isinstance(value, float) or is_float and is_number(value)]
         if known and (not isinstance(part, Joint) or all(row.driven for row in rows_of(part.facing().rows()))):
             omitted = PLACING if isinstance(part, Body) else (LAW,) if isinstance(part, Joint) else ()
             yield from _with_path(part, (), [key for key in known if key not in omitted])

@@ -62,11 +62,6 @@ def _beside_kink(profile, t):
     return float(at[0] if apart[0] < apart[2] else at[2])
 
 
-def kink_speeds(profile_at, scale):
-    """The derivatives of the kinks of `profile_at(s)` in s, (kinks,), assumed constant."""
-    return np.subtract(profile_at(scale / 4).kinks, profile_at(-scale / 4).kinks) / (scale / 2)
-
-
 def at_sides(own, x):
     """Values (k, sides, 2) of x (k, n) at the sides of an OwnForce."""
     return (own.A @ x.T).T.reshape(len(x), -1, 2)
@@ -275,8 +270,9 @@ class ProfileNumber(Parameter):
 
     @cached_property
     def _speeds(self):
-        """The derivatives of the profile's kinks, (kinks,)."""
-        return kink_speeds(self._near, self.scale(np.zeros(0)))
+        """The derivatives of the profile's kinks, (kinks,), assumed constant."""
+        scale = self.scale(np.zeros(0))
+        return np.subtract(self._near(scale / 4).kinks, self._near(-scale / 4).kinks) / (scale / 2)
 
     @cached_property
     def _near(self):

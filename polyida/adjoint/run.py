@@ -112,8 +112,8 @@ class Totals:
         part, _, key = name.rpartition(".") if isinstance(name, str) else ("", "", "")
         if part in self.parts and is_number(value := getattr(self.parts[part], key, None)):
             raise InputError(
-                f"gradient: {name!r}, which is {value:g}, has no slope: numbers of laws of contact and friction, lengths of joints and places of "
-                "bodies have none; take the difference of two runs"
+                f"gradient: {name!r}, which is {value:g}, has no slope: numbers of laws of contact and friction, lengths of joints, places of "
+                "bodies and whole numbers have none; take the difference of two runs"
             )
         names = [*self.known, "v0"] if with_v0 else self.known
         raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")

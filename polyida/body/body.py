@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, OwnPart
 from polyida.joint.formula import Row, Vector
-from polyida.validation import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
+from polyida.validation import complexes, floats, is_one_of, on_pairs, pairs_of, takes, vector2
 
 SAME = 1e-9  # relative tolerance of equality
 
@@ -22,6 +22,13 @@ def require_whole(part, base, needed):
     for function in needed:
         if not writes(part, base, function):
             raise InputError(f"{part.label}: its class gives no {function}()")
+
+
+def require_arguments(part, base, functions):
+    """Raise InputError unless the functions of its base that a part overrides take their arguments; functions: {name: letters of these}."""
+    for function, arguments in functions.items():
+        if writes(part, base, function) and not takes(getattr(part, function), len(arguments)):
+            raise InputError(f"{part.label}: {function}: its arguments must be ({', '.join(['self', *arguments])})")
 
 
 def writes(part, base, function):
@@ -146,6 +153,8 @@ class Body(OwnPart, part=False):
         require_whole(self, Body, ("coordinates", "mass_matrix", "attachments"))
         if writes(self, Body, "elastic") != writes(self, Body, "energy"):
             raise InputError(f"{self.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
+        constant = ("coordinates", "mass_matrix", "attachments", "translation", "x_axis", "damping", "form", "rows", "prony")
+        require_arguments(self, Body, dict.fromkeys(constant, "") | dict.fromkeys(("elastic", "elastic_z", "energy"), "z"))
         named = self.attachments()
         if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
             raise InputError(f"{self.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")

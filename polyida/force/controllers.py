@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.body.body import require_whole
+from polyida.body.body import require_arguments, require_whole
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import RotationElement, as_forces, measured
@@ -40,6 +40,7 @@ class Controller(ForceElement, part=False):
     def require(self) -> None:
         """Raise InputError unless the period and the outputs are right."""
         require_whole(self, Controller, ("sample",))
+        require_arguments(self, Controller, {"sample": "txvsu"})
         if not (is_number(self.period) and self.period > 0):
             raise InputError(f"{self.label}: period = {self.period!r} must be a positive time in s")
         names = self.outputs
@@ -175,6 +176,8 @@ class LinearController(RotationElement):
                     what = f"{type(self.A).__name__} in discrete time, dt = {step!r}"
                     raise InputError(f"{self.label}: A is a {what}; give one in continuous time, or write a polyida.Controller")
                 settle(self, A=A, B=B, C=C, D=D)
+            case object(to_ss=_), *_:
+                raise InputError(f"{self.label}: A is a {type(self.A).__name__}; give its to_ss(), without B, C and D")
         A = floats(self.A)
         k = 0 if A is None or A.ndim != 2 else len(A)
         matrices = {}

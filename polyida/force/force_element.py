@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.body.body import compiled_functions, require_whole, writes
+from polyida.body.body import compiled_functions, require_arguments, require_whole, writes
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground, OwnPart
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
-from polyida.validation import floats, reals, settle, takes
+from polyida.validation import floats, reals, settle
 
 
 class ForceElement(OwnPart, part=False):
@@ -121,7 +121,7 @@ def require_element(element):
     """Raise InputError if the class of a force element is incomplete, or its states are wrong."""
     require_whole(element, ForceElement, ("sides", "forces"))
     element.require()
-    names, label = element.states, element.label
+    label = element.label
     for field in ("states", "algebraic"):
         names = getattr(element, field)
         if not isinstance(names, tuple) or not all(isinstance(name, str) and name for name in names) or len({*names}) < len(names):
@@ -129,12 +129,15 @@ def require_element(element):
     names, outputs = element.states + element.algebraic, getattr(element, "outputs", ())
     if both := {*element.states} & {*element.algebraic}:
         raise InputError(f"{label}: {min(both)!r} is in states and in algebraic")
+    behind = "s" * bool(names or outputs) + "u" * bool(outputs)
+    moving, held = "txv" + behind, "x" + behind * bool(element.states or outputs)
     if bool(names) != writes(element, ForceElement, "rates"):
-        lacking = "no rates(t, x, v, s): it must return their derivatives" if names else "rates(), but no states: it must name them"
+        lacking = (
+            f"no rates({', '.join(moving)}): it must return their derivatives" if names else "rates(), but no states: it must name them"
+        )
         raise InputError(f"{label}: its class has {f'the states {names} and ' * bool(names)}{lacking}")
-    arguments = ["t", "x", "v", *["s"] * bool(names or outputs), *["u"] * bool(outputs)]
-    if not (callable(element.forces) and takes(element.forces, len(arguments))):
-        raise InputError(f"{label}: forces: its arguments must be (self, {', '.join(arguments)})")
+    others = {"sides": "", "sizes": "", "start": "", "gap": "x", "undefined": "x", "energy": held}
+    require_arguments(element, ForceElement, {"forces": moving, "rates": moving} | others)
     for slope in ("forces_x", "forces_v"):
         if names and writes(element, ForceElement, slope):
             raise InputError(f"{label}: {slope}() of an element with states is not used; remove it: its slopes are differences of forces()")

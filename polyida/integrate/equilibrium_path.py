@@ -212,7 +212,7 @@ def equilibrium_path(
     start : float
         Factor of the first point, for structures whose stiffness comes from the load.
     tolerance : float
-        Newton's method ends at |dq| <= tolerance max(1, |q|), largest entries.
+        Newton's method ends at |dq| <= tolerance (length + |q|), largest entries; length: of the scene, 1 of an own model.
     max_iterations : int
         Largest number of Newton iterations in a step.
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from polyida.assembly.motion import rigid_motions
 from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.sizes import memory_of_rest
+from polyida.integrate.sizes import extent, memory_of_rest
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem, dense
@@ -88,7 +88,7 @@ def own_system(model, t, q, lam, c_m=0.0):
 
 @dataclass(frozen=True, eq=False)
 class Loading:
-    """`g(t, q, 0) + phi_q^T lam = base + factor slope`, `phi(t, q) = 0`; base and slope (n,), N. Converged: |dq| <= tolerance max(1, |q|)."""
+    """`g(t, q, 0) + phi_q^T lam = base + factor slope`, `phi(t, q) = 0`; base and slope (n,), N. Converged: |dq| <= tolerance (length + |q|)."""
 
     model: Model
     t: float
@@ -185,12 +185,12 @@ class Loading:
     def require_near(self, q, dq, iteration):
         """Raise StepFailure for a Newton step that is a mechanism's."""
         moved = np.abs(dq).max()
-        if not moved <= FAR * (np.abs(q).max() + (self.model.extent or 1.0)):
+        if not moved <= FAR * extent(self.model, q):
             raise StepFailure("singular", FREE, self.t, iteration=iteration, **{"|dq|": float(moved)})
 
     def converged(self, q, dq):
         """True if a step is below the tolerance."""
-        return np.abs(dq).max() <= self.tolerance * max(1.0, np.abs(q).max())
+        return np.abs(dq).max() <= self.tolerance * extent(self.model, q)
 
     def require_accepted(self, q):
         """Raise StepFailure if the model rejects q."""
@@ -290,7 +290,7 @@ def static(
         Number of equal parts in which the load is applied: at its factor s `g(q) + phi_q^T lam = (1 - s) g(0)`. A part for which Newton's
         method fails is halved; parts grow again after two that succeed.
     tolerance : float
-        Newton's method ends at |dq| <= tolerance max(1, |q|), largest entries.
+        Newton's method ends at |dq| <= tolerance (length + |q|), largest entries; length: of the scene, 1 of an own model.
     max_iterations : int
         Largest number of Newton iterations in a part of the load.
     linear : bool

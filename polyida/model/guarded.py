@@ -55,6 +55,7 @@ ANSWERS = {  # {function: (check of its value, description)}
 }
 OF_PLACES = ("position", "initial_velocity", "potentials")  # get the user's part of q
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # by default they call checked functions
+ASKED = (*CHECKED, *ANSWERS, "psi", "psi_v", "gaps", "kinks", "rejection_reason", "initial_velocity", "potentials", "residual_p", "phi_p")
 
 
 def guard(model, part="solve"):
@@ -72,6 +73,7 @@ def guard(model, part="solve"):
     if isinstance(model, Guarded) or model.is_scene or model.checked:
         return model
     _require_counted(model)
+    _require_arguments(model)
     return Guarded(with_velocity_rows(model) if model.p else model)
 
 
@@ -93,6 +95,17 @@ def _require_counted(model):
             raise InputError(f"{name}: {told}: set {size} to the number of its rows")
     if not (is_whole(model.algebraic, 0, 0) or writes(model, "rates")):  # k may be a number of the user's own, such as a stiffness
         raise InputError(f"{name}: algebraic = {model.algebraic!r:.60} states, but its class gives no rates(t, q, v, x)")
+
+
+def _require_arguments(model):
+    """Raise InputError for a function of a user's model that does not take its arguments; OwnStates says which take the states."""
+    for name in ASKED:
+        if not writes(model, name) or (name in OF_CONSTRAINTS and not model.m) or (name in ("psi", "psi_v") and not model.p):
+            continue
+        function, arguments = getattr(model, name), arguments_of(name)
+        if not (takes(function, len(arguments)) or writes(model, "rates") and takes(function, len(arguments) + 1)):
+            given = f"it takes {signature(function)}" if callable(function) else f"it is {type(function).__name__}"
+            raise InputError(f"{type(model).__name__}.{name} must be a function {name}({', '.join(['self', *arguments])}); {given}")
 
 
 def unguarded(model):
@@ -181,7 +194,6 @@ class Guarded(Model):
         compiled = Compiled(self, whole=False).calls() if large else {}  # smaller ones get a table of C functions
         for name in CHECKED:
             if name in written and (self.m or name not in OF_CONSTRAINTS):
-                self._require_arguments(name)
                 function = compiled.get(name) or getattr(self.user, name)
                 if name == "mass" and self.needs.mass_varies:
                     function = self._examined_mass(function)
@@ -211,13 +223,6 @@ class Guarded(Model):
         if name == "user":
             raise AttributeError(name)
         return getattr(self.user, name)
-
-    def _require_arguments(self, name):
-        function, arguments = getattr(self.user, name), arguments_of(name)
-        with_states = self.own_states and takes(function, len(arguments) + 1)  # OwnStates says which functions take them
-        if not callable(function) or not (takes(function, len(arguments)) or with_states):
-            given = f"it is {type(function).__name__}" if not callable(function) else f"it takes {signature(function)}"
-            raise InputError(f"{self.name}.{name} must be a function {name}({', '.join(['self', *arguments])}); {given}")
 
     def _checked(self, name, function, shape):
         """The function with read-only arguments and a copied result: it may return one array again and again."""

@@ -68,6 +68,8 @@ class RowLaw:
 def require_laws(name, laws, m, velocity_rows):
     """The laws of a user's model as a tuple, with names. Raises InputError."""
     rows = set()
+    if not isinstance(laws, (tuple, list)):
+        raise InputError(f"{name}: row_laws = {laws!r:.60} must be a tuple of polyida.RowLaw")
     for number, law in enumerate(laws):
         what = f"{name}: row_laws[{number}]"
         if not isinstance(law, RowLaw):

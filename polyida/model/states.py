@@ -85,7 +85,7 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
         solve(slope, pivots, change)
         ratio = 0.0
         while ratio <= FAST:
-            share, moved, before, size = 1.0, 0.0, largest(change, s, first, sizes), 0.0
+            share, moved, before, size = 1.0, 0.0, 0.0, 0.0
             while True:
                 for i in range(count):
                     free[i] += (share - moved) * change[i] * sizes[i]
@@ -93,7 +93,7 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
                 for i in range(count):
                     left[i] = -rates[first + i] / rows[i]
                 solve(slope, pivots, left)
-                size = largest(left, s, first, sizes)
+                size, before = largest(left, s, first, sizes), largest(change, s, first, sizes)  # in one norm, which depends on s
                 if size <= max(CLOSE, (1.0 - 0.25 * share) * before):
                     break
                 moved, share = share, 0.5 * share
@@ -105,7 +105,7 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
                 evaluate(function, data, t, x, v, s, outputs, rates)
                 return FOUND
             put(1.0, left, change)
-            ratio = size / before
+            ratio = size / before if share == 1.0 else 1.0  # a shorter step does not show how good the slope is
         for i in range(count):
             left[i] = rates[first + i]
     return LOST

@@ -151,6 +151,18 @@ def test_the_start_follows_the_motions_that_are_given_and_the_masses(name):
     assert bool(exact) == name.endswith(MOVING)
 
 
+def test_a_field_of_floats_may_be_given_a_whole_number():
+    def slope(size):
+        scene = pi.Scene()
+        ball = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, name="ball"))
+        scene.add(Wind(ball.at("c"), pi.profile.sine(1.0, 2.0), size, name="wind"))
+        scene.add(pi.PointMass(ball.at("c"), 0.1, name="tip"))
+        run = pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=0.01))
+        return pi.gradient(run, pi.objective.Deviation("tip", lambda t: np.zeros(2)), ["wind.size"])["wind.size"]
+
+    assert slope(2) == pytest.approx(slope(2.0), rel=1e-9) and slope(2) > 0.0
+
+
 def test_slopes_in_time():
     """Of each entry by itself, beside elements of the scene that are laws of state too."""
     model = driven()

@@ -362,6 +362,13 @@ def test_an_energy_that_is_not_that_of_the_elastic_force_is_told():
             pi.solve(model, 0.1, method)
 
 
+@pytest.mark.parametrize("function, arguments", [("elastic", "self, z"), ("energy", "self, z"), ("attachments", "self")])
+def test_a_function_with_other_arguments_is_named(function, arguments):
+    wrong = dataclass(frozen=True, eq=False)(type("Wrong", (Spring,), {function: lambda self, t, z: 0.0}))
+    with pytest.raises(pi.InputError, match=rf"'spring': {function}: its arguments must be \({arguments}\)"):
+        pi.Scene().add(wrong(name="spring"))
+
+
 def hung(kind, **options):
     """A spring of one's own that hangs on the ground, with a mass and a force element."""
     scene = pi.Scene(gravity=(0.0, -G))

@@ -154,7 +154,12 @@ def test_a_run_that_goes_on_is_the_same_to_the_last_bit(integrator):
 
 @pytest.mark.parametrize(
     "changes, words",
-    [({"period": 0.0}, "period = 0.0"), ({"sample": pi.Controller.sample}, "gives no sample"), ({"outputs": ()}, "outputs = ()")],
+    [
+        ({"period": 0.0}, "period = 0.0"),
+        ({"sample": pi.Controller.sample}, "gives no sample"),
+        ({"sample": lambda self, t, x, v: [0.0]}, "sample: its arguments must be (self, t, x, v, s, u)"),
+        ({"outputs": ()}, "outputs = ()"),
+    ],
 )
 def test_wrong_controllers_are_refused_by_name(changes, words):
     wrong = dataclass(frozen=True, eq=False)(

@@ -123,6 +123,10 @@ def test_strongly_damped_elements_take_as_many_steps_of_ida_as_with_the_exact_ma
         ({"rates": pi.ForceElement.rates}, "no rates"),
         ({"sizes": lambda self: [0.0]}, "1 positive numbers"),
         ({"start": lambda self: [0.0, 1.0]}, "1 finite numbers"),
+        ({"rates": lambda self, t, x, v: [0.0]}, "rates: its arguments must be (self, t, x, v, s)"),
+        ({"energy": lambda self, x: 0.0}, "energy: its arguments must be (self, x, s)"),
+        ({"gap": lambda self, x, s: 1.0}, "gap: its arguments must be (self, x)"),
+        ({"start": lambda self, t: [0.0]}, "start: its arguments must be (self)"),
     ],
 )
 def test_wrong_states_are_refused_by_name(changes, words):

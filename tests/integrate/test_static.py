@@ -174,6 +174,18 @@ def test_what_hangs_is_found_though_nothing_holds_it_before_it_is_stretched(scen
     assert found.stable and reaction(model, found, "hook") == pytest.approx([0.0, scenes.PLATE_MASS * 9.81], abs=1e-8)
 
 
+@pytest.mark.parametrize("length", [1e-9, 1e-5, 1e6])
+def test_an_equilibrium_does_not_depend_on_the_unit_of_length(length):
+    def angle(length):
+        scene = pi.Scene(gravity=(0.0, -9.81))
+        bar = scene.add(pi.RigidBody.bar(length, 1.0, name="bar"))
+        scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+        scene.add(pi.SpringDamper(pi.ground.at((0.0, -2.0 * length)), bar.at("right"), stiffness=9.81 / length, name="spring"))
+        return pi.static(scene.build()).q / length
+
+    assert np.abs(angle(length) - angle(1.0)).max() < 1e-9
+
+
 def test_a_clamped_rigid_body_rests_where_it_is():
     """Nothing is elastic: K = 0."""
     scene = pi.Scene((0.0, -9.81))
