@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.signal import StateSpace
+from scipy.signal import StateSpace, TransferFunction
 
 import polyida as pi
 from polyida.problems.plates import double_plate
@@ -210,6 +210,8 @@ def test_systems_of_scipy_and_python_control_go_in_as_they_are():
     for system in (K.to_discrete(0.01), SimpleNamespace(A=K.A, B=K.B, C=K.C, D=K.D, dt=True)):
         with pytest.raises(pi.InputError, match="drive.*in discrete time.*polyida.Controller"):
             pi.LinearController(at, system, name="drive")
+    with pytest.raises(pi.InputError, match="A is a TransferFunctionContinuous; give its to_ss"):
+        pi.LinearController(at, TransferFunction([1.0], [1.0, 2.0]))
 
 
 @pytest.mark.parametrize("integrator, most", [(pi.GeneralizedAlpha(h=1e-3), 2.2), (pi.EnergyMomentum(h=1e-3), 5.0)])
