@@ -26,7 +26,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
-from polyida.integrate.static import FREE, Equilibrium
+from polyida.integrate.static import FREE, Equilibrium, Loading
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
@@ -240,6 +240,8 @@ def gradients_of_state(subject, objectives, names=None):
     _require_no_velocity_rows("gradient", guard(subject.model), "equilibria and modes have", "runs have")
     totals, counts = Totals(subject.model, names), Counts()
     equilibrium = subject.state if isinstance(subject, Modes) else subject
+    if isinstance(equilibrium, Equilibrium) and equilibrium.linear and guard(subject.model).k:
+        raise InputError("gradient: small displacements of models with first-order states have no adjoint; leave out linear=True")
     system, gradients = lru_cache(maxsize=1)(partial(_static_system, equilibrium, counts)), []
     for objective in objectives:
         own, totals = slopes_at(objective, objective.slopes(subject), subject, slice(0, 1)), totals.empty()
@@ -258,10 +260,10 @@ def _about(equilibrium):
 def _static_system(equilibrium, counts):
     """The factored KKT matrix of an equilibrium. Raises StepFailure if it is singular."""
     model, t, (q, lam) = guard(equilibrium.model), equilibrium.t, _about(equilibrium)
-    still = np.zeros(model.n)
+    none = np.zeros(model.n)
     counts.tangents, counts.factorizations = 1, 1
-    try:
-        return KKT(model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0), model.phi_q(t, q))
+    try:  # the unknowns that belong to states are velocities
+        return KKT(Loading(model, t, none, none, 1.0, 1).stiffness(q + equilibrium.v, lam), model.phi_q(t, q))
     except SingularSystem:
         raise StepFailure("singular", FREE, t) from None
 
@@ -273,7 +275,7 @@ def _add_static(equilibrium, system, own, totals, counts):
     still, none = np.zeros(model.n), np.zeros(model.m)
     counts.solves += 1
     w, mu = system.solve(j_q, j_lam, transposed=True)
-    entry = (t, _about(equilibrium)[0], still, still, lam, w, mu)
+    entry = (t, _about(equilibrium)[0], equilibrium.v, still, lam, w, mu)
     totals.add(AdjointMultipliers(*(np.asarray(x, float)[None] for x in entry)))
     if equilibrium.linear:
         totals.add(AdjointMultipliers(*along_way(model, t, still, none, equilibrium.q, w, mu)))

@@ -122,13 +122,11 @@ class Loading:
             return K
         from scipy.sparse import csc_array, diags_array
 
-        chosen = np.zeros(model.n)
+        chosen, stay = np.zeros((2, model.n))
         chosen[model.state_columns] = 1.0
         K = csc_array(K) + csc_array(model.force_v(self.t, *state[:2])) @ diags_array(chosen)
-        zero_rows, zero_columns = (abs(K).sum(axis=axis) == 0.0 for axis in (1, 0))
-        # the second: the component beside an odd number of states
-        unknown = (zero_rows & (chosen > 0.0)) | (zero_rows & zero_columns)
-        return (K + diags_array(unknown.astype(float))).tocsc()
+        stay[model.hidden] = abs(K).sum(axis=1)[model.hidden] == 0.0
+        return (K + diags_array(stay)).tocsc()
 
     def multipliers(self, q, factor):
         """lam (m,) that best balances the forces at q, for all stiffness may come from it. Raises InputError for redundant constraints."""
@@ -389,11 +387,11 @@ def input_direction(part, model, state, value):
         return InputDirection("", force, np.zeros(model.m))
     if not value or value not in names:
         raise InputError(f"{part}: no load or motor with a profile is called {value!r}; known: {known}")
-    number, zero, t, q = names.index(value), np.zeros(model.n), state.t, state.q
+    number, rest, t, q = names.index(value), state.v - model.without_states(state.v), state.t, state.q
 
     def equations(s):
         pushed = model.pushed(t, number, s)
-        return np.concatenate([pushed.residual(t, q, zero, zero, state.lam), pushed.phi(t, q)])
+        return np.concatenate([pushed.residual(t, q, rest, np.zeros(model.n), state.lam), pushed.phi(t, q)])
 
     slope = differences.along(equations)
     if not slope.any():

@@ -174,6 +174,34 @@ def test_what_hangs_is_found_though_nothing_holds_it_before_it_is_stretched(scen
     assert found.stable and reaction(model, found, "hook") == pytest.approx([0.0, scenes.PLATE_MASS * 9.81], abs=1e-8)
 
 
+def hinged_with_a_controller():
+    """A bar of 1 kg, on a hinge, with a spring, 3 N m/rad, and a controller, 40 N m/rad towards 0.3 rad; its stiffness in translation is zero."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    scene.add(pi.TorsionSpring(pi.ground, bar.at("left"), stiffness=3.0, name="spring"))
+    scene.add(pi.PID(bar.at("left"), kp=40.0, kd=8.0, target=0.3, filter=0.01, name="pid"))
+    scene.add(pi.PointMass(bar.at("right"), 1e-9, name="tip"))
+    return scene.build()
+
+
+def test_small_displacements_with_first_order_states():
+    rest = pi.static(hinged_with_a_controller(), linear=True)
+    assert rest.x[1] == pytest.approx((40.0 * 0.3 - 0.5 * 9.81) / 43.0, rel=1e-7)
+
+
+def test_gradients_of_equilibria_with_first_order_states():
+    """`40 (0.3 - angle) = 3 angle + m g cos(angle)/2` with the slope of the mean square distance `2 - 2 cos(angle)` in kp."""
+    model = hinged_with_a_controller()
+    rest, path = pi.static(model), pi.objective.Deviation("tip", lambda t: np.array([1.0, 0.0]))
+    angle = rest.x[1]
+    slope = 2.0 * np.sin(angle) * (0.3 - angle) / (43.0 - 0.5 * 9.81 * np.sin(angle))
+    assert pi.gradient(rest, path, ["pid.kp"])["pid.kp"] == pytest.approx(slope, rel=1e-7)
+    assert max(pi.check_gradient(rest, path, ["pid.kp", "pid.value", "spring.stiffness", "bar.mass"]).values()) < 1e-7
+    with pytest.raises(pi.InputError, match="small displacements of models with first-order states"):
+        pi.gradient(pi.static(model, linear=True), path)
+
+
 @pytest.mark.parametrize("length", [1e-9, 1e-5, 1e6])
 def test_an_equilibrium_does_not_depend_on_the_unit_of_length(length):
     def angle(length):

@@ -60,3 +60,26 @@ def test_frequency_response_of_a_driven_motor():
     right = k / (s * (J * s * (L * s + R) + k * k))  # of the angle on the voltage
     found = pi.frequency_response(model, None, "motor", "rim", f).values[:, 1]
     assert found == pytest.approx(right, rel=1e-6)
+
+
+def test_the_input_of_a_controller_is_linearised_at_its_states():
+    """`J w' = kp e + I - kd (angle - z)/T - m g cos(angle)/2`: with z at rest the torque is far below its limit, with z = 0 far above."""
+    kp, ki, kd, T, at, J, pull = 40.0, 30.0, 8.0, 0.01, 0.3, 1.0 / 3.0, 0.5 * 9.81
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    scene.add(pi.PointMass(bar.at("right"), 1e-12, name="tip"))
+    scene.add(pi.PID(bar.at("left"), kp=kp, ki=ki, kd=kd, target=at, filter=T, limit=12.0, name="pid"))
+    model = scene.build()
+    A = np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [(pull * np.sin(at) - kp - kd / T) / J, 0.0, 1.0 / J, kd / T / J],
+            [-ki, 0.0, 0.0, 0.0],
+            [1 / T, 0.0, 0.0, -1 / T],
+        ]
+    )
+    frequencies = np.array([0.1, 1.0, 5.0])
+    exact = [np.linalg.solve(2j * np.pi * f * np.eye(4) - A, [0.0, kp / J, ki, 0.0])[0] for f in frequencies]
+    response = pi.frequency_response(model, pi.static(model), "pid", "tip", frequencies)
+    assert np.allclose(response.values, np.outer(exact, [-np.sin(at), np.cos(at)]), rtol=1e-5, atol=0.0)
