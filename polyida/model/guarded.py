@@ -97,15 +97,15 @@ def _require_counted(model):
         raise InputError(f"{name}: algebraic = {model.algebraic!r:.60} states, but its class gives no rates(t, q, v, x)")
 
 
-def _require_arguments(model):
+def _require_arguments(user):
     """Raise InputError for a function of a user's model that does not take its arguments; OwnStates says which take the states."""
     for name in ASKED:
-        if not writes(model, name) or (name in OF_CONSTRAINTS and not model.m) or (name in ("psi", "psi_v") and not model.p):
+        if not writes(user, name) or (name in OF_CONSTRAINTS and not user.m) or (name in ("psi", "psi_v") and not user.p):
             continue
-        function, arguments = getattr(model, name), arguments_of(name)
-        if not (takes(function, len(arguments)) or writes(model, "rates") and takes(function, len(arguments) + 1)):
+        function, arguments = getattr(user, name), arguments_of(name)
+        if not (takes(function, len(arguments)) or writes(user, "rates") and takes(function, len(arguments) + 1)):
             given = f"it takes {signature(function)}" if callable(function) else f"it is {type(function).__name__}"
-            raise InputError(f"{type(model).__name__}.{name} must be a function {name}({', '.join(['self', *arguments])}); {given}")
+            raise InputError(f"{type(user).__name__}.{name} must be a function {name}({', '.join(['self', *arguments])}); {given}")
 
 
 def unguarded(model):
