@@ -9,19 +9,17 @@ from scipy.spatial import cKDTree
 
 import polyida as pi
 from designed_in_motion.machines import KEPT, MACHINES
-from polyida.design.solid import KEPT as KEPT_SOLID
 
-ARM = replace(MACHINES["arm"], radius=0.05)  # of the filter, m, the same for all meshes
-UPPER = {"Deviation tip": 4e-5, "PeakTorque arm motor": 80.0, "PeakStress arm": 1e6}  # m2, N m, Pa
+ARM = MACHINES["arm"]
+TORQUE, STRESS = 80.0, 1e6  # limits, N m, Pa; that of the deviation varies: its least value of static designs hardly falls with their mass
 LOADS = {"tip load": ((0.0, -1.0), (0.0, 0.0)), "tip load and weight": ((0.0, -1.0), (0.0, -1.0))}  # N, m/s2
-VOLUME = {"full": (0.5, (0.05, 0.025, 0.0125, 0.00625)), "short": (0.5, ())}  # of static designs: the first, and the steps of its search
 CHANGES = {"full": 150, "short": 20}  # of solid designs, at most
 STAGE = pi.design.Stage
 REST = (STAGE(20, 5.0), STAGE(14, 10.0, 2.0), STAGE(14, 15.0, 4.0), STAGE(16, 20.0, 8.0), STAGE(16, 20.0, 16.0))
-NEAR = {  # then, in motion or not; larger moves exceed the limits and end with heavier designs
-    "full": (STAGE(8, 20.0, 16.0, move=0.2),) * 5 + (STAGE(8, 20.0, 32.0, move=0.1),) * 6,
-    "short": (STAGE(7, 20.0, 16.0, move=0.2),) * 2 + (STAGE(5, 20.0, 32.0, move=0.1),) * 2,
-}
+NEAR = {"full": (STAGE(8, 20.0, 16.0, move=0.2),) * 2 + (STAGE(8, 20.0, 32.0, move=0.1),) * 2}  # the end of static designs
+NEAR["short"] = NEAR["full"][::2]
+MOTION = {"full": (STAGE(25, 20.0, 8.0), STAGE(25, 20.0, 16.0), STAGE(20, 20.0, 32.0))}
+MOTION["short"] = (STAGE(15, 20.0, 8.0), STAGE(10, 20.0, 32.0))
 OTHERS = {  # the solid design once more
     "smaller steps": pi.GeneralizedAlpha(h=ARM.h / 2.5, tolerance=1e-6),
     "RadauIIA": pi.RadauIIA(rtol=1e-4),
@@ -40,27 +38,31 @@ def at_rest(model):
     return pi.static(model, linear=True)
 
 
-def limits():
+def limits(deviation):
     """The limits of the motion."""
     objectives = (pi.objective.Deviation("tip", ARM.path), pi.objective.PeakTorque("arm motor", p=12), pi.objective.PeakStress("arm", p=12))
-    return [pi.objective.Limit(one, upper) for one, upper in zip(objectives, UPPER.values())]
+    return [pi.objective.Limit(one, upper) for one, upper in zip(objectives, (deviation, TORQUE, STRESS))]
 
 
-def static_design(mesh, load, volume, stages, start=None):
-    """The Design of least compliance under a load, with a share `volume` of the arm's mass."""
+def held(load):
+    """A function that builds the arm's model on a mesh with its motor held, under a load."""
     force, gravity = LOADS[load]
-    model = ARM.scene([mesh], gravity=gravity, load=force).build()
+    return lambda arm: ARM.scene([arm], gravity=gravity, load=force).build()
+
+
+def static_design(mesh, load, volume, stages):
+    """The Design of least compliance under a load, with a share `volume` of the arm's mass."""
+    model = held(load)(mesh)
     whole = pi.objective.Mass("arm")(at_rest(model))
-    variable = pi.design.Densities("arm", ARM.radius, KEPT, volume if start is None else start)
+    variable = pi.design.Densities("arm", ARM.radius, KEPT, volume)
     limit = pi.objective.Limit(pi.objective.Mass("arm"), volume * whole)
     return quietly(pi.objective.Compliance(), [limit], [variable], pi.design.Case(model, at_rest), stages)
 
 
-def moving_design(mesh, start, stages):
-    """The Design of least mass within the limits of the motion, from variables `start`."""
-    model = ARM.scene([mesh]).build()
+def in_limits(mesh, start, deviation):
+    """The objective, limits, variables and case of the least mass in motion."""
     variable = pi.design.Densities("arm", ARM.radius, KEPT, start)
-    return quietly(pi.objective.Mass("arm"), limits(), [variable], pi.design.Case(model, in_motion), stages)
+    return pi.objective.Mass("arm"), limits(deviation), [variable], pi.design.Case(ARM.scene([mesh]).build(), in_motion)
 
 
 def quietly(*arguments):
@@ -70,49 +72,23 @@ def quietly(*arguments):
         return pi.design.minimise(*arguments)
 
 
-def judged(design, effort="short", changes=0, mesh=None):
-    """The SolidDesign by the limits of the motion: of a level, or on a mesh."""
+def judged(design, effort, **how):
+    """The SolidDesign by the limits of the motion; how: more arguments of `pi.design.solid`."""
     others = OTHERS if effort == "full" else {"smaller steps": OTHERS["smaller steps"]}
+    runs = {name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # the rows have what exceeds limits
-        solid = pi.design.solid(
-            design,
-            lambda arm: ARM.scene([arm if mesh is None else mesh]).build(),
-            others={name: lambda model, integrator=integrator: in_motion(model, integrator) for name, integrator in others.items()},
-            changes=changes,
-            **({} if mesh is None else {"levels": [0.0]}),
-        )
-    return solid if mesh is None else replace(solid, meshes={"arm": mesh})
+        return pi.design.solid(design, lambda arm: ARM.scene([arm]).build(), others=runs, **how)
 
 
-def lightest(mesh, load, effort):
-    """(volume, its `judged_static`) of the lightest solid static design that keeps the limits within 3 %: a pattern search over volumes."""
-    best, steps = VOLUME[effort]
-    known = {best: judged_static(mesh, load, best, effort)}
-    for step in steps:
-        for volume in (round(best - step, 6), round(best + step, 6)):
-            if volume not in known:
-                known[volume] = judged_static(mesh, load, volume, effort)
-        best = min(known, key=lambda one: merit(known[one][1]))
-    return best, known[best]
-
-
-def merit(solid):
-    """Limits first, then the mass."""
-    return max(solid.excess, KEPT_SOLID), solid.table.loc["objective", "solid"]
-
-
-def judged_static(mesh, load, volume, effort):
-    """(Design by the limits of the motion, SolidDesign) of the least compliance: of a level, or moved on by cells to less compliance at its mass."""
-    rest = static_design(mesh, load, volume, REST + NEAR[effort])
-    variable, case = pi.design.Densities("arm", ARM.radius, KEPT), pi.design.Case(ARM.scene([mesh]).build(), in_motion)
-    moving = pi.design.Problem(pi.objective.Mass("arm"), limits(), [variable], case)
+def judged_static(rest, mesh, load, deviation, effort):
+    """(Design by the limits of the motion, SolidDesign) of a static Design: of a level, or moved on by cells to less compliance at its mass."""
+    moving = pi.design.Problem(*in_limits(mesh, rest.x, deviation))
     found = moving.evaluate(rest.x, rest.sharp)
     kept = {label: (float(value), limit.upper) for label, value, (limit, _) in zip(moving.labels, found.largest[1:], moving.held)}
+    still = pi.design.solid(rest, held(load), changes=CHANGES[effort])
     design = replace(rest, problem=moving, objective=float(found.values[0]), limits=kept)
-    force, gravity = LOADS[load]
-    still = pi.design.solid(rest, lambda arm: ARM.scene([arm], gravity=gravity, load=force).build(), changes=CHANGES[effort])
-    return design, min((judged(design), judged(design, mesh=still.meshes["arm"])), key=merit)
+    return design, judged(design, effort, start=still.meshes)
 
 
 def nearest(mesh, solid):
@@ -120,22 +96,23 @@ def nearest(mesh, solid):
     return cKDTree(mesh.cell_centroids).query(solid.cell_centroids)[1].tolist()
 
 
-def row(cells, way, effort, load="tip load and weight", volume=0.5):
-    """One row: a design in motion that begins with the static one of a load and volume, or the lightest static design under that load."""
+def row(cells, way, effort, deviation, load="tip load and weight", volume=0.5):
+    """One row: a static design, or the one in motion that begins there; `deviation` is the limit, of static designs only for what is reported."""
     mesh, begun = ARM.mesh(cells), (time.perf_counter(), time.process_time())
     history, excesses = [], []
     if way == "in motion":
-        design = moving_design(mesh, static_design(mesh, load, volume, REST).x, NEAR[effort])
+        rest = static_design(mesh, load, volume, REST[:4])
+        design = quietly(*in_limits(mesh, rest.x, deviation), MOTION[effort])
         history, excesses = (design.history[name].tolist() for name in ("objective", "excess"))
-        solid = judged(design, effort, changes=CHANGES[effort])
+        start = pi.design.solid(static_design(mesh, load, volume, REST), held(load)).meshes
+        solid = judged(design, effort, changes=CHANGES[effort], start=start)
     else:
-        volume, (design, solid) = lightest(mesh, load, effort)
+        design, solid = judged_static(static_design(mesh, load, volume, REST + NEAR[effort]), mesh, load, deviation, effort)
     spent = time.perf_counter() - begun[0], time.process_time() - begun[1]
     names = dict(zip(solid.table.index, ("mass", "deviation", "torque", "stress")))
     rho = np.asarray(design.values["arm"])
     return {
         **{f"{name}_{column}": float(value) for column in solid.table for name, value in zip(names.values(), solid.table[column])},
-        "volume_found": volume,
         "excess": solid.excess,
         "at": solid.at,
         "grey": float(4.0 * (mesh.cell_areas / mesh.area) @ (rho * (1.0 - rho))),
