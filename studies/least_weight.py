@@ -134,7 +134,7 @@ def mass_figure(rows):
         of_mesh = pick(rows, part="arm", cells=cells)
         kinds = {load: [r for r in of_mesh if r["way"] == "static" and r.get("load", "tip load and weight") == load] for load in arm.LOADS}
         for i, (name, shown) in enumerate((kinds | {"in motion": [r for r in of_mesh if r["way"] == "in motion"]}).items()):
-            ax.loglog(
+            ax.semilogy(
                 *([row[f"{what}_solid"] for row in shown] for what in ("mass", "deviation")),
                 label=name,
                 **marker_style(i) | {"linestyle": ""},
