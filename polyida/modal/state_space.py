@@ -252,7 +252,8 @@ def linearise(
         "acceleration" or "reaction" (of a joint), or a vector w (n,) for `w^T q`. By default the places of all masses and loads, or all of q.
     modes : int or Modes, optional
         Number of modes, or the modes, that are the coordinates. By default all n - m, an orthonormal basis on the constraints: then the
-        eigenvalues of A are the roots of `pi.modes(..., damped=True)`, and two zeros for each motor.
+        eigenvalues of A are the roots of `pi.modes(..., damped=True)`, and two zeros for each motor. Modes are those with first-order states
+        held: the filter of a PID is then a stiff spring, and few modes give poor roots; compare with more, or with modes=None.
 
     Returns
     -------
