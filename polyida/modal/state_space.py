@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.assembly.own_forces import slopes_of
 from polyida.errors import InputError
 from polyida.integrate.state import State
 from polyida.integrate.static import input_direction, input_names
 from polyida.joint.attachment import Attachment
-from polyida.linear.lu import SingularSystem
+from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT
 from polyida.modal import eigen
 from polyida.modal.eigen import MOST, NO_MASS, linear_system
@@ -75,9 +76,14 @@ def _basis(part, system, modes):
     """(T, units and names of first-order states); with these the velocities of states are the last columns of T."""
     if not system.model.k:
         return _basis_of_places(part, system, modes), np.zeros(0), []
+    held = system.with_states_held()
     if isinstance(modes, Modes):
         modes = replace(modes, shapes=modes.shapes[:, system.places])
-    T = system.whole(_basis_of_places(part, system.with_states_held(), modes))
+    elif modes is not None and system.model.is_scene:  # a filter that is held would be a stiff spring
+        model, state = system.model, system.state
+        K = slopes_of([own for own in model.own_forces if own.names], state.t, state.q, state.v, 0.0, 1.0)[system.places][:, system.places]
+        held = replace(held, K=held.K - (dense(K) if isinstance(held.K, np.ndarray) else K))
+    T = system.whole(_basis_of_places(part, held, modes))
     S, units, names = eigen.state_basis(system, T)
     return np.hstack([T, S]), units, names
 
@@ -252,8 +258,8 @@ def linearise(
         "acceleration" or "reaction" (of a joint), or a vector w (n,) for `w^T q`. By default the places of all masses and loads, or all of q.
     modes : int or Modes, optional
         Number of modes, or the modes, that are the coordinates. By default all n - m, an orthonormal basis on the constraints: then the
-        eigenvalues of A are the roots of `pi.modes(..., damped=True)`, and two zeros for each motor. Modes are those with first-order states
-        held: the filter of a PID is then a stiff spring, and few modes give poor roots; compare with more, or with modes=None.
+        eigenvalues of A are the roots of `pi.modes(..., damped=True)`, and two zeros for each motor. A number of modes is taken without force
+        elements that have first-order states.
 
     Returns
     -------

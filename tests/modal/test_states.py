@@ -83,3 +83,18 @@ def test_the_input_of_a_controller_is_linearised_at_its_states():
     exact = [np.linalg.solve(2j * np.pi * f * np.eye(4) - A, [0.0, kp / J, ki, 0.0])[0] for f in frequencies]
     response = pi.frequency_response(model, pi.static(model), "pid", "tip", frequencies)
     assert np.allclose(response.values, np.outer(exact, [-np.sin(at), np.cos(at)]), rtol=1e-5, atol=0.0)
+
+
+def test_few_modes_of_an_arm_have_the_roots_of_its_controller():
+    """The filter of a PID, held, would be a spring of kd / filter = 10 kp, in which the modes would hardly turn."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    mesh, rubber = pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), pi.Material(E=50e6, nu=0.3, rho=1100.0)
+    arm = scene.add(pi.Plate(mesh, rubber, thickness=0.01, name="arm"))
+    scene.add(pi.Revolute(pi.ground, arm.section("left"), name="hub"))
+    scene.add(pi.PID(arm.section("left"), kp=80.0, ki=100.0, kd=8.0, target=0.3, filter=0.01, name="pid"))
+    scene.add(pi.PointMass(arm.section("right"), 0.1, name="tip"))
+    model = scene.build()
+    state = pi.static(model)
+    slow = pi.modes(model, state=state, damped=True, count=2).roots
+    for root in slow[np.argsort(np.abs(slow))][:2]:
+        assert np.abs(np.linalg.eigvals(pi.linearise(model, state, modes=8).A) - root).min() < 0.1 * abs(root)
