@@ -262,7 +262,8 @@ class _Steps:
             q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
             moved, count = norm(dq), count + 1
             if not np.isfinite(moved):
-                raise StepFailure("not finite", self.model.not_finite or "the residual is not finite", t)
+                why = "Newton's method diverges, take smaller steps" if last else "the residual is not finite"
+                raise StepFailure("not finite", self.model.not_finite or why, t)
             fall = moved / last if last else 1.0
             (least, most, share), accel = self.tolerances, max(norm(before), norm(a))
             allowed = min(max(least * accel, share * norm(a - before)), most * accel) / to_a
