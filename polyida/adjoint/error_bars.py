@@ -126,7 +126,7 @@ class ErrorBars:
         if not (is_number(aim) and aim > 0):
             raise InputError(f"h_for: aim = {aim!r} must be a positive number in the unit of J")
         if self.h is None or not self.time:
-            raise InputError("h_for: the run has no constant step or no error of time; estimate the error of a run with fixed steps")
+            raise InputError("h_for: no constant step or no error of time; it takes estimates of runs of GeneralizedAlpha with fixed steps")
         return self.h * float(np.sqrt(aim / abs(self.time)))
 
     def plot_steps(self, axes: Axes | None = None) -> Axes:
@@ -272,7 +272,7 @@ def error_of(
     with one_blas_thread():
         model = run.known_model("error_of")
         if run.events.given or len(run.events):
-            raise InputError("error_of: the run has located events, whose times have errors of their own that are not estimated")
+            raise InputError("error_of: the run has events or impacts, whose times have errors of their own that are not estimated")
         if not isinstance(run.integrator, GeneralizedAlpha):
             if not again:
                 name = type(run.integrator).__name__

@@ -61,7 +61,7 @@ class RowTable:
                 continue
             at_rest = _at_rest(row)
             if row.gap and not held and at_rest < -CLOSED * self._size:
-                raise InputError(f"{name}: its sides are {-at_rest:.3g} m within each other at rest; {_how_to_close(part)}")
+                raise InputError(f"{name}: its sides are {-at_rest:.3g} m within each other at rest; {_how_to_close(part, apart=False)}")
             if not (row.rate or row.driven or row.gap or held) and abs(at_rest) > CLOSED * self._size:
                 raise InputError(f"{name}: it does not hold at rest, phi = {at_rest:.3g}; {_how_to_close(part)}")
             if edges:
@@ -223,16 +223,16 @@ def _line(error):
     return f", in `{lines[-1]}`" if lines else ""
 
 
-def _how_to_close(part):
-    """Advice about a part whose rows do not hold at rest."""
+def _how_to_close(part, apart=True):
+    """Advice about a part whose rows do not hold at rest; apart: True if the distance of its places says by how much."""
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
     sides = []
     for side in (part.a, part.b):
         x, y = (round(float(value), 12) + 0.0 for value in side.point)  # without round-off of zero, which differs between machines
         sides.append(repr(side) if isinstance(side, Ground) else f"{side!r} at ({x:.6g}, {y:.6g})")
-    apart = np.linalg.norm(part.a.point - part.b.point)
-    return f"its sides are {' and '.join(sides)}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
+    distance = f", {np.linalg.norm(part.a.point - part.b.point):.3g} m apart" if apart else ""
+    return f"its sides are {' and '.join(sides)}{distance}; {part.placing}, or let scene.assemble() move them"
 
 
 def _at_rest(row):

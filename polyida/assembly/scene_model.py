@@ -34,7 +34,7 @@ from polyida.linear.lu import dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model import NONE, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.model.row_laws import require_no_laws
+from polyida.model.row_laws import require_no_laws, violation
 from polyida.profile import Profile
 from polyida.validation import pairs_of
 
@@ -152,9 +152,10 @@ class SceneModel(SceneBodies):
         other._use_parts(held, left_out)
         other.columns = np.setdiff1d(np.arange(self.m), left_out)
         for name, at in since.items():
-            gap = float(np.abs(other.phi(float(at[0]), at[1:])[other.rows[name]]).max(initial=0.0))
-            if gap > CLOSED * self.extent:
-                raise InputError(f"{name!r} does not fit where it is added: it is open by {gap:.3g} m")
+            off = violation(other, other.phi(float(at[0]), at[1:]))[other.rows[name]]
+            if np.abs(off).max(initial=0.0) > CLOSED * self.extent:
+                how = "penetrated" if any(law.name == name and law.is_contact for law in other.row_laws) else "open"
+                raise InputError(f"{name!r} does not fit where it is added: it is {how} by {np.abs(off).max():.3g} m")
         if since or self.treats_redundant == "least-norm":
             at = list(since.values())[-1] if since else np.zeros(1 + self.n)
             other.columns = other._leave_out_redundant(float(at[0]), at[1:], held, left_out)

@@ -232,6 +232,18 @@ def test_joint_that_does_not_fit_stops_the_run():
     assert run.t[-1] == pytest.approx(QUARTER, abs=1e-6)
 
 
+@pytest.mark.parametrize("height, message", [(0.3, ""), (0.1, "'late' does not fit where it is added: it is penetrated by 0.1 m")])
+def test_a_contact_that_is_open_is_added_in_the_motion(height, message):
+    scene, r = pi.Scene(gravity=(0.0, -G)), 0.2
+    disc = scene.add(pi.RigidBody(1.0, 0.02, points={"c": (0.0, 0.0)}, origin=(0.0, 0.5), name="disc"))
+    late = pi.Contact(disc.at("c"), pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), disc=r, name="late")
+    add = pi.Event(when=lambda s: 0.5 + s.q[1] - height, then=late, name="add")
+    run = pi.solve(scene.build(), 0.6, pi.NonsmoothAlpha(h=1e-3), events=[add])
+    assert message in run.message and run.success == (not message)
+    if run.success:
+        assert [one.name for one in run.events] == ["add", "late"] and abs(run.q[-1, 1] + 0.5 - r) < 1e-12
+
+
 def test_removed_pin_and_impulse():
     scene, rod = pendulum()
     push = pi.Impulse(rod.at("B"), (1.0, 2.0))
