@@ -190,6 +190,7 @@ def _merge_tolerance(tolerance):
 
 
 def path_of(path):
+    """Return the Path of a file. Raise InputError for what is no path."""
     try:
         return Path(path)
     except TypeError:
