@@ -229,7 +229,7 @@ def error_of(
     objective : Objective
         The quantity J, one of `pi.objective`.
     again : bool
-        True: solve the run again with 2 h (a third of the difference; all of it for MoreauJean), h / 2 (RadauIIA) or a tenth of the tolerances,
+        True: solve the run again with 2 h (a third of the difference; all of it for a method of first order), h / 2 (RadauIIA) or a tenth of the tolerances,
         with three more fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
     memory_limit : float, bytes
         As of `pi.gradient`.

@@ -247,7 +247,7 @@ class Contacts:
         slip = self.slip(group, self.rates(t, q, v), self.still(v))
         if status is not None:
             slip[status[rows] == STICKS] = 0.0
-        slip = np.where(slip == 0.0, begins if np.ndim(begins) == 0 else begins[rows], slip)
+        slip = np.where(slip == 0.0, np.broadcast_to(begins, len(self.rows))[rows], slip)
         B, start = self.slopes(t, q, rows), np.zeros(len(rows)) if p is None else p[rows]
         (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[group.of_model]
         passes = group.friction & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
@@ -275,9 +275,10 @@ class Contacts:
         B, p, before = self.slopes(t, q, rows), p[rows], before[rows]
         (X, Y, G), slip, rate = self.mass_columns(t, q, B), self.slip(group, rate, self.still(v)), rate[group.of_model]
         free, back = rate - h * (G @ p), self.restitution[rows] * np.minimum(before, 0.0)
-        if some := back.any():
+        if bounces := back.any():
             back = back if plastic is None else np.where(plastic[rows], 0.0, back)
             back = np.where(np.abs(back) < np.abs(free - before), 0.0, back) if h else back
+            bounces = back.any()
         shift = 0.0 if wanted is None else -wanted[rows]
         start, size = h * p, self.mobility(B)
 
@@ -288,14 +289,14 @@ class Contacts:
             return P, status, change, 0.5 * (before + rate + G @ change) @ change
 
         P, status, change, work = rebound(1.0)
-        if some and work > GAINED * float(np.abs(before * change).sum()) and back.any():
+        if bounces and work > GAINED * float(np.abs(before * change).sum()):
             bounds = 0.0, 1.0
             for _ in range(HALVINGS if rebound(0.0)[3] < 0.0 else 0):
                 middle = 0.5 * sum(bounds)
                 bounds = (middle, bounds[1]) if rebound(middle)[3] <= 0.0 else (bounds[0], middle)
             back = bounds[0] * back
             P, status, change, _ = rebound(bounds[0])
-        if some:
+        if bounces:
             status[back != 0.0] = OPEN
         return v + X @ change, self.spread(group, P), Y @ change, self.spread(group, status)
 

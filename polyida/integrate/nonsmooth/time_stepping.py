@@ -124,8 +124,8 @@ class NonsmoothAlpha(TimeStepping):
 class MoreauJean(TimeStepping):
     """Time stepping of Moreau and Jean, of first order: `M (v_1 - v_0) + h g_theta + phi_q^T P = 0`, `q_1 = q_0 + h v_theta`.
 
-    The known yardstick: robust, with penetration and drift of the order of h. phi_q is that of the end of a step: a free body with the spin w
-    loses w at the rate h w^3 / 2, its size with theta = 1.
+    The known yardstick: robust, with penetration and drift of the order of h. phi_q is that of the end of a step: with theta = 1/2 the spin
+    w of a free body decreases at the rate h w^3 / 2, with theta = 1 the body shrinks instead.
 
     Parameters
     ----------
