@@ -60,9 +60,7 @@ ss, sa, sb, sc, sd = 0.035, 0.01874, 0.01043, 0.018, 0.02
 zf, zt, fa, ta, tb, u, ua, ub = 0.02, 0.04, 0.01421, 0.02308, 0.00916, 0.04, 0.01228, 0.00449
 h, k = e - ea, zf - fa
 
-# Each loop is a closed chain of arms in the complex plane: sum over arms of ARMS[loop, arm] exp(i angle) = ENDS[loop],
-# with the arms' angles TURNS q: beta, beta + Theta, gamma, Phi + delta, delta, Omega + epsilon, epsilon.
-TURNS = np.array(
+TURNS = np.array(  # the angles of the bodies' arms are TURNS q: beta, beta + Theta, gamma, Phi + delta, delta, Omega + epsilon, epsilon
     [
         [1, 0, 0, 0, 0, 0, 0],
         [1, 1, 0, 0, 0, 0, 0],
@@ -74,17 +72,15 @@ TURNS = np.array(
     ],
     float,
 )
-TURNED = TURNS.astype(complex)
-ARMS = np.array([[rr, -d, 1j * ss, 0, 0, 0, 0], [rr, -d, 0, 1j * e, -zt, 0, 0], [rr, -d, 0, 0, 0, -zf, 1j * u]])
 Q0 = np.array(
     [-0.06171389001427645, 0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256, -0.22266839016588588, 1.2305474445498212]
 )
-ENDS = np.array([xb + 1j * yb, xa + 1j * ya, xa + 1j * ya])
 
 
 def _arms(q):
-    """The arms of every loop as they stand, complex (3, 7)."""
-    return ARMS * np.exp(1j * (TURNS @ q))
+    """Cosines and sines of the angles of the arms, (7,) each."""
+    angles = np.array([q[0], q[0] + q[1], q[2], q[3] + q[4], q[4], q[5] + q[6], q[6]])
+    return np.cos(angles), np.sin(angles)
 
 
 def _couplings(masses):
@@ -172,18 +168,59 @@ class Andrews(Model):
         return result
 
     def phi(self, t, q):
-        return (_arms(q).sum(axis=1) - ENDS).view(np.float64)
+        c, s = _arms(q)
+        x, y = rr * c[0] - d * c[1], rr * s[0] - d * s[1]  # E, where the three loops meet
+        return np.array(
+            [
+                x - ss * s[2] - xb,
+                y + ss * c[2] - yb,
+                x - e * s[3] - zt * c[4] - xa,
+                y + e * c[3] - zt * s[4] - ya,
+                x - zf * c[5] - u * s[6] - xa,
+                y - zf * s[5] + u * c[6] - ya,
+            ]
+        )
 
     def phi_q(self, t, q):
-        loops = (1j * _arms(q)) @ TURNED
-        return np.stack((loops.real, loops.imag), axis=1).reshape(6, 7)
+        c, s = _arms(q)
+        result = np.zeros((6, 7))
+        result[::2, BETA], result[1::2, BETA] = d * s[1] - rr * s[0], rr * c[0] - d * c[1]
+        result[::2, THETA], result[1::2, THETA] = d * s[1], -d * c[1]
+        result[0, GAMMA], result[1, GAMMA] = -ss * c[2], -ss * s[2]
+        result[2, PHI], result[3, PHI] = -e * c[3], -e * s[3]
+        result[2, DELTA], result[3, DELTA] = zt * s[4] - e * c[3], -zt * c[4] - e * s[3]
+        result[4, OMEGA], result[5, OMEGA] = zf * s[5], -zf * c[5]
+        result[4, EPSILON], result[5, EPSILON] = zf * s[5] - u * c[6], -zf * c[5] - u * s[6]
+        return result
 
     def phi_bias(self, t, q, v):
-        return -(_arms(q) @ ((TURNS @ v) ** 2).astype(np.complex128)).view(np.float64)
+        c, s = _arms(q)
+        beta, theta, gamma, phi = v[0] ** 2, (v[0] + v[1]) ** 2, v[2] ** 2, (v[3] + v[4]) ** 2
+        delta, omega, epsilon = v[4] ** 2, (v[5] + v[6]) ** 2, v[6] ** 2
+        x, y = d * c[1] * theta - rr * c[0] * beta, d * s[1] * theta - rr * s[0] * beta
+        return np.array(
+            [
+                x + ss * s[2] * gamma,
+                y - ss * c[2] * gamma,
+                x + e * s[3] * phi + zt * c[4] * delta,
+                y - e * c[3] * phi + zt * s[4] * delta,
+                x + zf * c[5] * omega + u * s[6] * epsilon,
+                y + zf * s[5] * omega - u * c[6] * epsilon,
+            ]
+        )
 
     def reaction_q(self, t, q, lam):
-        pull = ((lam[::2] - 1j * lam[1::2]) @ _arms(q)).real
-        return -(TURNS.T * pull) @ TURNS
+        c, s = _arms(q)
+        x, y = lam[0] + lam[2] + lam[4], lam[1] + lam[3] + lam[5]
+        result = np.zeros((7, 7))
+        result[:2, :2] = d * (c[1] * x + s[1] * y)
+        result[BETA, BETA] -= rr * (c[0] * x + s[0] * y)
+        result[GAMMA, GAMMA] = ss * (s[2] * lam[0] - c[2] * lam[1])
+        result[3:5, 3:5] = e * (s[3] * lam[2] - c[3] * lam[3])
+        result[DELTA, DELTA] += zt * (c[4] * lam[2] + s[4] * lam[3])
+        result[5:, 5:] = zf * (c[5] * lam[4] + s[5] * lam[5])
+        result[EPSILON, EPSILON] += u * (s[6] * lam[4] - c[6] * lam[5])
+        return result
 
     def potential(self, q):
         return self.stiffness / 2 * (_spring(q[GAMMA])[2] - self.rest) ** 2 - self.torque * q[BETA]
