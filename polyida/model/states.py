@@ -5,6 +5,7 @@ equation of motion. Algebraic states are solved for where forces are evaluated. 
 """
 
 import ctypes
+from functools import cache
 from inspect import signature
 
 import numpy as np
@@ -171,9 +172,10 @@ def solved(f, s, sizes):
     return (s if ended == FOUND else np.full(len(s), np.nan)), WHY[ended]
 
 
+@cache
 def arguments_of(name):
     """Names of the arguments of a function of Model, without self."""
-    return list(signature(getattr(Model, name)).parameters)[1:]
+    return tuple(signature(getattr(Model, name)).parameters)[1:]
 
 
 class OwnStates:
