@@ -10,6 +10,7 @@ from polyida.body.body import writes
 from polyida.errors import InputError, StepFailure
 from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
+from polyida.linear.lu import summed
 from polyida.model import differences
 from polyida.model.differences import along
 from polyida.model.states import solved
@@ -227,7 +228,7 @@ class OwnForce:
 class Elastic(OwnForce):
     """The elastic force of a user's body, as a force on its pairs."""
 
-    strain, placed = True, None
+    strain, placed, near = True, None, None
     switches = False
 
     def __init__(self, placed, n_pairs):
@@ -266,11 +267,18 @@ def take_from(r, forces, t, q, v):
         r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
 
+def slope_entries(forces, t, q, v, c_v, c_q):
+    """[(rows, columns, values)] of each force's `c_v dg/dv + c_q dg/dq`."""
+    entries = []
+    for own in forces:
+        block, at = -own.slopes(t, own.places(q), own.velocities(v), c_v, c_q), np.arange(q.size)[own.columns]
+        if own.near is not None:
+            block = own.near.T @ block @ own.near
+        rows, columns = np.nonzero(block)
+        entries.append((at[rows], at[columns], block[rows, columns]))
+    return entries
+
+
 def slopes_of(forces, t, q, v, c_v, c_q):
     """`c_v dg/dv + c_q dg/dq` of forces, (n, n) sparse."""
-    from scipy.sparse import csc_array
-
-    result = csc_array((q.size, q.size))
-    for own in forces:
-        result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
-    return result
+    return summed(slope_entries(forces, t, q, v, c_v, c_q), q.size)

@@ -309,8 +309,8 @@ def relaxed_velocities(model, q):
     return v
 
 
-def slopes(model, q, v, c_v, c_q):
-    """`c_v dr/dv + c_q dr/dq` of relaxation outside the blocks of the bodies, (n, n), sparse."""
+def slope_entries(model, q, c_v, c_q):
+    """[(rows, columns, values)] of `c_v dr/dv + c_q dr/dq` of relaxation outside the blocks of the bodies."""
     x, parts = model.arrays.relaxation, []
 
     for b, body in enumerate((*model.bodies, *model.few)):
@@ -325,7 +325,7 @@ def slopes(model, q, v, c_v, c_q):
             parts.append((B.row + at, B.col + first, -c_q * rate / x.unit * B.data))
             parts.append((states, states, np.full(len(states), c_v * rate)))
             at += len(states)
-    return _sparse(parts, (model.n, model.n)).tocsc()
+    return parts
 
 
 def _sparse(pieces, shape):

@@ -19,18 +19,19 @@ from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
-from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slopes_of, take_from
+from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
 from polyida.assembly.own_laws import NO_ENERGY, add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
-from polyida.assembly.relaxation import add_relaxing_forces, relaxation_energies, slopes, stiffness_changes
+from polyida.assembly.relaxation import add_relaxing_forces, relaxation_energies, stiffness_changes
+from polyida.assembly.relaxation import slope_entries as relaxation_entries
 from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.joint.formula import all_rows
 from polyida.joint.joint import Joint, held_at
-from polyida.linear.lu import dense
+from polyida.linear.lu import dense, summed
 from polyida.linear.saddle import StepMatrix
 from polyida.model import NONE, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
@@ -361,17 +362,25 @@ class SceneModel(SceneBodies):
 
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
-        from scipy.sparse import bsr_array
+        return summed(self._slope_entries(t, q, v, c_v, c_q), self.n)
 
-        indptr, indices = self.pattern
-        blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, c_v, c_q)
-        indptr = np.append(indptr, np.full(self.n_nodes - self.n_factored, indptr[-1], np.int32))
-        bodies = bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
+    def _slope_entries(self, t, q, v, c_v, c_q):
+        """[(rows, columns, values)] of `c_v dg/dv + c_q dg/dq`."""
+        entries = [(*self._block_entries, blocks_at(self, self._nodal(q), self._nodal(v), 0.0, c_v, c_q).ravel())]
         if self.uneven_drag is not None:
-            bodies = bodies + c_v * self.uneven_drag
+            drag = self.uneven_drag.tocoo()
+            entries.append((drag.row, drag.col, c_v * drag.data))
         if self.strains:
-            bodies = bodies + slopes(self, q, v, c_v, c_q)
-        return bodies if not self.own_forces else (bodies + slopes_of(self.own_forces, t, q, v, c_v, c_q)).tocsc()
+            entries += relaxation_entries(self, q, c_v, c_q)
+        return entries + slope_entries(self.own_forces, t, q, v, c_v, c_q)
+
+    @cached_property
+    def _block_entries(self):
+        """(rows, columns) of the entries of `blocks_at`."""
+        (indptr, indices), both = self.pattern, np.arange(2)
+        rows = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
+        at = np.broadcast_arrays(2 * rows[:, None, None] + both[:, None], 2 * indices[:, None, None] + both)
+        return tuple(each.ravel() for each in at)
 
     def mass_a_q(self, q, a):
         """d(M a)/dq: zero."""
@@ -382,7 +391,8 @@ class SceneModel(SceneBodies):
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse; c_m and c_v are real or complex."""
         c_v, c_v_imag, c_q = map(float, (np.real(c_v), np.imag(c_v), c_q))
-        result = self._forces_q(t, q, v, c_v, c_q) + c_m * self._mass
+        mass = self._mass.tocoo()
+        result = summed([*self._slope_entries(t, q, v, c_v, c_q), (mass.row, mass.col, c_m * mass.data)], self.n)
         if c_v_imag and self.needs.velocity_forces:
             result = result + 1j * c_v_imag * self.force_v(t, q, v)
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()

@@ -36,6 +36,15 @@ def block_matrix(blocks):
     return matrix
 
 
+def summed(entries, n):
+    """The matrix (n, n), CSC, of which `entries` are parts, (rows, columns, values) each; entries at one place are added."""
+    from scipy.sparse import csc_array
+
+    none = np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+    rows, columns, values = map(np.concatenate, zip(none, *entries))
+    return csc_array((values, (rows, columns)), shape=(n, n))
+
+
 class LU:
     """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem if A is singular or not finite.
 
