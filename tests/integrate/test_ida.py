@@ -217,6 +217,30 @@ def test_forms_of_lower_index(name, form):
     assert error["q"] < 1e-3
 
 
+def turned_bar(motor):
+    """A bar of 1 m and 1 kg whose hinge a motor turns by motor(t), with its weight: at a constant speed w the torque is m g l/2 cos(w t)."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), motor, name="motor"))
+    return scene.build()
+
+
+def test_no_very_short_step_is_left_before_the_times_at_which_steps_end():
+    """A motor of 20 rad/s: steps end every 1/64 s. A step of 1e-10 of the one before had multipliers of 1e4 times their size."""
+    run = pi.solve(turned_bar(lambda t: 20.0 * t), 1.0, pi.IDA(rtol=1e-8))
+    steps = np.diff(run.t)
+    assert (steps[1:] / steps[:-1]).min() > 0.1
+    assert np.abs(run.reaction("motor")[:, 0] - 4.905 * np.cos(20.0 * run.t)).max() < 1e-2
+
+
+@pytest.mark.parametrize("form, linear", [("index1", "auto"), ("baumgarte", "auto"), ("index1", "kkt"), ("index2", "whole"), ("ggl2", "whole")])
+def test_multipliers_are_right_where_phi_q_turns(form, linear):
+    """Forms that keep phi_q of the factor: the error of multipliers grew to 1e9 N."""
+    run = pi.solve(turned_bar(pi.profile.polynomial([0.0, 4.0])), 1.0, pi.IDA(rtol=1e-7, form=form, linear=linear))
+    assert np.abs(run.reaction("motor")[:, 0] - 4.905 * np.cos(4.0 * run.t)).max() < 1e-4
+
+
 @pytest.mark.parametrize("form", ["ggl2", "ggl1"])
 def test_second_multiplier_vanishes_beside_the_velocity(form):
     p, states, _, _ = run_problem("car-axis", IDA(rtol=1e-8, atol=(1e-8, 1e-8), form=form))

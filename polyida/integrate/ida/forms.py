@@ -112,9 +112,9 @@ class System:
 
     @property
     def rows_vary(self):
-        """True if phi_q varies in rows of phi and phi'; phi'' is too expensive to evaluate anew in each iteration."""
+        """True if phi_q varies."""
         needs = self.model.needs
-        return self.model.m > 0 and (needs.driven or needs.phi_q_varies) and max(self.form.rows) < 2
+        return self.model.m > 0 and (needs.driven or needs.phi_q_varies)
 
     def drift(self, t, q, allowed):
         """Message of the constraint whose drift from phi = 0, in q, is more than `allowed`; None without drift or if phi is a row."""

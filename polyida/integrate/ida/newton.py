@@ -225,13 +225,16 @@ class Correction:
     saved.
 
     Rows that vary are those of each iterate: with those of the factor's state phi falls only as Newton contracts. If phi is a row and not
-    linear, its curvature over the correction is removed too, so that one iteration satisfies it.
+    linear, its curvature over the correction is removed too, so that one iteration satisfies it. Tables that keep the rows of the factor make
+    it anew in each step: Newton's method ends by the errors of q and v, and old rows leave an error in the multipliers, which IDA's
+    prediction of the next step enlarges up to 2^order times.
     """
 
     def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
         self.system, self.counts, self.predicted, self.cj = system, counts, Predicted(system.model.n, order), math.nan
         self.predicted.vector[system.model.hidden] = 0.0
         self.table, self.renews = table_of(system, linear, scaling)
+        self.keeps_rows = system.rows_vary and not self.renews
         n, m, bends = system.model.n, system.model.m, system.rows_vary and system.holds_phi and self.renews
         shapes = (3,), (n,), (n,), (n,), (m,), (m,), (n,), (n,), (2, m), (m,), (m,), (n,), (n,), (2, m), (n,), (2, m)
         flags = np.array([system.form.integrated, bends], np.int64)
@@ -314,7 +317,8 @@ class Correction:
         """Count an iteration at the cj that is expected. True if a factor is to be made; no factor is possible if cj is NaN."""
         if t != self.tried:
             self.tried, self.iterations, self.expected = t, 0, self.predicted.cj(t, y[: self.system.model.n])
-        anew = not abs(self.expected - self.cj) <= SAME_CJ * self.expected or self.iterations == LATE
+        old_rows = self.iterations == 0 and self.keeps_rows
+        anew = not abs(self.expected - self.cj) <= SAME_CJ * self.expected or self.iterations == LATE or old_rows
         if anew:
             self.cj = self.expected if self.expected < LARGEST_CJ else math.nan
         self.iterations += 1

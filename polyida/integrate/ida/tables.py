@@ -176,13 +176,14 @@ class SceneForm(SceneStages):
 def table_of(system, linear, scaling):
     """(the table of a System, True if its rows are evaluated in every iteration)."""
     model, form = system.model, system.form
+    renews = system.rows_vary and max(form.rows) < 2  # phi'' is too expensive to evaluate anew in each iteration
     if model.compiled and form.stabilised and linear == "auto":
         heaviest = model.arrays.links.point_mass.max(initial=0.0)
         if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
             return SceneForm(model, EULER), True
     if linear == "auto" and small_own(model):
-        return dense_table(model, EULER, system.levels), system.rows_vary
+        return dense_table(model, EULER, system.levels), renews
     if linear == "whole":
         return PythonForm(system, partial(WholeForm, system=system, scaling=scaling)), False
     own = linear == "auto" and not model.is_scene  # the step matrix of a user's model; that of a scene is of single precision
-    return PythonForm(system, Matrices if own else partial(Matrices, linear="kkt")), system.rows_vary and model.m <= MANY
+    return PythonForm(system, Matrices if own else partial(Matrices, linear="kkt")), renews and model.m <= MANY
