@@ -234,6 +234,17 @@ def test_no_very_short_step_is_left_before_the_times_at_which_steps_end():
     assert np.abs(run.reaction("motor")[:, 0] - 4.905 * np.cos(20.0 * run.t)).max() < 1e-2
 
 
+def test_a_heavy_scene_moves_in_the_same_steps():
+    """Of 1e15 kg the forces in the hinge are 1e16 N."""
+    runs = []
+    for mass in (1.0, 1e15):
+        scene = pi.Scene(gravity=(0.0, -9.81))
+        bar = scene.add(pi.RigidBody.bar(1.0, mass))
+        scene.add(pi.Revolute(pi.ground, bar.at("left")))
+        runs.append(pi.solve(scene.build(), 1.0, pi.IDA(rtol=1e-6)))
+    assert abs(runs[0].steps - runs[1].steps) <= 2 and np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-8
+
+
 @pytest.mark.parametrize("form, linear", [("index1", "auto"), ("baumgarte", "auto"), ("index1", "kkt"), ("index2", "whole"), ("ggl2", "whole")])
 def test_multipliers_are_right_where_phi_q_turns(form, linear):
     """Forms that keep phi_q of the factor: the error of multipliers grew to 1e9 N."""

@@ -31,7 +31,7 @@ from polyida.linear.lu import dense
 # constants of compiled code
 INSTANT = 1  # of a model's table: the stage of the step that begins at instant 0
 
-UNTESTED = 1e9  # absolute tolerance of multipliers, which are not in the error estimate: far above their size
+UNTESTED = 1e50  # absolute tolerance of multipliers, which are not in the error estimate: far above the forces of any scene
 
 
 @dataclass(frozen=True)
