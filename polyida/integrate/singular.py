@@ -6,6 +6,8 @@ singular if their smallest singular value s is zero. Between two states s was ze
 are reversed too, and regular all the time: so this must hold for one half of the step, one half of this, and so on. For nearly every state of a scene compiled code proves that it is neither (assembly/independence.py); only the others are examined here.
 """
 
+import numpy as np
+
 from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
 from polyida.integrate.state import between as state_between
@@ -19,6 +21,7 @@ AHEAD = 0.1  # of the last step: distance over which the speed of the rows is me
 MOST = 32  # steps between two examinations, because what rests may begin to turn
 REVERSED = 0.5  # cosine of the turn of the rows' space below which s was zero between two states
 BISECTIONS = 6  # of a step in whose parts the same must hold
+OFF = 0.02  # of the model's size: |phi| of an interpolated state beyond which it does not show how the bodies moved in a step
 
 
 class SingularPosition(StepFailure):
@@ -116,6 +119,8 @@ class Watch:
         if depth == 0:
             raise self._failure(later if other < size else rows, t0 + (t1 - t0) * size / (size + other))
         state = state_between(before, after, 0.5 * (t0 + t1))
+        if np.abs(self.model.phi(state.t, state.q)).max() > OFF * (self.model.extent or 1.0):
+            return  # the polynomial of a step in which bodies turn far may pass through zero, where their directions have no length
         middle = (state.t, *self._examined(state))
         for ends in ((begin, middle), (middle, end)):
             self._require_no_passage_within(before, after, *ends, depth - 1)

@@ -121,3 +121,12 @@ def test_what_drifts_apart_is_stopped_and_named(form, rtol):
     run = pi.solve(p.model, p.t_end, pi.IDA(rtol=rtol, form=form), q0=p.q0, v0=p.v0)
     assert run.status == "drift" and "phi[0] has drifted apart by" in run.message
     assert run.drift.max() < 1e-2 * np.sqrt(0.5) * 1.05 and run.t[-1] < p.t_end
+
+
+def test_a_pendulum_has_no_singular_position_however_long_the_steps():
+    """In one step of 1 s the direction of the bar turns far; its polynomial passes near zero, where the rows of the scene are dependent."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    run = pi.solve(scene.build(), 1.0, pi.RadauIIA(h=1.0))
+    assert run.steps == 1 and run.status == "done"
