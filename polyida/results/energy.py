@@ -109,12 +109,20 @@ class _Kinks:
 
 
 def _behind(motion, powers, k):
-    """(v, lam, works of the impulse) after a kink at frame k, where a motor's speed and forces may have jumped."""
+    """(v, lam, works of the impulse) after a kink at frame k, where a motor's speed and forces may have jumped.
+
+    Of a model with laws, whose contacts may be open, lam is that of the next frame.
+    """
     model, t, q, v = motion.model, float(motion.t[k]), np.asarray(motion.q[k], float), np.asarray(motion.v[k], float)
-    after, none = beside(t, 1.0), np.zeros(model.m)
-    jump, impulse = model.mass_system(after, q).solve(np.zeros(model.n), model.phi_rate(after, q, v)) if model.m else (0.0, none)
-    v = v + jump
+    after, none, impulse = beside(t, 1.0), np.zeros(model.m), np.zeros(model.m)
+    rows = np.setdiff1d(np.arange(model.m), [law.row for law in model.row_laws])
+    if len(rows):
+        base = model.with_rows(rows) if model.row_laws else model
+        jump, impulse[rows] = base.mass_system(after, q).solve(np.zeros(model.n), base.phi_rate(after, q, v))
+        v = v + jump
     impulse_work = sum(0.5 * (powers(time, q, v, impulse) - powers(time, q, v, none)) for time in (beside(t, -1.0), after))
+    if model.row_laws:
+        return v, np.asarray(motion.lam[k + 1], float), impulse_work
     bias = model.phi_bias(after, q, v) if model.m else none
     return v, model.mass_system(after, q).solve(model.force(after, q, v), bias)[1], impulse_work
 

@@ -386,3 +386,35 @@ def test_a_body_on_its_corners_never_gains_energy(seed, bounces, integrator):
     row = kept(seed, integrator, bounces)
     assert row["outcome"] == "done" and row["energy_growth_in_all"] < 1e-9
     assert row["energy_growth"] < 1e-6 and row["lowest_gap"] > -1e-9 and row["beyond_cone"] < 1e-12
+
+
+def pushed_block(friction):
+    """A block of 2 kg on a rail, or with friction on a floor, which a force of 20 N pushes from 0.3333 s on."""
+    force = pi.profile.from_function(lambda t: 20.0 if t >= 0.3333 else 0.0, kinks=[0.3333])
+    scene = pi.Scene(gravity=(0.0, -10.0))
+    block = scene.add(pi.RigidBody(2.0, 0.1, {"c": (0.0, 0.0)}, name="block"))
+    floor = pi.ground.at((0.0, 0.0), direction=(1.0, 0.0))
+    scene.add(pi.Contact(block.at("c"), floor, friction=friction) if friction else pi.Prismatic(floor, block.at("c")))
+    scene.add(pi.Force(block.at("c"), (force, 0.0), name="push"))
+    return scene.build()
+
+
+@pytest.mark.parametrize("method", [pi.NonsmoothAlpha, pi.MoreauJean])
+@pytest.mark.parametrize("friction", [0.0, 0.25])
+def test_a_step_that_ends_where_a_force_jumps_has_the_force_before(method, friction):
+    run = pi.solve(pushed_block(friction), 1.0, method(h=0.004))
+    a, since = 10.0 * (1.0 - friction), 1.0 - 0.3333
+    assert run.v[-1, 0] == pytest.approx(a * since, abs=1e-11) and run.q[-1, 0] == pytest.approx(0.5 * a * since**2, abs=1e-11)
+    assert run.energy.total[-1] == pytest.approx(run.energy.work["push"][-1] - sum(x[-1] for x in run.energy.dissipated.values()), abs=1e-10)
+
+
+@pytest.mark.parametrize("method, tolerance", [(pi.NonsmoothAlpha, 1e-4), (pi.MoreauJean, 1e-3)])
+def test_the_speed_of_a_motor_may_jump(method, tolerance):
+    """A bar is turned by 2 rad at constant speed: the motor works against the weight, and the works of the impulses of start and stop cancel."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.linear(0.0, 2.0, 0.25, begin=0.05), name="motor"))
+    run = pi.solve(scene.build(), 0.4, method(h=2e-3))
+    assert run.energy.work["motor"][-1] == pytest.approx(4.905 * np.sin(2.0), abs=tolerance)
+    assert np.abs(run.v[-1]).max() < 1e-9

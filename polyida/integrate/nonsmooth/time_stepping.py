@@ -14,19 +14,20 @@ closed at a predicted position. It is of first order, and positions drift.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
-from polyida.integrate.discontinuities import Grid, at_kink, number_of_steps, pieces
+from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.linear.lu import SingularSystem
 from polyida.model import Model
+from polyida.model.differences import beside
 from polyida.validation import is_number, is_whole, named_keywords
 
 SLOW, MANY = 0.3, 6  # contraction of Newton's method beyond which columns are made again, iterations beyond which S is factored again
@@ -52,8 +53,9 @@ class TimeStepping(Integrator):
             if at_kink(model, begin) or v is not state.v:
                 state = run.restarted(state, v)
             grid = Grid(begin, end, number_of_steps(model, state, begin, end, min(self.h, most)))
-            for k in range(grid.count):
-                state = run.step(state, grid.time(k + 1), grid.h)
+            for k in range(1, grid.count + 1):
+                state = run.step(state, grid.time(k) if k < grid.count else inner_side(model, end, grid.h), grid.h)
+                state = state if k < grid.count else replace(state, t=end)
                 counts.steps += 1
                 yield state
 
@@ -212,8 +214,16 @@ class _Steps:
         self.impulsive = isinstance(settings, MoreauJean)
 
     def restarted(self, state, v):
-        """The state behind a kink or a sample at its time, with the velocities v there and consistent accelerations."""
-        return self.contacts.with_forces(state.t, state.q, v, np.asarray(state.memory["closed"], bool))
+        """The state behind a kink or a sample, with consistent accelerations: at a kink at the time next to it, behind the jump of motors' rates.
+
+        v: the velocities behind the sample.
+        """
+        contacts, q, closed = self.contacts, state.q, np.asarray(state.memory["closed"], bool)
+        if at_kink(self.model, state.t):
+            t, before, none = beside(state.t, 1.0), contacts.rates(state.t, q, v)[contacts.rows], np.zeros(self.model.m)
+            v = contacts.impact(t, q, v, before, closed, none[contacts.rows], none[contacts.equations], 0.0)[0]
+            return contacts.with_forces(t, q, v, closed)
+        return contacts.with_forces(state.t, q, v, closed)
 
     def step(self, state, t, h):
         """The State after a step of h to t."""
