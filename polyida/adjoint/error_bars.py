@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, field, is_dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,6 @@ from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.integrate.nonsmooth.time_stepping import MoreauJean, NonsmoothAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts, State, declared
 from polyida.io.layout import MEMORY_LIMIT
@@ -30,7 +29,7 @@ from polyida.objective.objective import Objective, require_objective
 from polyida.progress import backward, require_progress
 from polyida.run.solve import solve
 from polyida.trajectory import Trajectory
-from polyida.validation import is_flag, is_number, is_one_of, named_keywords, require_bytes
+from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -225,12 +224,12 @@ def error_of(
     Parameters
     ----------
     run : Trajectory
-        Of GeneralizedAlpha; with `again=True` of any integrator of polyida.
+        Of GeneralizedAlpha; with `again=True` of any integrator, an own one too: with constant steps it needs the attribute `order`.
     objective : Objective
         The quantity J, one of `pi.objective`.
     again : bool
-        True: solve the run again with 2 h (a third of the difference; all of it for a method of first order), h / 2 (RadauIIA) or a tenth of the tolerances,
-        with three more fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
+        True: solve the run again with 2 h (the difference over 2^order - 1), h / 2 (RadauIIA) or a tenth of the tolerances, with three more
+        fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -299,18 +298,26 @@ def error_of(
 def _time_again(run, objective, value):
     """The error of time from a run with other steps."""
     settings, one = run.integrator, declared(run.integrator)
-    if one.fixed_step() and isinstance(settings, RadauIIA):
-        return _solved(run, run.model, replace(settings, h=settings.h / 2), objective) - value
-    if one.fixed_step() and isinstance(settings, (GeneralizedAlpha, EnergyMomentum, NonsmoothAlpha, MoreauJean)):
-        damped = isinstance(settings, GeneralizedAlpha) and abs(settings.coefficients.gamma - 0.5 + settings.coefficients.offset) > 1e-6
-        first = damped or isinstance(settings, MoreauJean)
-        return (value - _solved(run, run.model, replace(settings, h=2 * settings.h), objective)) / (1.0 if first else 3.0)
+    if one.fixed_step() and is_whole(one.order):
+        finer = isinstance(settings, RadauIIA)  # its steps are long: those of 2 h may be too long
+        other = _solved(run, run.model, _changed(settings, h=settings.h * (0.5 if finer else 2.0)), objective)
+        return other - value if finer else (value - other) / (2.0**one.order - 1.0)
     if one.fixed_step() or not hasattr(settings, "rtol"):
-        raise InputError(f"error_of: the order of {type(settings).__name__} is not known; again=True takes integrators of polyida")
-    rtol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL)
-    finer = {"rtol": TENTH * rtol} | ({} if settings.atol is None else {"atol": TENTH * np.asarray(settings.atol, float)})
+        name = type(settings).__name__
+        raise InputError(f"error_of: the order of {name} is not known: the class needs the attribute `order`, a whole number of at least 1")
+    rtol, atol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL), getattr(settings, "atol", None)
+    finer = {"rtol": TENTH * rtol} | ({} if atol is None else {"atol": TENTH * np.asarray(atol, float)})
     finer = {name: float(x) if np.ndim(x) == 0 else tuple(x.tolist()) for name, x in finer.items()}
-    return _solved(run, run.model, replace(settings, **finer), objective) - value
+    return _solved(run, run.model, _changed(settings, **finer), objective) - value
+
+
+def _changed(settings, **values):
+    """An integrator with other settings; that of a user may be a plain class."""
+    if is_dataclass(settings):
+        return replace(settings, **values)
+    other = copy(settings)
+    vars(other).update(values)
+    return other
 
 
 def _modes_again(run, objective):

@@ -253,6 +253,8 @@ class Integrator:
         other integrators of users.
     takes_laws : bool
         True if it satisfies the laws of `model.row_laws`, contact and friction. `solve` refuses models with laws for other integrators.
+    order : int
+        Order of convergence of q, v and lam with constant steps; 0 if it is unknown. `pi.error_of(..., again=True)` needs it.
     second_order : bool
         True if the error of a step in v is O(h^3). Steps that end at a switch of `gaps` may then be longer.
     trusted : bool
@@ -265,6 +267,7 @@ class Integrator:
     """
 
     velocity_rows = takes_samples = takes_laws = second_order = trusted = writes_rows = False
+    order: int = 0
     iteration_matrix: Any = None
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
@@ -341,9 +344,11 @@ class _Adapter(Integrator):
 def declared(user: object, part: str = "solve") -> Integrator:
     """A user's integrator with all that Integrator declares. Raises InputError, in the name of `part`, unless it has `steps`."""
     steps = getattr(user, "steps", None)
+    kind = user if isinstance(user, type) else type(user)
+    shown = kind.__name__ if kind is user or kind.__repr__ is object.__repr__ else repr(user)  # without an address
     if steps is None or getattr(steps, "__func__", None) is Integrator.steps:
         lacking = "it has no method steps(model, state, t_end, counts)"
-        raise InputError(f"{part}: {user!r} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+        raise InputError(f"{part}: {shown} is no integrator, {lacking}; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
     if isinstance(user, type):
         raise InputError(f"{part}: {instance_of(user)}")
     name = type(user).__name__

@@ -170,11 +170,11 @@ def sparse_ida(model, t_end, settings=None):
     rtol, *atol = settings.tolerances(model, sizes)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
-            Correction(system, Counts(), settings.order(model)).F,
+            Correction(system, Counts(), settings.largest_order(model)).F,
             rtol=rtol,
             atol=system.tolerances(*atol),
             jacfn=jacobian,
-            max_order=settings.order(model),
+            max_order=settings.largest_order(model),
             linsolver="sparse",
             sparsity=csc_matrix(jacobian.pattern),
             nthreads=1,

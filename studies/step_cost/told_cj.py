@@ -78,7 +78,7 @@ class Told(integrator._Run):
             self._told_residual,
             rtol=rtol,
             atol=self.system.tolerances(*atol),
-            max_order=settings.order(model),
+            max_order=settings.largest_order(model),
             linsolver="gmres",
             krylov_dim=5,
             precond=IDAPrecond(None, self._solve),

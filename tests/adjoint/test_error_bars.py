@@ -425,3 +425,16 @@ def test_another_run_needs_a_known_order():
     model, objectives = rigid_crank()
     with pytest.raises(pi.InputError, match="the order of Own is not known"):
         pi.error_of(pi.solve(model, 0.01, Own(1e-3)), objectives[3], again=True)
+
+    class Plain:
+        order = 2
+
+        def __init__(self, h):
+            self.h = h
+
+        steps = Own.steps
+
+    known = pi.error_of(pi.solve(model, 0.02, pi.GeneralizedAlpha(h=1e-3)), objectives[3], again=True)
+    for kind in (dataclasses.dataclass(frozen=True)(type("Declared", (Own,), {"order": 2})), Plain):
+        bars = pi.error_of(pi.solve(model, 0.02, kind(1e-3)), objectives[3], again=True)
+        assert bars.again == pytest.approx(known.again, rel=1e-9)

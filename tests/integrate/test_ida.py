@@ -245,7 +245,9 @@ def test_a_heavy_scene_moves_in_the_same_steps():
     assert abs(runs[0].steps - runs[1].steps) <= 2 and np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-8
 
 
-@pytest.mark.parametrize("form, linear", [("index1", "auto"), ("baumgarte", "auto"), ("index1", "kkt"), ("index2", "whole"), ("ggl2", "whole")])
+@pytest.mark.parametrize(
+    "form, linear", [("index1", "auto"), ("baumgarte", "auto"), ("index1", "kkt"), ("index2", "whole"), ("ggl2", "whole")]
+)
 def test_multipliers_are_right_where_phi_q_turns(form, linear):
     """Forms that keep phi_q of the factor: the error of multipliers grew to 1e9 N."""
     run = pi.solve(turned_bar(pi.profile.polynomial([0.0, 4.0])), 1.0, pi.IDA(rtol=1e-7, form=form, linear=linear))

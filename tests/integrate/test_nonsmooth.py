@@ -405,7 +405,9 @@ def test_a_step_that_ends_where_a_force_jumps_has_the_force_before(method, frict
     run = pi.solve(pushed_block(friction), 1.0, method(h=0.004))
     a, since = 10.0 * (1.0 - friction), 1.0 - 0.3333
     assert run.v[-1, 0] == pytest.approx(a * since, abs=1e-11) and run.q[-1, 0] == pytest.approx(0.5 * a * since**2, abs=1e-11)
-    assert run.energy.total[-1] == pytest.approx(run.energy.work["push"][-1] - sum(x[-1] for x in run.energy.dissipated.values()), abs=1e-10)
+    assert run.energy.total[-1] == pytest.approx(
+        run.energy.work["push"][-1] - sum(x[-1] for x in run.energy.dissipated.values()), abs=1e-10
+    )
 
 
 @pytest.mark.parametrize("method, tolerance", [(pi.NonsmoothAlpha, 1e-4), (pi.MoreauJean, 1e-3)])

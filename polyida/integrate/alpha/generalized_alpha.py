@@ -218,6 +218,12 @@ class GeneralizedAlpha(Integrator):
         """The member's coefficients."""
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
 
+    @property
+    def order(self) -> int:  # type: ignore[override]  # it depends on the member
+        """2, or 1 of a member with damping of first order."""
+        c = self.coefficients
+        return 1 if abs(c.gamma - 0.5 + c.offset) > 1e-6 else 2
+
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
         """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''; scale: h^2 q'' over q."""
         if self.tolerance is not None:

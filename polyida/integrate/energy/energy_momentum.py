@@ -75,7 +75,7 @@ class EnergyMomentum(Integrator):
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
-    trusted = True
+    trusted, order = True, 2
 
     def __post_init__(self):
         for name, good, want in (

@@ -140,7 +140,7 @@ class IDA(Integrator):
         """(relative tolerance, absolute ones of q and of v) in a run of these sizes. Raises InputError if atol does not fit the model."""
         rtol, n = self.relative(model, sizes), model.n
         if self.atol is None and model.flexible:
-            strict = max(rtol ** (1 + 1 / self.order(model)), LEAST_RTOL)
+            strict = max(rtol ** (1 + 1 / self.largest_order(model)), LEAST_RTOL)
             return strict, strict * float(sizes[0]), LOOSE * rtol * float(sizes[1])
         if self.atol is None:
             return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
@@ -168,7 +168,7 @@ class IDA(Integrator):
             name = known.constraint_name(int(known.velocity_rows[0]))
             raise InputError(f'IDA: form "index3" has no equation for the velocity row {name}; use form "ggl2", the default')
 
-    def order(self, model: Model) -> int:
+    def largest_order(self, model: Model) -> int:
         """The largest BDF order used on this model."""
         return self.max_order or (2 if model.flexible else 5)
 
@@ -224,7 +224,7 @@ class _Run:
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
         self.system = System(model, settings.form, settings.baumgarte_rate)
-        self.linear = Correction(self.system, counts, settings.order(model), settings.linear, settings.scaling)
+        self.linear = Correction(self.system, counts, settings.largest_order(model), settings.linear, settings.scaling)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
         self.refused, self.not_finite = None, ""  # (t, q) at which F was not finite since the last step, and what was not
@@ -232,7 +232,7 @@ class _Run:
             self._residual,
             rtol=rtol,
             atol=self.system.tolerances(*atol, 0.0 if settings.atol else sizes[1]),
-            max_order=settings.order(model),
+            max_order=settings.largest_order(model),
             max_step=float(settings.max_step),
             first_step=float(settings.first_step),
             linsolver="gmres",

@@ -107,6 +107,7 @@ class NonsmoothAlpha(TimeStepping):
     rho_inf: float = 0.8
     tolerance: float | None = None
     max_iterations: int = 40
+    order = 2
 
     def __post_init__(self):
         self._require("rho_inf", is_number(self.rho_inf) and 0.0 <= self.rho_inf < 1.0, "in [0, 1)")
@@ -154,6 +155,7 @@ class MoreauJean(TimeStepping):
     theta: float = 0.5
     tolerance: float = 1e-10
     max_iterations: int = 40
+    order = 1
 
     def __post_init__(self):
         self._require("theta", is_number(self.theta) and 0.5 <= self.theta <= 1.0, "in [0.5, 1]")

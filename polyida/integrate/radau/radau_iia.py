@@ -104,6 +104,11 @@ class RadauIIA(Integrator):
     max_num_steps: int = 1_000_000
     trusted = True
 
+    @property
+    def order(self) -> int:  # type: ignore[override]  # it depends on the stages
+        """2 s - 1 of s stages."""
+        return 2 * self.stages - 1
+
     def __post_init__(self):
         for name, good, want in self._checks():
             if not good:
