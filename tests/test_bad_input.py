@@ -333,7 +333,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: pi.Event(lambda t, q, v: 0.0, name="hit"), "'hit': when = .* of one argument, a state"),
     (lambda: pi.Event(lambda s: 0.0, lambda t, q: None, name="hit"), "'hit': then = .* or a function of the state"),
     (lambda: pi.solve(Own(), 0.01, Short(), **REST), r"solve: steps of Short must take \(model, state, t_end, counts\)"),
-    (lambda: pi.solve(Own(), 0.01, Empty(), **REST), "Empty.* is no integrator, it has no method steps"),
+    (lambda: pi.solve(Own(), 0.01, Empty(), **REST), "solve: Empty is no integrator, it has no method steps"),
     (lambda: pi.solve(Own, 0.01, ALPHA, **REST), r"solve: Own is a class: give an instance, Own\(\)$"),
     (lambda: pi.solve(Own(), ALPHA, 0.01, **REST), "solve: t_end and the integrator are exchanged: t_end = 0.01 "),
     (lambda: pi.GeneralizedAlpha(dt=1e-3), "no argument 'dt'; did you mean 'h'"),

@@ -261,6 +261,8 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
         (["run", "--resume", "run.h5", "--time", "1", "--cells", "4"], "--cells has no place"),
         (["show", "absent.h5"], "no such file"),
         (["show", "scene.py"], "scene.py"),
+        (["show", "."], ".: a folder; give the HDF5 file of a run"),
+        (["run", "pendulum", "--out", "run.csv"], "--out run.csv: a run is written as HDF5; give a name that ends in .h5"),
     ],
 )
 def test_wrong_input_gives_one_line_and_two(args, said, folder, capsys):
@@ -326,6 +328,9 @@ def test_show_animate_and_export_read_a_saved_run(saved, folder, capsys):
     assert main(["animate", saved, "--frames", "2"]) == 0 and (folder / "run.gif").is_file()
     assert main(["export", saved, "--vtu", "frames", "--frames", "3"]) == 0
     assert len(list((folder / "frames").glob("*.vtu"))) == 3
+    for command in (["animate", saved], ["export", saved, "--vtu", "other"]):
+        assert main([*command, "--frames", "0"]) == 2
+        assert "Invalid value for '--frames': Input should be greater than or equal to 1" in capsys.readouterr().err
 
 
 def test_version(capsys):

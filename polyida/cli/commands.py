@@ -216,6 +216,8 @@ def run(
             choice = choose_integrator(name)
             member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})
             path = free_path(out, Path(f"{ivp.name}-{name.rpartition(':')[2]}.h5"), overwrite)
+            if path.suffix not in (".h5", ".hdf5"):
+                raise InputError(f"--out {path}: a run is written as HDF5; give a name that ends in .h5")
             _make_folder(path.parent)
             with progress_display() as progress, ivp.user_errors(), user_errors(choice.file):
                 progress("preparing kernels", None)
@@ -329,7 +331,7 @@ def show(context: typer.Context, file: options.RunFile, json: options.Json = Fal
 def animate(
     file: options.RunFile,
     out: option(Path, "File that ends in .gif or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
-    frames: option(int, "Frames at most; 80 of a GIF, 25 a second of MP4 by default.") = None,
+    frames: option(int, "Frames at most; 80 of a GIF, 25 a second of MP4 by default.", min=1) = None,
     overwrite: options.Overwrite = False,
 ):
     """Draw the plates of a saved run as an animated GIF or as MP4, coloured by von Mises stress."""

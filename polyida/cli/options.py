@@ -102,7 +102,7 @@ Integrators = option(
     f"Names with commas between them: {NAMES}; alpha,ida,radau by default. They get --step and --rtol if they accept them.",
     autocompletion=complete_integrators,
 )
-Frames = option(int, "Frames at most, evenly spread in time; all by default.")
+Frames = option(int, "Frames at most, evenly spread in time; all by default.", min=1)
 COMPUTE, LOOK, STUDY = GROUPS = "Compute", "Look at a run", "Studies and names"
 
 

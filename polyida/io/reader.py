@@ -121,7 +121,8 @@ def read(path):
     except (TypeError, ValueError, OSError):
         exists = False
     if not exists:
-        wrong = isinstance(path, (str, Path)) and f"{path}: no such file"
+        folder = isinstance(path, (str, Path)) and "\0" not in str(path) and Path(path).is_dir()
+        wrong = isinstance(path, (str, Path)) and (f"{path}: a folder; give the HDF5 file of a run" if folder else f"{path}: no such file")
         raise InputError(wrong or f"{path!r:.100} must be the path of a file")
     if not being_written(path):
         with naming(path):

@@ -441,6 +441,8 @@ def _most(value):
 
 def advice_on(error):
     """Advice about an exception in `rows()`: of the operations that rows and vectors do not have, such as roots, powers, `@` and indices."""
+    if isinstance(error, AttributeError) and isinstance(error.obj, Vector) and hasattr(Row, error.name):
+        return f"; `{error.name}` is of rows, which pi.dot and pi.cross make of vectors"
     return f"; {ADVICE}" if isinstance(error, TypeError) and re.search(r"\b(Row|Vector)\b", str(error)) else ""
 
 

@@ -168,7 +168,7 @@ class WithStep:
         (WithStep, r"solve: WithStep is a class: give an instance, WithStep\(h=\.\.\.\)$"),
         (pi.IDA, r"solve: IDA is a class: give an instance, IDA\(\)$"),
         (3.0, r"3\.0 is no integrator, it has no method steps\(model, state, t_end, counts\)"),
-        (SimpleNamespace, "is no integrator, it has no method steps"),
+        (SimpleNamespace, "solve: SimpleNamespace is no integrator, it has no method steps"),
     ],
 )
 def test_a_class_and_an_object_without_steps_are_refused(given, words):

@@ -236,6 +236,7 @@ MISTAKES = {
     "a norm": (lambda a, b: [np.linalg.norm(b.x) - 1.0], SQUARED),
     "a matrix product": (lambda a, b: [b.x @ b.x - 1.0], SQUARED),
     "an index": (lambda a, b: [b.x[0] - 1.0], SQUARED),
+    "a law of a vector": (lambda a, b: [(b.x - a.x).opens(0.5)], "`opens` is of rows, which pi.dot and pi.cross make of vectors"),
     "another error": (lambda a, b: [len(3)], r"has no len\(\)$"),
     "no label": (lambda a, b: [pi.dot(a.d, b.d).named(3)], "named: label 3"),
 }
