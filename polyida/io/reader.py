@@ -121,8 +121,8 @@ def read(path):
     except (TypeError, ValueError, OSError):
         exists = False
     if not exists:
-        folder = isinstance(path, (str, Path)) and "\0" not in str(path) and Path(path).is_dir()
-        wrong = isinstance(path, (str, Path)) and (f"{path}: a folder; give the HDF5 file of a run" if folder else f"{path}: no such file")
+        lacking = "a folder; give the HDF5 file of a run" if isinstance(path, (str, Path)) and os.path.isdir(path) else "no such file"
+        wrong = isinstance(path, (str, Path)) and f"{path}: {lacking}"
         raise InputError(wrong or f"{path!r:.100} must be the path of a file")
     if not being_written(path):
         with naming(path):
