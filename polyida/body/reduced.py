@@ -340,12 +340,15 @@ class PlateMatrices:
 
 
 def rows_of(n, sides):
-    """Return rows (k, 2n) for what attachments hold at rest (mean x, mean y, rotation), and rows for the stretch of their directions."""
+    """Return rows (k, 2n) for what attachments hold at rest (mean x, mean y, rotation), and rows for the stretch of their directions.
+
+    Their length is one, so that rows of means and of rotations, which have different units, compare in any unit of length.
+    """
 
     def row(side, weights, x, y):
         array = np.zeros((1, n, 2))
         array[0, side.nodes, 0], array[0, side.nodes, 1] = x * weights, y * weights
-        return array.reshape(1, -1)
+        return array.reshape(1, -1) / np.linalg.norm(array)
 
     rotations, stretches = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]
     for side in {(side.nodes.tobytes(), side.weights.tobytes()): side for side in sides}.values():
@@ -360,8 +363,7 @@ def rows_of(n, sides):
 def _completed(rows, M, arms, whole):
     """The rows, plus the plate's mean rigid motion if they leave a rigid motion free, or if the centre of mass is used (`whole`)."""
     rigid = _rigid(arms)
-    sizes = np.linalg.norm(rigid, axis=0)
-    rank = np.linalg.matrix_rank(rows @ (rigid / sizes), tol=INDEPENDENT * np.abs(rows).max(initial=0.0)) if len(rows) else 0
+    rank = np.linalg.matrix_rank(rows @ (rigid / np.abs(rigid).max(axis=0)), tol=INDEPENDENT) if len(rows) else 0
     if rank == 3 and not whole:
         return rows
     weighted = np.repeat(M @ np.ones(len(arms)), 2)[:, None] * rigid
@@ -380,8 +382,7 @@ def _independent(rows):
     """A maximal set of linearly independent rows, in their order."""
     from scipy.linalg import qr
 
-    unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    _, R, order = qr(unit.T, mode="economic", pivoting=True)
+    _, R, order = qr(rows.T, mode="economic", pivoting=True)
     rank = int((np.abs(np.diag(R)) > INDEPENDENT).sum())
     return rows[np.sort(order[:rank])]
 
@@ -402,12 +403,10 @@ def _modes(K, M, kkt, C, arms, count):
         inverse = LinearOperator((n, n), matvec=lambda r: kkt.solve(-r, none)[0], dtype=float)
         start = inverse @ (M2 @ np.random.default_rng(0).standard_normal(n))
         span.append(eigsh(K, k=normal, M=M2, sigma=0.0, OPinv=inverse, v0=start)[1])
-    span = np.concatenate(span, axis=1)
-    rigid = _rigid(arms)
-    rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, M2 @ rigid))
+    rigid, span = (fields / np.sqrt(np.einsum("ij,ij->j", fields, M2 @ fields)) for fields in (_rigid(arms), np.concatenate(span, axis=1)))
     span -= rigid @ (rigid.T @ (M2 @ span))
     values, vectors = np.linalg.eigh(span.T @ (M2 @ span))
-    good = values > INDEPENDENT**2 * values[-1]
+    good = values > INDEPENDENT**2
     span = span @ (vectors[:, good] / np.sqrt(values[good]))
     _, turned = np.linalg.eigh(span.T @ (K @ span))
     return span @ turned[:, :count]

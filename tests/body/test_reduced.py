@@ -99,6 +99,21 @@ def test_frequencies_come_to_those_of_the_full_plate_from_above(hold):
     assert np.allclose(found[-1][~swings], 0.0, atol=1e-3)
 
 
+@pytest.mark.parametrize("size", [1e-6, 1e-2, 1e3])
+def test_modes_are_those_of_a_plate_of_any_size(size):
+    """Static modes for a unit displacement and for a unit rotation have different units of length: as many of both are kept."""
+
+    def frequencies(size):
+        mesh = pi.mesh.quads(size, 0.1 * size, 8, 2)
+        scene = pi.Scene()
+        plate = scene.add(pi.Reduced(pi.Plate(mesh, rubber(), 0.01 * size, name="plate"), modes=6))
+        scene.add(pi.Weld(pi.ground, plate.section("left")))
+        scene.add(pi.PointMass(plate.section("right"), 0.3 * size**3))
+        return size * pi.modes(scene.build(), count=12).frequencies
+
+    assert np.allclose(frequencies(size), frequencies(1.0), rtol=1e-8)
+
+
 def test_static_equilibrium_is_exact_where_the_span_holds_it():
     """The full plate's own deflection as a field: the equilibrium of the span is the full plate's, though it bends far."""
     state = pi.static(hanging(FULL, two_pins))
