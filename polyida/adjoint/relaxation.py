@@ -55,12 +55,12 @@ def add_products(scene, x, u, v, w, rotation, stiff, heavy, slowing):
         take_pull(x, b, speeds, pull)
         for k in range(x.terms[b], x.terms[b + 1]):
             at = first + (k - x.terms[b]) * count
-            add_scaled(back, -x.mass / (x.time[k] * x.unit), own[at : at + count])
+            add_scaled(back, -x.mass / (x.time[k] * x.unit[b]), own[at : at + count])
         multiply_body(scene, b, u, w, pull, back, stiff, pushed)
         for k in range(x.terms[b], x.terms[b + 1]):
             at = first + (k - x.terms[b]) * count
             add_scaled(slow[at : at + count], x.mass / x.time[k], own[at : at + count])
-            add_scaled(slow[at : at + count], -x.unit * x.share[k], pushed)
+            add_scaled(slow[at : at + count], -x.unit[b] * x.share[k], pushed)
 
 
 @part
@@ -75,7 +75,7 @@ def eliminate_transposed(scene, x, e, u, r):
             pull, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
             for k in range(x.terms[b], x.terms[b + 1]):
                 at = 2 * x.first + x.start[b] + (k - x.terms[b]) * count
-                add_scaled(sums, 1.0 / (x.unit * e.rates[1] * (1.0 + e.rates[0] * x.time[k])), residuals[at : at + count])
+                add_scaled(sums, 1.0 / (x.unit[b] * e.rates[1] * (1.0 + e.rates[0] * x.time[k])), residuals[at : at + count])
             for p in range(e.parts.shape[0]):
                 e.force[:], back[:] = 0.0, 0.0
                 add_real(back, 1.0, sums, p)
@@ -106,7 +106,7 @@ def recover_transposed(scene, x, e, u, r, dw):
                     if p == 0:
                         changes[at : at + count] = 0.0
                         add_scaled(changes[at : at + count], factor, residuals[at : at + count])
-                    add_scaled(changes[at : at + count], e.parts[p] * factor * e.rates[1] * x.unit * x.share[k], pushed)
+                    add_scaled(changes[at : at + count], e.parts[p] * factor * e.rates[1] * x.unit[b] * x.share[k], pushed)
 
 
 @entry
@@ -126,10 +126,10 @@ def sum_works(scene, q, v, w, by_share, by_time, by_strain):
             for k in range(x.terms[b], x.terms[b + 1]):
                 rate = x.mass / x.time[k] ** 2
                 for j in range(count):
-                    work = pushed[j] * x.unit * speeds[at + j]
+                    work = pushed[j] * x.unit[b] * speeds[at + j]
                     by_share[k] -= work
                     by_strain[x.start[b] + j] -= x.share[k] * work
-                    by_time[k] -= rate * (speeds[at + j] - strain[j] / x.unit) * own[at + j]
+                    by_time[k] -= rate * (speeds[at + j] - strain[j] / x.unit[b]) * own[at + j]
                 at += count
 
 

@@ -98,7 +98,7 @@ class Relaxation(NamedTuple):
     share: np.ndarray  # g
     time: np.ndarray  # tau, s
     mass: float
-    unit: float  # strain of a unit velocity, s/m
+    unit: np.ndarray  # (bodies,) strain of a unit velocity: s/m, of a body of few coordinates, whose strains are those of y, s m
     condensed: np.ndarray  # (2,) addresses of a Condensation and of `condensed_force`; 0 if the velocities are the strains
 
 

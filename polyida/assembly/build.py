@@ -300,7 +300,7 @@ def place_states(parts, plates, few, speed, without_strains):
     relaxing = [body for body in (*plates, *few) if body.prony and not without_strains]
     pairs = sum(body.strains * len(body.prony) for body in relaxing) / 2
     for body in relaxing:
-        strains[body.name] = PlacedStrains(body, first, whole / pairs, TYPICAL_STRAIN / speed)
+        strains[body.name] = PlacedStrains(body, first, whole / pairs, TYPICAL_STRAIN * body.strain_size / speed)
         first = strains[body.name].pairs.stop
     return states, strains
 
@@ -413,7 +413,7 @@ def relaxation_of(bodies, strains, pairs):
     """The Relaxation of the bodies with strains {name: PlacedStrains}, behind `pairs` pairs of q."""
     each = [strains.get(body.name) for body in bodies]
     terms = [one.terms if one else () for one in each]
-    mass, unit = next(((one.mass, float(one.units[0])) for one in strains.values()), (1.0, 1.0))
+    mass, unit = next((one.mass for one in strains.values()), 1.0), np.array([one.units[0] if one else 1.0 for one in each])
     share, time = np.array([term for one in terms for term in one], float).reshape(-1, 2).T
     sizes = [range(one.padded * len(one.terms) if one else 0) for one in each]
     return Relaxation(pairs, starts(sizes), starts(terms), share.copy(), time.copy(), mass, unit, np.zeros(2, np.int64))

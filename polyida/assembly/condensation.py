@@ -109,7 +109,7 @@ def begin_strains(w, before, numbers, c, d, e, f, g):
         known[:] = 0.0
         for k in range(x.terms[b], x.terms[b + 1]):
             share = x.share[k] / (x.time[k] + v_of_end)
-            factor = share * x.time[k] * x.unit
+            factor = share * x.time[k] * x.unit[b]
             w.shares[b] += share * v_of_end
             add_scaled(known, factor, rows[1, at : at + count])
             add_scaled(known, factor * p[V_OF_A], rows[2, at : at + count])
@@ -136,7 +136,7 @@ def end_strains(w, displacements, before, state, numbers, d, e, f):
                     for row in range(4):
                         put(1.0, past[row, first:end], rows[row, first:end])
                 q, v, a, a_alg = rows[0, first:end], rows[1, first:end], rows[2, first:end], rows[3, first:end]
-                end_term(p, x.unit, x.time[k], strain[i : i + TOGETHER], q, v, a, a_alg, rows[4, first:end])
+                end_term(p, x.unit[b], x.time[k], strain[i : i + TOGETHER], q, v, a, a_alg, rows[4, first:end])
             at += count
     return DONE
 

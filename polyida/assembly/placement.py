@@ -29,7 +29,7 @@ class PlacedPlate:
         self.name, self.plate, self.operator, self.nodes, self.pairs = name, plate, operator, nodes, nodes
         self.mesh, self.points, self.damped = plate.placed, plate.points, plate.material.damped
         self.factors = factors or 2 * (read_only(np.ones(self.mesh.n_cells)),)
-        self.translation = np.ones(self.mesh.n_nodes)
+        self.translation, self.strain_size = np.ones(self.mesh.n_nodes), 1.0
 
     def scaled(self, operator, factors):
         """This plate with other factors, and the operator that includes them."""
@@ -101,6 +101,11 @@ class PlacedBody:
     def strains(self):
         """Number of strains that relax: those of y."""
         return len(self.form[1])
+
+    @property
+    def strain_size(self):
+        """Size of y at rest, m^2 of a reduced plate."""
+        return float(np.vdot(self.rest[1:], self.rest[1:]).real) or 1.0
 
     @property
     def python(self):

@@ -85,7 +85,7 @@ def take_pull(x, b, v, pull):
     at, count = 2 * x.first + x.start[b], pull.shape[0]
     pull[:] = 0.0
     for k in range(x.terms[b], x.terms[b + 1]):
-        add_real(pull, x.share[k] * x.unit, v[at : at + count], 0)
+        add_real(pull, x.share[k] * x.unit[b], v[at : at + count], 0)
         at += count
 
 
@@ -122,7 +122,7 @@ def add_relaxation(scene, x, u, half, v, still, r):
         for k in range(x.terms[b], x.terms[b + 1]):
             rate, own = x.mass / x.time[k], forces[at : at + count]
             add_scaled(own, rate, speeds[at : at + count])
-            add_scaled(own, -still * rate / x.unit, strain)
+            add_scaled(own, -still * rate / x.unit[b], strain)
             at += count
 
 
@@ -225,7 +225,7 @@ def eliminate_whole(w, displacements, b, c, d, e, f, g):
         count, at, (first, end) = strains_of(x, b), x.start[b], pairs_of_body(scene, b)
         pull, strain = np.empty(count), np.empty(count)
         for k in range(x.terms[b], x.terms[b + 1]):
-            factor = x.unit * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
+            factor = x.unit[b] * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
             put(factor, residuals[at : at + count], w.strains[at : at + count])
             at += count
         for p in range(w.parts.shape[0]):
@@ -259,8 +259,8 @@ def recover_whole(w, displacements, b, c, d, e, f, g):
             for k in range(x.terms[b], x.terms[b + 1]):
                 own = changes[at : at + count]
                 if p == 0:
-                    put(-1.0 / (x.unit * c_v), w.strains[at : at + count], own)
-                add_scaled(own, w.parts[p] / (x.unit * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
+                    put(-1.0 / (x.unit[b] * c_v), w.strains[at : at + count], own)
+                add_scaled(own, w.parts[p] / (x.unit[b] * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
                 at += count
     return DONE
 
@@ -281,7 +281,7 @@ def relaxation_energies(scene, u, v):
             relax_body(scene, b, u, None, pull, none, strain)
             for k in range(x.terms[b], x.terms[b + 1]):
                 for j in range(count):
-                    pull[j] = strain[j] - x.unit * speeds[at + j]
+                    pull[j] = strain[j] - x.unit[b] * speeds[at + j]
                 size = square(scene, b, pull)
                 total += 0.5 * x.share[k] * (size - square(scene, b, strain))
                 powers[b] += x.share[k] * size / x.time[k]
@@ -321,8 +321,8 @@ def slope_entries(model, q, c_v, c_q):
         B, pulled = B.tocoo(), pulled.tocoo()
         for k in range(x.terms[b], x.terms[b + 1]):
             rate, states = x.mass / x.time[k], at + np.arange(model.strains[body.name].padded)
-            parts.append((pulled.row + first, pulled.col + at, -c_v * x.unit * x.share[k] * pulled.data))
-            parts.append((B.row + at, B.col + first, -c_q * rate / x.unit * B.data))
+            parts.append((pulled.row + first, pulled.col + at, -c_v * x.unit[b] * x.share[k] * pulled.data))
+            parts.append((B.row + at, B.col + first, -c_q * rate / x.unit[b] * B.data))
             parts.append((states, states, np.full(len(states), c_v * rate)))
             at += len(states)
     return parts

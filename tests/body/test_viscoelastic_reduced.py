@@ -52,6 +52,21 @@ def test_all_integrators_agree(reduced, integrator, tolerance):
     assert np.abs(run.x[-1] - tight.x[-1]).max() < tolerance * np.abs(tight.x).max() * 1e2
 
 
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(rtol=1e-4), pi.IDA(rtol=1e-4), pi.RadauIIA(rtol=1e-4)])
+def test_steps_do_not_depend_on_the_unit_of_length(integrator):
+    """The strains of a reduced plate are products of lengths; their tolerance is relative to these. 1024 is exact in binary numbers."""
+
+    def steps(unit):
+        scene = pi.Scene(gravity=(0.0, -8.0 * unit))
+        material = pi.Material(E=2e6 / unit, nu=0.25, rho=1000.0 / unit**3, prony=TERMS)
+        mesh = pi.mesh.quads(0.5 * unit, 0.125 * unit, 4, 2)
+        body = scene.add(pi.Reduced(pi.Plate(mesh, material, unit / 64, name="arm"), modes=3))
+        scene.add(pi.Revolute(body.section("left"), pi.ground, name="foot"))
+        return pi.solve(scene.build(), 0.125, integrator).counts.steps
+
+    assert steps(1024.0) == steps(1.0)
+
+
 def test_energy_and_dissipated_work_in_the_energy_momentum_method(reduced):
     run, h, dissipated = pi.solve(reduced, 0.1, pi.EnergyMomentum(h=2e-3)), 2e-3, 0.0
     placed, strains, size = reduced.few[0], reduced.strains["arm"], len(reduced.few[0].form[1])
