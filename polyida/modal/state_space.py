@@ -161,10 +161,11 @@ def _output(part, model, state, output, label):
 def _place(model, state, what, kind, label):
     model.position(what, state.q[None])
     name = label or (f"{what} {kind}" if kind != "position" else f"{what}")
+    far = 1e3 * (model.extent or 1e-3)  # places of a scene are linear in q: far steps have the least round-off
 
     def change(moved, mu):
         X = moved[MOTION[kind]]
-        return _slope(lambda s: model.position(what, state.q + s * X.T).T, X)
+        return _slope(lambda s: model.position(what, state.q + s * X.T).T, X, far)
 
     return Output((f"{name} x", f"{name} y"), change)
 
@@ -177,15 +178,17 @@ def _reaction(part, model, state, name, label):
         return reaction_of(model, name, np.full(len(q), state.t), q, lam).T
 
     def change(moved, mu):
-        return _slope(lambda s: reactions(state.q + s * moved[0].T, state.lam + s * mu.T), moved[0])
+        return _slope(lambda s: reactions(state.q + s * moved[0].T, state.lam + s * mu.T), moved[0], model.extent or 1.0)
 
     count = len(reactions(state.q[None], state.lam[None]))
     return Output(tuple(f"{label or name + ' reaction'} {k}" for k in range(count)), change)
 
 
-def _slope(function, X):
-    """Derivative along columns X (n, k), in which q moves by about 1e-3 of a metre at most."""
-    return differences.along(function, 1.0 / (float(np.abs(X).max(initial=0.0)) or 1.0))
+def _slope(function, X, size):
+    """Derivative along columns X (n, k); each moves q by about 1e-3 of `size`: accelerations by forces and by displacements differ by 1e9."""
+    sizes = np.abs(X).max(axis=0, initial=0.0) / size
+    sizes[sizes == 0.0] = 1.0
+    return differences.along(lambda s: function((s / sizes)[:, None])) * sizes
 
 
 @named_keywords
