@@ -29,6 +29,7 @@ from polyida.reprs import brief
 from polyida.results.motion import reaction_of
 from polyida.validation import floats, is_one_of, is_whole, named_keywords
 
+STEADY = 1e-100  # rad/s, in place of 0 where there are first-order states: their integrals, which are coordinates, grow without bound at 0
 MAX_VIOLATION = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to another state
 
 
@@ -412,7 +413,8 @@ def frequency_response(
     whole = lambda omega: system.factor(-(omega**2), 1j * omega).solve(-pushed.force, pushed.row)  # noqa: E731
     solve = whole if modes is None else _modal(system, pushed, modes)
     frequencies = np.atleast_1d(at)
-    values = [_look(outputs, solve, 2 * np.pi * f) for f in frequencies]
+    steady = STEADY if system.model.k else 0.0
+    values = [_look(outputs, solve, 2 * np.pi * f or steady) for f in frequencies]
     return FrequencyResponse(frequencies, np.array(values), pushed.label, labels_of(outputs))
 
 

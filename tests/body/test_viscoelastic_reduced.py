@@ -200,3 +200,17 @@ def test_files_keep_reduced_viscoelastic_plates(tmp_path):
     again = pi.load(tmp_path / "run.h5")
     assert np.array_equal(again.x, run.x) and again.model.few[0].prony == tuple(TERMS)
     assert again.stress(-1) == pytest.approx(run.stress(-1), rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("reduction", [{}, {"modes": 3}])
+def test_the_response_at_zero_frequency_is_the_static_deflection(reduction):
+    """With the long-time modulus, although the integrals of the relaxed strains, which are coordinates, grow without bound."""
+    scene = pi.Scene()
+    plate = pi.Plate(pi.mesh.quads(0.4, 0.1, 4, 2), pi.Material(E=2e6, nu=0.3, rho=1000.0, prony=TERMS), 0.01, name="arm")
+    body = scene.add(pi.Reduced(plate, **reduction) if reduction else plate)
+    scene.add(pi.Weld(body.section("left"), pi.ground, name="foot"))
+    scene.add(pi.PointLoad(body.section("right"), (0.0, 1.0), pi.profile.constant(1.0), name="tip"))
+    model = scene.build()
+    rest = pi.static(model, linear=True)
+    moved = np.ptp(model.position("tip", np.stack([0.0 * rest.q, rest.q])), axis=0)
+    assert pi.frequency_response(model, None, "tip", "tip", 0.0).values[0] == pytest.approx(moved, rel=1e-9, abs=1e-12)
