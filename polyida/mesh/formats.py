@@ -223,7 +223,8 @@ class _Part:
         if not self.points:
             raise InputError("it cannot be read as .inp: it has no *NODE")
         supports = {node: (1 in axes, 2 in axes) for node, axes in self.fixed.items() if axes & {1, 2}}
-        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(dict.fromkeys(self.notes)))
+        sets = {name: list(nodes) for name, nodes in self.sets.values()}
+        return RawMesh(np.array(self.points), self.cells, sets, supports, self.forces, tuple(dict.fromkeys(self.notes)))
 
     def take_assembly(self, options, rows):
         self.in_assembly = True
@@ -301,7 +302,7 @@ class _Part:
                 self.forces[node] = tuple(np.add(self.forces.get(node, (0.0, 0.0)), force).tolist())
 
     def _add(self, name, nodes):
-        self.sets.setdefault(name.upper(), (name, []))[1].extend(nodes)
+        self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(nodes))  # a node of two sets is in their union once
 
     def _place(self, number, what):
         if int(number) not in self.places:

@@ -172,6 +172,8 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         rows = np.unique(place[index])
         if (rows >= 0).any():
             named[name] = rows[rows >= 0]
+        else:
+            notes.append(f"left out section {name!r}, of which no point is a corner of a cell")
     automatic = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
     mesh = PolygonMesh(points, nodes, offsets, automatic | named, supports, loads)
     return mesh, notes + _unjoined(mesh)
