@@ -37,9 +37,9 @@ class Equilibrium(State):
     """A State at rest in equilibrium.
 
     falling: number of independent directions that the constraints allow and in which the potential energy falls; None if there is no
-    potential (dr/dq is not symmetric), if the factorization of its matrix breaks down, and for small displacements. parts, halved: number
-    of parts in which the load was applied, and of parts that were halved because Newton's method failed. model: the model. linear: True
-    for small displacements.
+    potential (dr/dq is not symmetric), if the structure can move without a change of energy, as one that nothing holds or loads, and for
+    small displacements. parts, halved: number of parts in which the load was applied, and of parts that were halved because Newton's method
+    failed. model: the model. linear: True for small displacements.
     """
 
     falling: int | None = None
@@ -59,7 +59,7 @@ class Equilibrium(State):
         """One line: the time, the kind of equilibrium and how the load was applied."""
         if self.linear:
             return f"equilibrium at t = {self.t:.9g} s for small displacements"
-        unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
+        unknown = "of unknown stability: its forces have no potential, or it can move without a change of energy"
         ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
         kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
         how = f"; load in {self.parts} parts, halved {self.halved} times" if self.halved else ""
@@ -348,6 +348,8 @@ def static(
         part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
     definite = isinstance(system, OwnSystem) and system.step.positive_definite()
     equilibrium = loading.equilibrium(q, lam, system.solve, definite, parts=parts, halved=halved)
+    if not isinstance(system, OwnSystem) and system.lu.doubtful():  # the energy stays the same in some direction: signs are round-off
+        equilibrium = replace(equilibrium, falling=None)
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
         path = "the path of the bodies, here that of Newton's method; more steps follow the load"

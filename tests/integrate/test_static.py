@@ -103,6 +103,19 @@ def test_a_pendulum_hangs_stably_and_stands_where_its_spring_bears_the_weight(sp
     assert found.stable is stable and found.falling == (0 if stable else 1)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_energy_of_a_plate_that_turns_freely_falls_nowhere(seed, angle):
+    """No load and one hinge: the sign of its zero stiffness is round-off, and so may be the force that finds it."""
+    scene = pi.Scene()
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=20, seed=seed), pi.Material(5e7, 0.3, 1100.0), 0.01, angle=angle))
+    scene.add(pi.Revolute(pi.ground, plate.section("left")))
+    try:
+        assert pi.static(scene.build()).stable is None
+    except StepFailure as failure:
+        assert "move freely" in str(failure)
+
+
 def test_an_upright_plate_on_a_hinge_is_unstable_and_said_so(scenes):
     model = scenes.hinged(angle=np.pi / 2)[0].build()
     with pytest.warns(UserWarning, match="static.*UNSTABLE.*falls in 1 direction;"):
