@@ -97,6 +97,18 @@ def test_stiff_plates_take_no_more_steps_than_soft_ones(E):
     assert np.abs(run.q[-1] - right.q[-1]).max() < 1e-3
 
 
+def test_steps_do_not_depend_on_the_unit_of_mass():
+    """Multipliers are not in the error estimate, however large they are."""
+
+    def steps(mass):
+        scene = pi.Scene(gravity=(0.0, -9.81))
+        bar = scene.add(pi.RigidBody.bar(1.0, mass))
+        scene.add(pi.Revolute(pi.ground, bar.at("left")))
+        return pi.solve(scene.build(), 0.5, IDA(rtol=1e-5)).counts.steps
+
+    assert steps(2.0**60) == steps(1.0)
+
+
 class Swung(Model):
     """A mass on a rod whose end is driven along x, with friction; its inertia changes on the way."""
 
