@@ -283,7 +283,8 @@ def static(
     t : float, s
         Time at which loads and motors are evaluated.
     q0 : (n,) array_like, optional
-        Guess of the coordinates, zero by default.
+        Guess of the coordinates, zero by default. Motors are at their places at t at once: Newton's method finds angles up to about one rad
+        away. For larger ones take equilibria at successive t, each with the q of the one before.
     steps : int
         Number of equal parts in which the load is applied: at its factor s `g(q) + phi_q^T lam = (1 - s) g(0)`. A part for which Newton's
         method fails is halved; parts grow again after two that succeed.
