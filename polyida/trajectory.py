@@ -325,7 +325,10 @@ class Trajectory:
         return model.drawn_points + model.nodal(q)
 
     def stress(self, frame: int) -> NDArray:
-        """Return the Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        """Return the Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate.
+
+        It includes the viscous stress of `viscosity`, and the relaxation of viscoelastic plates.
+        """
         q = self._frame("stress", frame)
         return self._scene("stress").stress(q, np.asarray(self.v[frame], float))
 

@@ -10,7 +10,7 @@ from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of
 from polyida.element import kernels
-from polyida.element.relaxation import relax_stress
+from polyida.element.relaxation import change_of_strain, relax_stress
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
 from polyida.joint.edges import links_at
@@ -425,17 +425,25 @@ class SceneBodies(Constraints):
         return np.concatenate(segments)
 
     def stress(self, q, v=None):
-        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate; viscoelastic plates have states in v, by default 0."""
-        parts, nodal = [np.zeros((0, 3))], self.nodal(q)
+        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate; without v no viscous or relaxed stress."""
+        parts, nodal, rates = [np.zeros((0, 3))], self.nodal(q), None if v is None else self.nodal(v)
+        rigid = [plate.name for plate, placed in self._meshed if not placed.deforms]
         for body in self.drawn:
+            if body.name in rigid:
+                parts.append(np.zeros((body.mesh.n_cells, 3)))
+                continue
             (modulus, nu), operator = body.plate.material.in_plane, body.operator
             parts.append(np.empty((body.mesh.n_cells, 3)))
             at = operator.lane_cells, operator.areas, body.nodes.start
             kernels.stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, parts[-1])
-            if v is not None and body.name in self.strains:
-                pull = self.strains[body.name].pull_of(v)
-                fields = self.once(fields_at_points, of_shape=True).get(body.name)
-                pull = pull if fields is None else pull_at_points(fields, pull)
+            viscosity, relaxes = body.plate.material.viscosity, body.name in self.strains
+            if v is not None and (viscosity or relaxes):
+                pull = np.zeros(3 * len(operator.weights))
+                change_of_strain(*operator.force_arrays[:3], body.nodes.start, nodal, rates, pull)
+                pull *= -viscosity
+                if relaxes:
+                    relaxed, fields = self.strains[body.name].pull_of(v), self.once(fields_at_points, of_shape=True).get(body.name)
+                    pull += relaxed if fields is None else pull_at_points(fields, relaxed)
                 relax_stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, pull, parts[-1])
         return np.concatenate(parts)
 

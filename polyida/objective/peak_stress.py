@@ -27,11 +27,11 @@ from polyida.validation import is_number, named_keywords, settle
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakStress(TimeMean):
-    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
+    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises` of an elastic plate.
 
-    It is below the largest stress and approaches it as p grows: `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal
-    weight w of the frame and the area a of the cell that have it, T and A being their sums. With factors f of stiffness, s is `f^power` times
-    the stress of the solid material at the strain of the cell.
+    Viscous stress and the relaxation of viscoelastic plates are left out. J is below the largest stress and approaches it as p grows:
+    `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal weight w of the frame and the area a of the cell that have it,
+    T and A being their sums. With factors f of stiffness, s is `f^power` times the stress of the solid material at the strain of the cell.
 
     Parameters
     ----------

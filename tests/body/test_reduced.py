@@ -68,7 +68,7 @@ def test_it_is_the_full_plate_in_a_span(element):
     assert np.allclose(few.phi_q(t, q) @ v, full.phi_q(t, at[0]) @ at[1], atol=1e-12)
     assert few.strain_energy(q) == pytest.approx(full.strain_energy(at[0]), rel=1e-12)
     assert few.potential(q) == pytest.approx(full.potential(at[0]), rel=1e-12)
-    assert np.allclose(few.stress(q), full.stress(at[0]), rtol=1e-12, atol=1e-6)
+    assert np.allclose(few.stress(q, v), full.stress(at[0], at[1]), rtol=1e-12, atol=1e-6)
 
 
 def hanging(body, hold):

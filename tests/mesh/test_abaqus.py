@@ -90,8 +90,13 @@ def test_an_assembly_with_supports_and_loads(inp):
 
 def test_a_node_in_two_sets_is_loaded_once_by_their_union(inp):
     union = '*Nset, nset=Both\nRoot, "Free End"\n*Nset, nset=Low\n1, 3\n*Nset, nset=Both\nLow\n*Cload\nBoth, 1, 2.\n3, 1, 1.\n'
-    mesh = read(inp(PART.replace("*Nset, nset=BOTH\nRoot, \"Free End\"\n", union)))
-    assert {tuple(mesh.points[node]): force[0] for node, force in mesh.loads.items()} == {(0, 0): 2.0, (0, 1): 2.0, (2, 0): 3.0, (2, 1): 2.0}
+    mesh = read(inp(PART.replace('*Nset, nset=BOTH\nRoot, "Free End"\n', union)))
+    assert {tuple(mesh.points[node]): force[0] for node, force in mesh.loads.items()} == {
+        (0, 0): 2.0,
+        (0, 1): 2.0,
+        (2, 0): 3.0,
+        (2, 1): 2.0,
+    }
 
 
 def test_a_section_of_middle_nodes_is_said_to_be_left_out(inp):
