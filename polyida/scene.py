@@ -36,7 +36,7 @@ class Scene:
 
     Parameters
     ----------
-    gravity : (2,) float, profile or function of t, m/s2
+    gravity : pair of float, profile or function of t, m/s2
         Acceleration (gx, gy).
     """
 
@@ -158,6 +158,8 @@ class Scene:
 
 def _gravity(gravity):
     """Two floats, (2,), or a tuple of floats and profiles. Raises InputError."""
+    if callable(gravity):
+        raise InputError("Scene: gravity is one function; it must be a pair (gx, gy) of numbers, profiles or functions of time, m/s2")
     if not (isinstance(gravity, (tuple, list)) and len(gravity) == 2 and any(map(callable, gravity))):
         return vector2("Scene", "gravity", gravity)
     return tuple(as_profile(g, "Scene: gravity") if callable(g) else number("Scene", "gravity", g, "m/s2") for g in gravity)

@@ -71,6 +71,7 @@ def moved(where, size):
 CASES = {
     "nu 0.5": (lambda: pi.Material(1.0, 0.5, 1.0), "Material", "nu = 0.5", "(-1, 0.5)"),
     "plane": (lambda: pi.Material(1.0, 0.3, 1.0, "both"), "Material", "'both'", "stress"),
+    "gravity of one function": (lambda: pi.Scene(lambda t: (0.0, -t)), "gravity", "pair (gx, gy)", "functions of time"),
     "thickness as text": (lambda: plate(thickness="thin"), "board", "'thin'"),
     "element": (lambda: plate(element="magic"), "board", "'magic'", "wachspress"),
     "non-convex cell": (lambda: plate(mesh=polygon([[0, 0], [1, 0], [0.2, 0.2], [0, 1]])), "board", "cell 0", "convex"),

@@ -15,6 +15,7 @@ from polyida.errors import InputError
 from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
 from polyida.linear.saddle import KKT
+from polyida.reprs import brief
 from polyida.validation import complex_of_pairs, is_one_of, is_whole, named_keywords, pairs_of, reals, settle
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ class Reduced(FieldBody):
     fields: Any = None
     stored_fields: Any = None
     name: str | None = None
+
+    __repr__ = brief
 
     def __post_init__(self):
         super().__post_init__()

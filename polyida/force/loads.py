@@ -226,7 +226,8 @@ class Force(ForceElement):
         A function of state is `force(t, x, v)` of position, m, and velocity, m/s, (2,) each; it returns (fx, fy). Files do not store it; it
         is called in Python unless it is compiled (`polyida.compiled`).
     follower : bool, default False
-        True if the force rotates with the direction of the attachment.
+        True if the force rotates with the direction of the attachment; its components are then those in the drawing, along x and y of the
+        scene.
     name : str, optional
 
     Raises
