@@ -282,6 +282,7 @@ def _at_nodes(what, raw, place, kind):
     nodes = {}
     for point, pair in checks.node_pairs(what, getattr(raw, what), len(place) + raw.first, kind).items():
         if point < raw.first or place[point - raw.first] < 0:
-            raise InputError(f"{what} name point {point}, which is no corner of a cell")
+            place_of = "" if point < raw.first else f" at {np.asarray(raw.points[point - raw.first], float)[:2].tolist()}"
+            raise InputError(f"{what} name point {point}{place_of}, which is no corner of a cell")
         nodes.setdefault(int(place[point - raw.first]), []).append(pair)
     return nodes

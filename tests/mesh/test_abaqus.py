@@ -99,6 +99,13 @@ def test_a_node_in_two_sets_is_loaded_once_by_their_union(inp):
     }
 
 
+def test_a_load_on_a_middle_node_is_refused_with_its_place(inp):
+    """Numbers of a file are not those of its points in their order."""
+    loaded = "*Node\n20, 0.5, 0.\n*Cload\n20, 2, -1.\n*End Part"
+    with pytest.raises(InputError, match=r"loads name point 6 at \[0.5, 0.0\], which is no corner of a cell"):
+        read(inp(PART.replace("*End Part", loaded)))
+
+
 def test_a_section_of_middle_nodes_is_said_to_be_left_out(inp):
     with pytest.warns(MeshWarning, match="left out section 'Middle', of which no point is a corner of a cell"):
         mesh = read(inp(PART.replace("*End Part", "*Node\n20, 0.5, 0.\n*Nset, nset=Middle\n20\n*End Part")))
