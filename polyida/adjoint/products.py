@@ -9,6 +9,8 @@ import numpy as np
 
 from polyida.adjoint import relaxation
 from polyida.assembly import compact, joints
+from polyida.assembly.arrays import cells
+from polyida.assembly.equilibrium import on_pattern
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.element import cell_products, kernels
 from polyida.jit import entry, pack, part, shared
@@ -132,23 +134,18 @@ def plate_products(s, viscosity, u, v, which, moving, w, rotation, x):
     """Add the parts of the plates."""
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
-        p, e = s.at[o], s.at[o + 1]
-        layout, corners, gradients = s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]]
-        weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
-        indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
+        c1, nu = s.body_c1[b], s.body_nu[b]
         if viscosity.shape[0] == 0:
-            cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, which, w, x.stiff, rotation)
-        cell_products.mass_products(indptr, indices, mass, s.body_density[b], n0, moving, w, x.heavy)
+            cell_products.stiffness_product(*cells(s, o), n0, c1, nu, u, which, w, x.stiff, rotation)
+        cell_products.mass_products(*on_pattern(s, o, s.mass), s.body_density[b], n0, moving, w, x.heavy)
         for k in range(which.shape[0]):
             c, turns = which[k], rotation if k == 0 else rotation[:0]
             if viscosity.shape[0]:
-                cell_products.viscous_products(
-                    layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w[c], x.stiff[c], x.slowing[c], turns
-                )
+                cell_products.viscous_products(*cells(s, o), n0, c1, nu, viscosity[b], u, v, w[c], x.stiff[c], x.slowing[c], turns)
                 if s.body_drag[b] != 0.0:
-                    kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w[c], x.slowing[c])
+                    kernels.mass_product(*on_pattern(s, o, s.mass), s.body_drag[b] * s.body_density[b], n0, w[c], x.slowing[c])
             if s.body_stabilisation[b] != 0.0:
-                kernels.stabilisation_force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w[c], x.stiff[c])
+                kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, w[c], x.stiff[c])
 
 
 @part
@@ -158,12 +155,8 @@ def point_products(s, laws, slopes, c, w, mu, x):
     joints.point_values(s, w, wz)
     pull_back(s.coupling, x.curvature, wz, forces)
     for k in range(mu.shape[0]):
-        total = 0.0
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            i = s.row_columns[e]
-            total += slopes[e] * wz[i // 2, i % 2]
-            forces[i // 2, i % 2] += slopes[e] * mu[k]
-        x.rows[c, k] = total
+        x.rows[c, k] = joints.along(s, slopes, k, wz)
+    joints.add_rows(s, slopes, mu, forces)
     joints.spread(s, forces, x.stiff[c])
     for f in range(forces.shape[0]):
         forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]

@@ -311,7 +311,8 @@ def add_mu_terms(w, t, multipliers, bar, c):
     s, stages, values, forces = w.scene.links, w.r.shape[0], t.points[0], t.points[1]
     for i in range(stages):
         slowing = stage(w, i).slowing[c]
-        weighted_rows(s, w.slopes[i], multipliers[KAPPA, i, c], forces)
+        clear(forces)
+        joints.add_rows(s, w.slopes[i], multipliers[KAPPA, i, c], forces)
         joints.spread(s, forces, slowing)
         for a in range(slowing.shape[0]):
             for e in range(2):
@@ -326,21 +327,8 @@ def add_mu_terms(w, t, multipliers, bar, c):
         products.pull_back(s.coupling, t.curvature[i], values, forces)
         for k in range(w.rows.shape[3]):
             w.rows[KAPPA, i, c, k] = joints.along(s, w.slopes[i], k, values)
-            for e in range(s.row_start[k], s.row_start[k + 1]):
-                p = s.row_columns[e]
-                forces[p // 2, p % 2] += t.rates[i, e] * multipliers[KAPPA, i, c, k]
+        joints.add_rows(s, t.rates[i], multipliers[KAPPA, i, c], forces)
         joints.spread(s, forces, stage(w, i).stiff[c])
-
-
-@part
-def weighted_rows(s, slopes, factors, forces):
-    """forces = slopes^T factors at the points."""
-    for f in range(forces.shape[0]):
-        forces[f, 0] = forces[f, 1] = 0.0
-    for k in range(factors.shape[0]):
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            p = s.row_columns[e]
-            forces[p // 2, p % 2] += slopes[e] * factors[k]
 
 
 @part

@@ -177,8 +177,7 @@ def body_blocks(pattern, left, right):
 @part
 def measure(b, w, u):
     """right = F u. u: (points, 2)."""
-    for k in range(w.right.shape[0]):
-        w.right[k] = 0.0
+    w.right[:] = 0.0
     for n in range(b.block.shape[0] - 1):
         for r in range(b.row_start[n], b.row_start[n + 1]):
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
@@ -196,8 +195,7 @@ def solve_border(b, w):
 def solve_in_order(b, w):
     """Solve for w.x by elimination in the fixed order. Returns False if the solution is not accurate."""
     assemble(b, w)
-    for i in range(w.values.shape[0]):
-        w.values[i] = w.matrix[i]
+    put(1.0, w.matrix, w.values)
     if not eliminate(b.elimination, w.values, w.x):
         return False
     solve(b.elimination, w.values, w.right, w.x)
@@ -217,8 +215,7 @@ def solve_border_again(b, w):
 @part
 def assemble(b, w):
     """Set w.matrix to I_w + F G E."""
-    for i in range(w.matrix.shape[0]):
-        w.matrix[i] = 0.0
+    w.matrix[:] = 0.0
     row = w.row
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
@@ -238,15 +235,9 @@ def assemble(b, w):
 
 
 @part
-def width(b, n):
-    """Number of rows of the matrix of body n."""
-    return 2 * (b.point_start[n + 1] - b.point_start[n])
-
-
-@part
 def respond(b, w, n, first, count):
     """Set w.responses to G E of body n, (components, columns)."""
-    wide, at = width(b, n), b.block[n]
+    wide, at = 2 * (b.point_start[n + 1] - b.point_start[n]), b.block[n]
     for j in range(count):
         for p in range(wide):
             w.responses[p, j] = 0.0

@@ -30,7 +30,7 @@ from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
 from polyida.jit import entry, leaf, pack, part, shared
 from polyida.linear.columns import solve_columns
-from polyida.linear.dense import factor
+from polyida.linear.dense import factor, put
 from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
@@ -61,7 +61,7 @@ class SolveWorkspace(NamedTuple):
     spin: np.ndarray  # (points, 2) the same, averaged at the points
     moved: np.ndarray  # (points, 2)
     border: BorderWorkspace
-    point_forces: np.ndarray  # (2 points,) forces at the points
+    point_forces: np.ndarray  # (points, 2) forces at the points
     shift: np.ndarray  # (2 nodes,) displacements of a body in the factor's frame
     own: np.ndarray  # (blocks, 2, 2) of the coupling: derivatives of the force elements in the factor's frames; (0, 2, 2) without
     keeps: np.ndarray  # (1,) 1 if the border of the last solve is used again
@@ -146,7 +146,7 @@ def solve_workspace(model, system):
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
         border_workspace(model, system.border, dtype),
-        np.empty(2 * model.n_points, dtype),
+        np.empty((model.n_points, 2), dtype),
         np.empty(2 * model.n_factored, dtype),
         np.zeros((coupled if model.laws and len(model.laws.energies) else 0, 2, 2), dtype),
         np.zeros(1, np.int64),
@@ -170,15 +170,8 @@ def solve_in_place(c, team, x):
 
 
 @part
-def solve_plates(s, c, w, rotation, r, x):
-    """x (nodes, 2) = P S_ref^-1 P^T r; sets the frames of nodes and points."""
-    turn_frames(s, c, w, rotation)
-    solve_turned(c, w, 1.0, r, x)
-
-
-@part
 def solve_turned(c, w, size, r, x):
-    """The same with the frames already set; size: of r, by which it is divided in the solve, so that it fits into single precision."""
+    """x (nodes, 2) = P S_ref^-1 P^T r; size: of r, by which it is divided in the solve, so that it fits into single precision."""
     order, b, turn, part = c.fronts.order, w.x, w.turn, 1.0 / size
     for i in range(turn.shape[0]):
         p, q = part * r[i, 0], part * r[i, 1]
@@ -215,13 +208,15 @@ def solve_turned_columns(c, w, lanes, sizes, r, x, which):
 @shared
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,). rotation, dz: of `equilibrium` at the current q. Returns False if the system is singular."""
-    solve_plates(s, c, w, rotation, r, dq)
+    turn_frames(s, c, w, rotation)
+    solve_turned(c, w, 1.0, r, dq)
     for i in range(w.turn.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if w.spin.shape[0] == 0:
         return True
     if not w.keeps[0]:
-        fill_border(s, c, w, drives, dz)
+        points_matrix(s, c, w)
+        joints.joint_jacobian(s, drives, dz, w.border.slopes)
         fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
     joints.point_values(s, dq, w.moved)
     if not solve_multipliers(s, c, w, phi, dlam):
@@ -399,13 +394,6 @@ def add_masses(s, c_m, curvature):
 
 
 @part
-def fill_border(s, c, w, drives, dz):
-    """G of the bodies and Bz of a state whose frames are set."""
-    points_matrix(s, c, w)
-    joints.joint_jacobian(s, drives, dz, w.border.slopes)
-
-
-@part
 def solve_multipliers(s, c, w, phi, dlam):
     """The points' forces w.point_forces and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
 
@@ -418,22 +406,13 @@ def solve_multipliers(s, c, w, phi, dlam):
         w.border.right[count + k] += phi[k]
     if not (solve_border_again(c.border, w.border) if w.keeps[0] else solve_border(c.border, w.border)):
         return False
-    point_forces_of(s, c.border, w.border, w.point_forces, dlam)
-    return True
-
-
-@part
-def point_forces_of(s, b, w, point_forces, dlam):
-    """dlam and point_forces = w + Bz^T dlam of the unknowns."""
-    count = b.active.shape[0]
-    for i in range(point_forces.shape[0]):
-        point_forces[i] = 0.0
+    w.point_forces[:] = 0.0
     for i in range(count):
-        point_forces[b.active[i]] = w.x[i]
-    for k in range(dlam.shape[0]):
-        dlam[k] = w.x[count + k]
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            point_forces[s.row_columns[e]] += w.slopes[e] * dlam[k]
+        component = c.border.active[i]
+        w.point_forces[component // 2, component % 2] = w.border.x[i]
+    put(1.0, w.border.x[count:], dlam)
+    joints.add_rows(s, w.border.slopes, dlam, w.point_forces)
+    return True
 
 
 @part
@@ -445,7 +424,7 @@ def apply_point_forces(s, c, w, dq):
         for e in range(b.point_start[n], b.point_start[n + 1]):
             f = b.points[e]
             co, si = w.spin[f, 0], w.spin[f, 1]
-            x, y = w.point_forces[2 * f], w.point_forces[2 * f + 1]
+            x, y = w.point_forces[f, 0], w.point_forces[f, 1]
             p, q = co * x + si * y, co * y - si * x
             if p == 0.0 and q == 0.0:
                 continue

@@ -11,6 +11,7 @@ A velocity row is `psi = constant + L z' + sum f p(t) + sum R(theta) E . F'`. It
 import numpy as np
 
 from polyida.jit import entry, leaf, part, shared
+from polyida.linear.dense import put
 
 
 @leaf
@@ -116,6 +117,15 @@ def along(s, slopes, k, z):
     return total
 
 
+@part
+def add_rows(s, slopes, lam, forces):
+    """forces (points, 2) += phi_z^T lam, phi_z in slopes."""
+    for k in range(lam.shape[0]):
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            i = s.row_columns[e]
+            forces[i // 2, i % 2] += slopes[e] * lam[k]
+
+
 @leaf
 def cosine(ex, ey, fx, fy):
     """Cosine of the angle between F and E rotated by -90 degrees: of the angle error of a `cross` of two vectors."""
@@ -128,9 +138,7 @@ def joint_forces(s, drives, dz, lam, phi, forces):
     least = 1.0
     for k in range(phi.shape[0]):
         phi[k] = s.row_constant[k] + along(s, s.row_slopes, k, dz)
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            i = s.row_columns[e]
-            forces[i // 2, i % 2] += lam[k] * s.row_slopes[e]
+    add_rows(s, s.row_slopes, lam, forces)
     add_shifts(s, drives, 0, phi)
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
@@ -171,8 +179,7 @@ def flipped(s, drives, dz):
 @shared
 def joint_jacobian(s, drives, dz, slopes):
     """Fill slopes with phi_z."""
-    for e in range(slopes.shape[0]):
-        slopes[e] = s.row_slopes[e]
+    put(1.0, s.row_slopes, slopes)
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)
@@ -249,8 +256,7 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
 @part
 def joint_rate_jacobian(s, drives, dz, vz, slopes):
     """Fill slopes with d(phi_z vz + phi_t)/dz."""
-    for e in range(slopes.shape[0]):
-        slopes[e] = 0.0
+    slopes[:] = 0.0
     for p in range(s.product_row.shape[0]):
         k, e, f = s.product_row[p], s.product_first[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)

@@ -8,6 +8,7 @@ import numpy as np
 from polyida.assembly import joints
 from polyida.assembly.border import Border, BorderWorkspace, body_blocks, body_of_points, border, border_workspace, solve_border
 from polyida.jit import entry, pack, part
+from polyida.linear.dense import put
 
 
 @pack
@@ -94,8 +95,7 @@ def constrained(s, p, phi, y, dlam):
     for k in range(phi.shape[0]):
         p.bias[k] = phi[k] + joints.along(s, p.slopes, k, p.vz)
     regular = project(s, p, p.bias, y)
-    for k in range(phi.shape[0]):
-        dlam[k] = p.eta[k]
+    put(1.0, p.eta, dlam)
     return regular
 
 
@@ -110,15 +110,11 @@ def velocity_rate(s, drives, dz, v, p):
 @part
 def project(s, p, right, x):
     """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = right`. Returns False if this is singular."""
-    for i in range(right.shape[0]):
-        p.workspace.right[i] = right[i]
+    put(1.0, right, p.workspace.right)
     if not solve_border(p.border, p.workspace):
         return False
     p.point_forces[:] = 0.0
-    for i in range(right.shape[0]):
-        for e in range(s.row_start[i], s.row_start[i + 1]):
-            k = s.row_columns[e]
-            p.point_forces[k // 2, k % 2] += p.slopes[e] * p.eta[i]
+    joints.add_rows(s, p.slopes, p.eta, p.point_forces)
     for f in range(p.point_forces.shape[0]):
         px, py = p.point_forces[f, 0], p.point_forces[f, 1]
         if px != 0.0 or py != 0.0:

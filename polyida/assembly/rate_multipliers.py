@@ -93,8 +93,7 @@ def _entries(matrix, rows, columns):
 def factor_rates(s, x, drives, dz):
     """Factor B B^T at places dz of the points. False if it is singular."""
     joints.joint_jacobian(s, drives, dz, x.workspace.slopes)
-    for k in range(x.workspace.right.shape[0]):
-        x.workspace.right[k] = 0.0
+    x.workspace.right[:] = 0.0
     return solve_border(x.border, x.workspace)
 
 
@@ -126,13 +125,10 @@ def subtract_rates(s, x, z, right):
 def add_rate_forces(s, x, slowing, w, c, mu, r):
     """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; w: SolveWorkspace with the frames of the nodes and points."""
     forces = w.point_forces
-    for i in range(forces.shape[0]):
-        forces[i] = 0.0
-    for k in range(mu.shape[0]):
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            forces[s.row_columns[e]] += x.workspace.slopes[e] * mu[k]
-    for f in range(forces.shape[0] // 2):
-        px, py = forces[2 * f], forces[2 * f + 1]
+    forces[:] = 0.0
+    joints.add_rows(s, x.workspace.slopes, mu, forces)
+    for f in range(forces.shape[0]):
+        px, py = forces[f, 0], forces[f, 1]
         if px == 0.0 and py == 0.0:
             continue
         for e in range(x.start[f], x.start[f + 1]):
