@@ -18,6 +18,7 @@ import numpy as np
 from polyida.adjoint.parameter import CachedByMultipliers, PartParameter
 from polyida.assembly import compact
 from polyida.assembly.arrays import cells
+from polyida.assembly.equilibrium import hold_strains
 from polyida.assembly.factors import CellContributions
 from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, relax_body, strains_of, take_pull
 from polyida.body.body import Body
@@ -41,11 +42,7 @@ def multiply_body(scene, b, u, w, pull, back, f, out):
 @part
 def add_products(scene, x, u, v, w, rotation, stiff, heavy, slowing):
     """Add K^T w, M w and C^T w of relaxation, and set the frames of the strains."""
-    for i in range(x.first, w.shape[0]):
-        for k in range(2):
-            heavy[i, k] += x.mass * w[i, k]
-    for i in range(x.first, rotation.shape[0]):
-        rotation[i, 0] = 1.0
+    hold_strains(x, w, heavy, rotation)
     speeds, own, slow = v.reshape(-1), w.reshape(-1), slowing.reshape(-1)
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:

@@ -44,6 +44,12 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
             kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
     least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
     hold_strains(x, a, r, rotation)
+    return least, add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r)
+
+
+@part
+def add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r):
+    """Add loads, and forces of the joints and masses at points to r; fill phi, dz and forces. Returns what `joint_forces` returns."""
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
@@ -56,7 +62,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     point_values(links, u, dz)
     cosine = joint_forces(links, drives, dz, lam, phi, forces)
     spread(links, forces, r)
-    return least, cosine
+    return cosine
 
 
 @part

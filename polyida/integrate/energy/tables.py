@@ -266,18 +266,7 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
     few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
     kernels.hold_strains(scene.relaxation, a, r, rotation)
     least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
-    for k in range(s.load_drive.shape[0]):
-        factor = drives[s.load_drive[k], 0]
-        for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
-            r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
-            r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
-    joints.point_values(links, a, dz)
-    for p in range(dz.shape[0]):
-        for k in range(2):
-            forces[p, k] = links.point_mass[p] * (dz[p, k] - links.gravity[k])
-    joints.point_values(links, um, dz)
-    joints.joint_forces(links, drives, dz, lam, phi, forces)
-    joints.spread(links, forces, r)
+    kernels.add_loads_and_joints(s, links, drives, um, a, lam, phi, dz, forces, r)
     return least
 
 
