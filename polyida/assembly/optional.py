@@ -82,14 +82,14 @@ def law_middle(w, drives, dz0, dz1, vz, half, forces, f):
 @entry
 def relaxing(w, still, u, v, r, d, e, f):
     """Add the forces of relaxation to r; still: as of `add_relaxation`."""
-    add_relaxation(w.scene, w.scene.relaxation, nodal(w, u), None, nodal(w, v), float(still), nodal(w, r))
+    add_relaxation(w.scene, nodal(w, u), None, nodal(w, v), float(still), nodal(w, r))
     return DONE
 
 
 @entry
 def relaxing_middle(w, u0, u1, um, vm, r, e, f):
     """Add the forces of relaxation in the middle of a step to r."""
-    add_relaxation_middle(w.scene, w.scene.relaxation, nodal(w, u0), nodal(w, u1), nodal(w, um), nodal(w, vm), nodal(w, r))
+    add_relaxation_middle(w.scene, nodal(w, u0), nodal(w, u1), nodal(w, um), nodal(w, vm), nodal(w, r))
     return DONE
 
 

@@ -103,14 +103,14 @@ def add_scaled(out, factor, numbers):
         out[j] += factor * numbers[j]
 
 
-@part
-def add_relaxation(scene, x, u, half, v, still, r):
+@entry
+def add_relaxation(scene, u, half, v, still, r):
     """Add to r (n / 2, 2) the forces of relaxation on the nodes, and behind them the residuals of the relaxing strains, without inertia.
 
-    x: the relaxation of the scene. half: as of `relax`. v (n / 2, 2): velocities, of the strains these over `unit`. still: factor
-    of the strain in the equations of the relaxing strains, 0 for the part that is linear in v.
+    half: as of `relax`. v (n / 2, 2): velocities, of the strains these over `unit`. still: factor of the strain in the equations of the
+    relaxing strains, 0 for the part that is linear in v.
     """
-    speeds, forces = v.reshape(-1), r.reshape(-1)
+    x, speeds, forces = scene.relaxation, v.reshape(-1), r.reshape(-1)
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:
             continue
@@ -126,26 +126,13 @@ def add_relaxation(scene, x, u, half, v, still, r):
             at += count
 
 
-@part
-def add_relaxation_middle(scene, x, u0, u1, um, vm, r):
+@entry
+def add_relaxation_middle(scene, u0, u1, um, vm, r):
     """The same in the middle of a step, with the mean strain of its ends."""
-    if x.share.shape[0] > 0:
-        half = np.empty((x.first, 2))
-        for i in range(x.first):
-            half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
-        add_relaxation(scene, x, um, half, vm, 1.0, r)
-
-
-@entry
-def add_relaxing_middle(scene, u0, u1, um, vm, r):
-    """`add_relaxation_middle` for Python."""
-    add_relaxation_middle(scene, scene.relaxation, u0, u1, um, vm, r)
-
-
-@entry
-def add_relaxing_forces(scene, u, v, still, r):
-    """`add_relaxation` for Python."""
-    add_relaxation(scene, scene.relaxation, u, None, v, still, r)
+    half = np.empty((scene.relaxation.first, 2))
+    for i in range(half.shape[0]):
+        half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
+    add_relaxation(scene, um, half, vm, 1.0, r)
 
 
 @entry
@@ -216,8 +203,7 @@ def recover(w, u, dq):
 def eliminate_whole(w, displacements, b, c, d, e, f, g):
     """Fill w.r from the residuals w.whole."""
     scene, x, r, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
-    for i in range(x.first):
-        w.r[i, 0], w.r[i, 1] = r[i, 0], r[i, 1]
+    copy_matrix(r[: x.first], w.r)
     residuals = r.reshape(-1)[2 * x.first :]
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:
@@ -299,7 +285,7 @@ def stiffness_changes(model, c):
 def relaxed_velocities(model, q):
     """The velocities (n,) of a model at rest whose strains have relaxed, x = E."""
     x, r = model.arrays.relaxation, np.zeros((model.n_nodes, 2))
-    add_relaxing_forces(model.arrays, q.reshape(-1, 2), np.zeros_like(r), 1.0, r)
+    add_relaxation(model.arrays, q.reshape(-1, 2), None, np.zeros_like(r), 1.0, r)
     v, residuals, at = np.zeros(model.n), r.ravel(), 2 * x.first
     for placed in model.strains.values():
         for _, time in placed.terms:

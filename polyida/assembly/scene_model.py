@@ -23,7 +23,7 @@ from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, 
 from polyida.assembly.own_laws import NO_ENERGY, add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
-from polyida.assembly.relaxation import add_relaxing_forces, relaxation_energies, stiffness_changes
+from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
 from polyida.assembly.relaxation import slope_entries as relaxation_entries
 from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.body.rigid_body import PointMass
@@ -292,7 +292,7 @@ class SceneModel(SceneBodies):
         if self.uneven_drag is not None:
             r += self.uneven_drag @ v
         if self.strains:
-            add_relaxing_forces(self.arrays, self._nodal(q), self._nodal(v), 1.0, r.reshape(-1, 2))
+            add_relaxation(self.arrays, self._nodal(q), None, self._nodal(v), 1.0, r.reshape(-1, 2))
         if not self.own_forces:
             return r
         if self.laws is None:

@@ -20,7 +20,7 @@ from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
 from polyida.assembly.own_laws import NO_ENERGY, NOISE
 from polyida.assembly.projection import constrain
-from polyida.assembly.relaxation import add_relaxing_middle
+from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
@@ -365,7 +365,7 @@ class PythonScene(MiddleTable, PythonTable):
         if not det > 0.0:
             return INVERTED if det <= 0.0 else NOT_FINITE
         if model.strains:
-            add_relaxing_middle(model.arrays, *fields[:4], out)
+            add_relaxation_middle(model.arrays, *fields[:4], out)
         (u0, u1, _, vm, a), residual = vectors, out.ravel()
         if model.uneven_mass is not None:
             residual += model.uneven_mass @ a
