@@ -17,6 +17,7 @@ from polyida.errors import DONE
 from polyida.jit import entry, fast, leaf, pack, part
 from polyida.jit.intrinsics import address, call, float_of, integer_of, pointer
 from polyida.jit.user_functions import table_address
+from polyida.linear.dense import put
 
 FORCE, BLOCKS, MIDDLE = range(3)  # of Compact.calls
 
@@ -100,14 +101,16 @@ def strained(c, b, u, d):
 
 
 @fast
-def stresses(c, b, d, s):
-    """s += form d."""
-    form, size = c.form[c.form_start[b] : c.form_start[b + 1]], d.shape[0]
+def stresses(c, b, factor, d):
+    """factor form d, of the size of y, from an array d that may be longer."""
+    size = c.shift_start[b + 1] - c.shift_start[b]
+    form, s = c.form[c.form_start[b] : c.form_start[b + 1]], np.empty(size)
     for e in range(size):
         total = 0.0
         for f in range(size):
             total += form[e * size + f] * d[f]
-        s[e] += total
+        s[e] = factor * total
+    return s
 
 
 @part
@@ -187,13 +190,19 @@ def elastic_force(c, b, displacements, forces, d, e, f, g):
 @part
 def push_elastic(c, b, u, change, forces):
     """r += (dy/dz)^T (form change + shift) of elastic body b at displacements u."""
-    first, count, size = vectors(c, b)
-    s, z = np.empty(size), np.empty((count, 2))
-    for k in range(size):
-        s[k] = c.shift[c.shift_start[b] + k]
-    stresses(c, b, change, s)
+    s = stresses(c, b, 1.0, change)
+    for k in range(s.shape[0]):
+        s[k] += c.shift[c.shift_start[b] + k]
+    push_placed(c, b, u, s, pairs_at(c, forces))
+
+
+@part
+def push_placed(c, b, u, s, r):
+    """r += (dy/dz)^T s of body b at displacements u."""
+    first, count, _ = vectors(c, b)
+    z = np.empty((count, 2))
     place(c, first, count, u, z)
-    push(count, first, s, z, pairs_at(c, forces))
+    push(count, first, s, z, r)
 
 
 @entry
@@ -224,13 +233,12 @@ def add_damping(c, u, v, r):
             add_mass(c, b, c.drag[b], v, r)
         first, count, size = vectors(c, b)
         if size and c.viscosity[b] != 0.0:
-            rate, s, z = np.empty(size), np.zeros(size), np.empty((count, 2))
+            rate, z = np.empty(size), np.empty((count, 2))
             place(c, first, count, u, z)
             quadratic(count, z, v[first : first + count], rate)
             for e in range(size):
                 rate[e] *= 2.0 * c.viscosity[b]
-            stresses(c, b, rate, s)
-            push(count, first, s, z, r)
+            push(count, first, stresses(c, b, 1.0, rate), z, r)
 
 
 @part
@@ -247,9 +255,9 @@ def body_energy(c, b, u):
     """Elastic energy of body b, J."""
     total, size = 0.0, vectors(c, b)[2]
     if size:
-        d, s = np.empty(size), np.zeros(size)
+        d = np.empty(size)
         strained(c, b, u, d)
-        stresses(c, b, d, s)
+        s = stresses(c, b, 1.0, d)
         for e in range(size):
             total += d[e] * (0.5 * s[e] + c.shift[c.shift_start[b] + e])
     return total
@@ -286,7 +294,7 @@ def elastic_blocks(c, b, displacements, velocities, factor_v, factor_q, blocks, 
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
     u, v, c_v, c_q = pairs_at(c, displacements), pairs_at(c, velocities), float_of(factor_v), float_of(factor_q)
     out, (first, count, size) = carray(pointer(blocks), (c.block[c.block.shape[0] - 1], 2, 2)), vectors(c, b)
-    s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
+    d, z = np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)
     add_y_jacobian(count, z, 1.0, slopes)
@@ -299,7 +307,7 @@ def elastic_blocks(c, b, displacements, velocities, factor_v, factor_q, blocks, 
             for e in range(size):
                 d[e] += 2.0 * c.viscosity[b] * rate[e]
             add_y_jacobian(count, moving, c_q * c.viscosity[b], factored)
-        stresses(c, b, d, s)
+        s = stresses(c, b, 1.0, d)
         for e in range(size):
             s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
         curve(count, s, c.block[b], out)
@@ -329,14 +337,11 @@ def stiffen(c, b, slopes, factored, out):
 def relaxed_blocks(c, b, u, pull, change, c_q, out):
     """What relaxation adds to c_q K of body b: the curvature of y under -form pull, and `change` times (dy/dz)^T form dy/dz."""
     first, count, size = vectors(c, b)
-    s, z, slopes, factored = np.zeros(size), np.empty((count, 2)), np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
+    z, slopes, factored = np.empty((count, 2)), np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(c, first, count, u, z)
     add_y_jacobian(count, z, 1.0, slopes)
     add_y_jacobian(count, z, c_q * change, factored)
-    stresses(c, b, pull[:size], s)
-    for e in range(size):
-        s[e] *= -c_q
-    curve(count, s, c.block[b], out)
+    curve(count, stresses(c, b, -c_q, pull), c.block[b], out)
     stiffen(c, b, slopes, factored, out)
 
 
@@ -347,15 +352,10 @@ def relax(c, b, u, half, pull, r, out):
     half: as of element/relaxation.py; y is quadratic, and its mean at u - half and u + half is that at u plus y(half).
     """
     first, count, size = vectors(c, b)
-    s, z = np.zeros(size), np.empty((count, 2))
     out[:] = 0.0
     strained(c, b, u, out[:size])
     add_half(half, first, count, out[:size])
-    stresses(c, b, pull[:size], s)
-    for e in range(size):
-        s[e] = -s[e]
-    place(c, first, count, u, z)
-    push(count, first, s, z, r)
+    push_placed(c, b, u, stresses(c, b, -1.0, pull), r)
 
 
 @part
@@ -384,25 +384,18 @@ def change_of_strain(c, b, u, w, out):
 def relaxation_products(c, b, u, w, pull, back, r, out):
     """Add the change of (dy/dz)^T (-form pull) along w, and (dy/dz)^T back, to r, and store form times the change of y along w in out."""
     first, count, size = vectors(c, b)
-    s, z = np.zeros(size), np.empty((count, 2))
-    stresses(c, b, pull[:size], s)
-    for e in range(size):
-        s[e] = -s[e]
-    push(count, first, s, w[first : first + count], r)
-    place(c, first, count, u, z)
-    push(count, first, back[:size], z, r)
+    push(count, first, stresses(c, b, -1.0, pull), w[first : first + count], r)
+    push_placed(c, b, u, back, r)
     change, out[:] = np.empty(size), 0.0
     change_of_strain(c, b, u, w, change)
-    stresses(c, b, change, out[:size])
+    put(1.0, stresses(c, b, 1.0, change), out)
 
 
 @part
 def strain_square(c, b, d):
     """d^T form d."""
-    size, total = vectors(c, b)[2], 0.0
-    s = np.zeros(size)
-    stresses(c, b, d[:size], s)
-    for e in range(size):
+    s, total = stresses(c, b, 1.0, d), 0.0
+    for e in range(s.shape[0]):
         total += d[e] * s[e]
     return total
 
