@@ -29,8 +29,9 @@ from polyida.errors import DONE
 from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
 from polyida.integrate.radau.step import FACTORS, A, Q, V
 from polyida.integrate.state import State
-from polyida.jit import entry, fast, pack, part
+from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import clear, copy_matrix, put
 from polyida.linear.lu import ScaledLU
 from polyida.system import ADJOINT, MATRICES, PREPARE
 from polyida.system.python import PythonTable
@@ -73,8 +74,7 @@ def initial_stages(c, h, b, k, x):
             x.e[j, i] = s * s * (3.0 * way - turn) + s * s * s * (turn - 2.0 * way)
         for i in range(b.lam.shape[1]):
             x.lam[j, i] = (1.0 - s) * b.lam[k, i] + s * b.lam[k + 1, i]
-        for i in range(x.mu.shape[1]):
-            x.mu[j, i] = 0.0
+    clear(x.mu)
 
 
 @entry
@@ -85,10 +85,10 @@ def solve_stages(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts,
     """
     apart = t.c.shape[0] + 1
     for k in range(done, out.e.shape[0]):
-        for i in range(b.q.shape[1]):
-            y.past[Q, i], y.past[V, i], y.past[A, i] = b.q[k, i], b.v[k, i], b.a[k, i]
-        for i in range(b.lam.shape[1]):
-            y.lam[i] = b.lam[k, i]
+        put(1.0, b.q[k], y.past[Q])
+        put(1.0, b.v[k], y.past[V])
+        put(1.0, b.a[k], y.past[A])
+        put(1.0, b.lam[k], y.lam)
         initial_stages(t.c, h, b, k, x)
         now[STEP], now[TIME], now[TARGET] = h, b.t[k], b.t[k + 1]
         first = at if f[PREPARE] else at + k * apart
@@ -102,23 +102,14 @@ def solve_stages(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts,
         if ended != DONE:
             return k, ended
         fresh = False
-        record_stages(t.c, z, k, y, x, out)
+        put(1.0, z.times[3 : 2 + apart], out.t[k])
+        copy_matrix(x.e, out.e[k])
+        copy_matrix(x.dv, out.dv[k])
+        copy_matrix(x.a, out.a[k])
+        copy_matrix(x.lam, out.lam[k])
+        copy_matrix(x.mu, out.mu[k])
+        clear(y.phi_start)  # the next step begins on its constraints
     return out.e.shape[0], DONE
-
-
-@part
-def record_stages(c, z, k, y, x, out):
-    """Write the stages of step k to out."""
-    for j in range(c.shape[0]):
-        out.t[k, j] = z.times[3 + j]
-        for i in range(x.e.shape[1]):
-            out.e[k, j, i], out.dv[k, j, i], out.a[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i]
-        for i in range(x.lam.shape[1]):
-            out.lam[k, j, i] = x.lam[j, i]
-        for i in range(x.mu.shape[1]):
-            out.mu[k, j, i] = x.mu[j, i]
-    for i in range(y.phi_start.shape[1]):  # the next step begins on its constraints
-        y.phi_start[0, i] = y.phi_start[1, i] = 0.0
 
 
 @pack

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.jit import entry, pack
-from polyida.linear.dense import magnitude
+from polyida.linear.dense import magnitude, put
 
 SMALL = 1e-10  # of a diagonal entry: a smaller pivot has lost most of its digits
 
@@ -168,8 +168,7 @@ def eliminate(e, values, sizes):
 @entry
 def solve(e, values, right, x):
     """Fill x with the solution for a right-hand side, with the factors of `eliminate` in `values`."""
-    for u in range(x.shape[0]):
-        x[u] = right[u]
+    put(1.0, right, x)
     for f in range(e.size.shape[0]):
         n, at, first = e.size[f], e.start[f], e.first[f]
         for i in range(1, n):

@@ -426,13 +426,13 @@ def values(d, t, q, v, a, lam, r, phi, rates, biases):
             set_state(d, 0, state[0], state[1])
             ended = evaluate(d, PHI, END, d.phi)
         if phi.shape[0]:
-            phi[k] = d.phi
+            dense.put(1.0, d.phi, phi[k])
         if ended == DONE and rates.shape[0]:
             ended = rate(d, 0, state[0], state[1], address(rates[k]), 0, 0, 0)
         if ended == DONE and biases.shape[0]:
             set_state(d, 0, state[0], state[1])
             ended = bias(d)
-            biases[k] = d.phi_bias
+            dense.put(1.0, d.phi_bias, biases[k])
         if ended != DONE:
             return ended
     return DONE

@@ -32,7 +32,7 @@ from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
-from polyida.linear.dense import clear
+from polyida.linear.dense import clear, put
 from polyida.linear.team import Helpers
 from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, STRAINS
 
@@ -178,9 +178,7 @@ def rate(w, instant, q, v, out, d, e, f):
     """phi_q v + phi_t."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
     velocity_rate(w.scene.links, w.drives[instant + 1], w.points[DX], pairs(w, v), w.projection)
-    rates = rows(w, out)
-    for k in range(rates.shape[0]):
-        rates[k] = w.projection.rate[k]
+    put(1.0, w.projection.rate, rows(w, out))
     return DONE
 
 
@@ -188,8 +186,7 @@ def rate(w, instant, q, v, out, d, e, f):
 def project(w, instant, right, x, from_zero, d, e, f):
     """Change x by the least M-norm, so that B x falls by right; from_zero: x becomes the least x with B x = B x_before - right."""
     s, p, changes, vector = w.scene.links, w.projection, rows(w, right), pairs(w, x)
-    for k in range(changes.shape[0]):
-        p.bias[k] = changes[k]
+    put(1.0, changes, p.bias)
     if from_zero:
         joints.point_values(s, vector, p.vz)
         for k in range(changes.shape[0]):

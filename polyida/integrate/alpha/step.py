@@ -17,6 +17,7 @@ from polyida import system as table
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, NOT_FINITE, REFACTOR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import copy_matrix, put
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
@@ -109,8 +110,7 @@ def predict(p, y, w):
         now[V, i] = past[V, i] + p.h * ((1.0 - p.gamma) * a_alg + p.gamma * a1)
         now[DD, i] = dd
         now[Q, i] = past[Q, i] + (p.h * past[V, i] + dd)
-    for k in range(w.rows.shape[1]):
-        w.rows[LAM, k] = y.rows[LAM, k]
+    put(1.0, y.rows[LAM], w.rows[LAM])
 
 
 @fast
@@ -168,14 +168,10 @@ def end_step(f, w, k, p, c, y, x, row, qs, vs, accelerations, lams):
     if p.unknowns < qs.shape[1]:
         call(f[table.STRAINS], w, k, address(y.past), address(x.now), address(y.past), address(c), 0, 0)
     y.marks[MOVED] = 0.0
-    for i in range(qs.shape[1]):
-        qs[row, i] = y.past[Q, i]
-    for i in range(qs.shape[1]):
-        vs[row, i] = y.past[V, i]
-    for i in range(qs.shape[1]):
-        accelerations[row, i] = y.past[A, i]
-    for i in range(lams.shape[1]):
-        lams[row, i] = y.rows[LAM, i]
+    put(1.0, y.past[Q], qs[row])
+    put(1.0, y.past[V], vs[row])
+    put(1.0, y.past[A], accelerations[row])
+    put(1.0, y.rows[LAM], lams[row])
     if p.control > 0.0:
         y.marks[SINCE] += 1.0
         if y.marks[SINCE] >= PATIENCE:
@@ -215,8 +211,7 @@ def remember(p, y, w):
         past[CHANGE, i] = change
         past[EARLIER, i] = before
         past[Q, i], past[V, i], past[A, i] = now[Q, i], now[V, i], a
-    for k in range(w.rows.shape[1]):
-        y.rows[LAM, k], y.rows[PHI, k], y.rows[RATE, k] = w.rows[LAM, k], w.rows[PHI, k], w.rows[RATE, k]
+    copy_matrix(w.rows[:DLAM], y.rows)  # lam, phi and the rate
     y.marks[AHEAD], y.marks[BEHIND] = nearest(aa, ab, bb, ad, bd)
 
 
@@ -286,8 +281,7 @@ def settle(f, w, k, x, stabilised):
     if ended != DONE:
         return ended
     ended = call(f[table.PROJECT], w, k, address(rows[RATE]), address(now[V]), 0, 0, 0, 0)
-    for i in range(rows.shape[1]):
-        rows[RATE, i] = 0.0
+    rows[RATE] = 0.0
     return ended
 
 
@@ -301,8 +295,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         y.marks[ACCEL_CHANGE] *= 0.9
     call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
     if stabilised and last == 0.0:
-        for i in range(p.unknowns):
-            now[GGL, i] = 0.0
+        now[GGL] = 0.0
     state = address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM])
     r, phi, dq, dlam = address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
     for iteration in range(p.max_iterations):

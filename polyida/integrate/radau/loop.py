@@ -27,6 +27,7 @@ from polyida.integrate.radau.step import (
 )
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import FACTORS as SLOTS
 from polyida.system import MATRICES, PREPARE, SELECT
 
@@ -201,15 +202,12 @@ def reserve_slot(slots, h, t, y):
     n = y.past.shape[1]
     slots.table[H, slot], slots.table[PRICE, slot], slots.table[LEAST, slot], slots.table[READY, slot] = h, 0.0, NEVER, 1.0
     mark_used(slots, slot)
-    slots.states[slot, 0] = t
-    for i in range(n):
-        slots.states[slot, 1 + i], slots.states[slot, 1 + n + i], slots.states[slot, 1 + 2 * n + i] = (
-            y.past[Q, i],
-            y.past[V, i],
-            y.past[A, i],
-        )
-    for e in range(y.lam.shape[0]):
-        slots.states[slot, 1 + 3 * n + e] = y.lam[e]
+    state = slots.states[slot]
+    state[0] = t
+    put(1.0, y.past[Q], state[1:])
+    put(1.0, y.past[V], state[1 + n :])
+    put(1.0, y.past[A], state[1 + 2 * n :])
+    put(1.0, y.lam, state[1 + 3 * n :])
     y.marks[CONTRACTION], y.marks[AGE] = UNKNOWN[0], UNKNOWN[1]
     return slot
 
@@ -285,24 +283,21 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
 def record_step(o, k, target, h, y, x, z, slots, level, counts):
     """Write step k to the record."""
     o.t[k], o.level[k] = target, level
-    for i in range(z.q.shape[0]):
-        o.q[k, i], o.v[k, i], o.a[k, i] = z.q[i], z.v[i], z.a[i]
-        for j in range(x.e.shape[0]):
-            o.e[k, j, i], o.dv[k, j, i], o.stages_a[k, j, i], o.miss_e[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i], y.miss_e[0, j, i]
-    for e in range(z.lam.shape[0]):
-        o.lam[k, e], o.phi_start[k, 0, e], o.phi_start[k, 1, e] = z.lam[e], y.phi_start[0, e], y.phi_start[1, e]
-        for j in range(x.e.shape[0]):
-            o.stages_lam[k, j, e], o.miss_lam[k, j, e] = x.lam[j, e], y.miss_lam[0, j, e]
-    for j in range(x.mu.shape[0]):
-        for e in range(x.mu.shape[1]):
-            o.mu[k, j, e] = x.mu[j, e]
-    for i in range(MARKS):
-        o.marks[k, i] = y.marks[i]
-    for i in range(4):
-        for slot in range(SLOTS):
-            o.slots[k, i, slot] = slots.table[i, slot]
-    for i in range(COUNTS):
-        o.counts[k, i] = counts[i]
+    put(1.0, z.q, o.q[k])
+    put(1.0, z.v, o.v[k])
+    put(1.0, z.a, o.a[k])
+    put(1.0, z.lam, o.lam[k])
+    copy_matrix(x.e, o.e[k])
+    copy_matrix(x.dv, o.dv[k])
+    copy_matrix(x.a, o.stages_a[k])
+    copy_matrix(x.lam, o.stages_lam[k])
+    copy_matrix(x.mu, o.mu[k])
+    copy_matrix(y.miss_e[0], o.miss_e[k])
+    copy_matrix(y.miss_lam[0], o.miss_lam[k])
+    copy_matrix(y.phi_start, o.phi_start[k])
+    put(1.0, y.marks, o.marks[k])
+    copy_matrix(slots.table[:READY], o.slots[k])
+    put(1.0, counts, o.counts[k])
 
 
 @entry
@@ -333,8 +328,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
         if ended == MAKE and f[MATRICES] and made < MADE:
             slot = reserve_slot(slots, h, clamp(p, begin), y)
             o.made[made, 0], o.made[made, 1] = taken, slot
-            for i in range(slots.states.shape[1]):
-                o.made[made, 2 + i] = slots.states[slot, i]
+            put(1.0, slots.states[slot], o.made[made, 2:])
             made += 1
             ended, counts[FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[FACTORS] + 1
             fresh = ended == DONE  # a constant True would be another type, and `attempt` be compiled again

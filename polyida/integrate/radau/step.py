@@ -27,6 +27,7 @@ from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import clear, copy_matrix, put
 from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, INERTIA, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
 STALLED = 0.9  # contraction above which corrections below ROUND times the size are round-off
@@ -239,16 +240,12 @@ def predict(t, h, y, x, z):
     q = q_0 + c h v_0.
     """
     stages, last, ahead, to_e = x.e.shape[0], y.marks[LAST], z.weights[0], z.weights[1]
-    for k in range(stages):
-        for i in range(x.mu.shape[1]):
-            x.mu[k, i] = 0.0
+    clear(x.mu)
     z.progress[EXTENDED] = 0.0
     if last == 0.0 or h > MAX_EXTRAPOLATION * last:
+        clear(x.e)
         for k in range(stages):
-            for i in range(x.e.shape[1]):
-                x.e[k, i] = 0.0
-            for i in range(x.lam.shape[1]):
-                x.lam[k, i] = y.lam[i]
+            put(1.0, y.lam, x.lam[k])
         return
     for k in range(stages):
         at = 1.0 + t.c[k] * (h / last)
@@ -277,11 +274,8 @@ def predict(t, h, y, x, z):
 def add_prediction_error(y, x, z):
     """Store the extrapolated stages in start_e and start_lam, and add the expected prediction error for a step of the same length."""
     z.progress[EXTENDED] = 1.0
-    for k in range(x.e.shape[0]):
-        for i in range(x.e.shape[1]):
-            x.start_e[k, i] = x.e[k, i]
-        for e in range(x.lam.shape[1]):
-            x.start_lam[k, e] = x.lam[k, e]
+    copy_matrix(x.e, x.start_e)
+    copy_matrix(x.lam, x.start_lam)
     for o in range(TERMS):
         weight = y.marks[MISSES + 1 + o]
         for k in range(x.e.shape[0] if weight != 0.0 else 0):
@@ -338,10 +332,8 @@ def store_prediction_error(y, x, z):
 def put_first(rows, newest):
     """Move rows down by one, and put the newest first."""
     for o in range(rows.shape[0] - 1, 0, -1):
-        for i in range(newest.shape[0]):
-            rows[o, i] = rows[o - 1, i]
-    for i in range(newest.shape[0]):
-        rows[0, i] = newest[i]
+        put(1.0, rows[o - 1], rows[o])
+    put(1.0, newest, rows[0])
 
 
 @part
@@ -397,8 +389,7 @@ def stage_velocities(f, w, first, p, t, h, y, x, z):
             ended = call(f[RATE], w, first + 1 + k, address(z.q), address(z.v), address(z.rows[PHI_RATE, k]), 0, 0, 0)
         if ended != DONE:
             return ended
-        for i in range(z.psi.shape[1]):
-            z.psi[k, i] = z.rows[PHI_RATE, k, i]
+        put(1.0, z.rows[PHI_RATE, k], z.psi[k])
     if x.mu.shape[1]:
         for k in range(x.e.shape[0]):
             stage_state(t, h, y, x, z, k)
@@ -413,8 +404,8 @@ def stage_velocities(f, w, first, p, t, h, y, x, z):
 def phi_by_increments(f, w, first, y, x, z, k):
     """phi and phi' of stage k by increments from the start of the step; z.q is q of the stage."""
     phi, rate = z.rows[PHI, k], z.rows[PHI_RATE, k]
-    for i in range(phi.shape[0]):
-        phi[i], rate[i] = y.phi_start[PHI, i], y.phi_start[PHI_RATE, i]
+    put(1.0, y.phi_start[PHI], phi)
+    put(1.0, y.phi_start[PHI_RATE], rate)
     return call(f[CONSTRAINTS], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
 
 
@@ -438,24 +429,23 @@ def residuals(f, w, first, p, t, h, y, x, z):
 
 
 @fast
+def into_mode(row, x, out):
+    """out = row x of stages x (s, .); zero without a row."""
+    out[:] = 0.0
+    for k in range(row.shape[0]):
+        for i in range(out.shape[0]):
+            out[i] += row[k] * x[k, i]
+
+
+@part
 def into_modes(p, t, h, z):
     """Transform the residuals of the stages to the modes. Velocity rows are divided by c."""
-    stages, real = z.r.shape[0], t.real_row.shape[0] > 0
-    for i in range(z.right.shape[0]):
-        one, pair = 0.0, 0.0j
-        for k in range(stages):
-            if real:
-                one += t.real_row[k] * z.r[k, i]
-            pair += t.pair_row[k] * z.r[k, i]
-        z.right[i], z.right_pair[i] = one, pair
+    real = t.real_row.shape[0] > 0
+    into_mode(t.real_row, z.r, z.right)
+    into_mode(t.pair_row, z.r, z.right_pair)
     for g in range(2):
-        for e in range(z.closing.shape[1]):
-            one, pair = 0.0, 0.0j
-            for k in range(stages):
-                if real:
-                    one += t.real_row[k] * z.rows[g, k, e]
-                pair += t.pair_row[k] * z.rows[g, k, e]
-            z.closing[g, e], z.closing_pair[g, e] = one, pair
+        into_mode(t.real_row, z.rows[g], z.closing[g])
+        into_mode(t.pair_row, z.rows[g], z.closing_pair[g])
     for i in range(p.velocity_rows.shape[0]):
         e = p.velocity_rows[i]
         z.closing_pair[PHI, e] *= h / complex(t.values[1], t.values[2])
@@ -640,9 +630,8 @@ def local_error(f, w, first, p, t, h, y, x, z, counts):
             z.right[i] = work[2, i] + t.values[0] / h * work[3, i]
         else:
             z.right_pair[i] = work[2, i] + c * work[3, i]
-    for g in range(2):
-        for e in range(z.closing.shape[1]):
-            z.closing[g, e], z.closing_pair[g, e] = 0.0, 0.0
+    clear(z.closing)
+    clear(z.closing_pair)
     for k in range(p.velocity_rows.shape[0]):
         e = p.velocity_rows[k]
         if real:
@@ -666,8 +655,7 @@ def end_state(f, w, first, h, y, x, z):
     for i in range(n):
         z.q[i], z.v[i], z.a[i] = y.past[Q, i] + (h * y.past[V, i] + x.e[k, i]), y.past[V, i] + x.dv[k, i], x.a[k, i]
         total += z.q[i] * z.v[i]
-    for e in range(z.lam.shape[0]):
-        z.lam[e] = x.lam[k, e]
+    put(1.0, x.lam[k], z.lam)
     if not np.isfinite(total):
         return NOT_FINITE
     if f[ACCEPT]:
@@ -692,11 +680,8 @@ def advance(h, error, y, x, z):
     k = x.e.shape[0] - 1
     for i in range(z.q.shape[0]):
         y.past[Q, i], y.past[V, i], y.past[A, i] = z.q[i], z.v[i], x.a[k, i]
-        for j in range(k + 1):
-            y.stages_v[j, i] = x.dv[j, i]
-    for e in range(z.lam.shape[0]):
-        y.lam[e] = x.lam[k, e]
-        y.phi_start[PHI, e], y.phi_start[PHI_RATE, e] = z.rows[PHI, k, e], z.rows[PHI_RATE, k, e]
-        for j in range(k + 1):
-            y.stages_lam[j, e] = x.lam[j, e]
+    put(1.0, x.lam[k], y.lam)
+    copy_matrix(x.dv, y.stages_v)
+    copy_matrix(x.lam, y.stages_lam)
+    copy_matrix(z.rows[:, k], y.phi_start)
     y.marks[LAST], y.marks[ERROR] = h, error

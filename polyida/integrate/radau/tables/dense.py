@@ -91,14 +91,6 @@ def complex_vector(at, size):
     return carray(complex_pointer(at), (size,))
 
 
-@part
-def copy(source, target):
-    """Copy source to target, (k, n) each."""
-    for k in range(source.shape[0]):
-        for i in range(source.shape[1]):
-            target[k, i] = source[k, i]
-
-
 @entry
 def prepare(w, first, times, b, c, d, e, f):
     """Store the times of a step."""
@@ -115,7 +107,7 @@ def reaction(w, instant, q, mu, dv, known, e, f):
     if not known:
         set_state(w.dense, instant, q, address(w.dense.v))
         ended, B = evaluate_rows(w.dense), w.dense.B
-        copy(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
+        lu.copy_matrix(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
     multipliers, moved = vector(mu, m), vector(dv, n)
     for i in range(n):
         total = 0.0
@@ -129,7 +121,7 @@ def reaction(w, instant, q, mu, dv, known, e, f):
 def restore_rows(w, instant):
     """Use the stored B of a stage in the next call."""
     if w.state[TIED]:
-        copy(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
+        lu.copy_matrix(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
         w.dense.flags[ROWS_CURRENT] = 1
 
 
@@ -198,7 +190,7 @@ def bend(w, q, a):
     d.t[INNER] = t
     for i in range(d.q.shape[0]):
         d.q[i] = at[i]
-    copy(w.B, d.B)
+    lu.copy_matrix(w.B, d.B)
     return ended
 
 
@@ -262,7 +254,7 @@ def rows(w, instant, q, v, a, known, e, f):
         own.flags[ROWS_CURRENT] = known
         ended = evaluate_rows(own)
         own.flags[ROWS_CURRENT] = 0
-        copy(own.B, w.B)
+        lu.copy_matrix(own.B, w.B)
         if ended == DONE and w.state[TIED] and own.flags[ROWS_VARY]:
             ended = bend(w, q, a)
         for k in range(m):
@@ -367,13 +359,13 @@ def factor(w, instant, q, v, a, lam, slot, f):
     if d.flags[VELOCITY]:
         lu.clear(d.S)
         add_slope(d, FORCE_V, FORCE, d.v, 1.0)
-        copy(d.S, C)
+        lu.copy_matrix(d.S, C)
     if d.flags[MASS_VARIES]:
         evaluate(d, MASS, INNER, d.M)
-    copy(d.M, M)
+    lu.copy_matrix(d.M, M)
     d.c[0] = d.c[1] = 0.0
     ended = evaluate(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
-    copy(d.S, K)
+    lu.copy_matrix(d.S, K)
     w.state[FACTORED] = 0
     good = finite(K.reshape(n * n)) and finite(C.reshape(n * n)) and finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX

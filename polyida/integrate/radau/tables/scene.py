@@ -45,7 +45,7 @@ from polyida.integrate.radau.tables.scene_factors import (
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call, complex_pointer, pointer
 from polyida.jit.user_functions import CALLBACK, table_address
-from polyida.linear.dense import clear
+from polyida.linear.dense import clear, copy_matrix
 from polyida.linear.lu import SingularSystem
 from polyida.system.scene import add_forces, add_slowing
 
@@ -160,8 +160,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
         return HALF_TURN
     add_forces(w, drives, u, speed, out)
     if k == w.c.shape[0] // 2:
-        for i in range(w.u.shape[0]):
-            w.u[i, 0], w.u[i, 1] = u[i, 0], u[i, 1]
+        copy_matrix(u[: w.u.shape[0]], w.u)
         joints.point_values(s.links, speed, w.vz)
     return DONE
 
@@ -342,8 +341,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
         w.r[i, 0], w.r[i, 1] = total.real, total.imag
     if not constrain(w.scene.links, w.tie, drives, w.dz[k], speed, w.r, rows(w, lam)):
         return SINGULAR
-    for i in range(out.shape[0]):
-        out[i, 0], out[i, 1] = w.r[i, 0], w.r[i, 1]
+    copy_matrix(w.r, out)
     return DONE
 
 

@@ -13,6 +13,7 @@ from polyida.assembly import compact, corotated
 from polyida.errors import DONE, SINGULAR
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer
+from polyida.linear.dense import copy_matrix
 from polyida.linear.fronts import fill_panels
 from polyida.linear.lu import FACTORS
 
@@ -87,34 +88,27 @@ def factored(x, stored, mode, c, rotation, slot):
     if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
         return False
     corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
-    exchange(stored, s, slot, True)
+    copy(s.panels, stored.panels[slot])
+    copy_matrix(s.compliance_columns, stored.columns[slot])
+    copy_matrix(s.frame, stored.frames[slot])
     return True
 
 
 @part
-def exchange(stored, s, slot, store):
-    """Copy the factors of a mode to a slot, or from it."""
-    copy(s.panels, stored.panels[slot], store)
-    copy(s.compliance_columns.reshape(-1), stored.columns[slot], store)
-    copy(s.frame.reshape(-1), stored.frames[slot], store)
-
-
-@part
-def copy(x, y, forward):
-    """y = x, or x = y."""
+def copy(x, y):
+    """y = x."""
     for i in range(x.shape[0]):
-        if forward:
-            y[i] = x[i]
-        else:
-            x[i] = y[i]
+        y[i] = x[i]
 
 
 @part
 def restored(stored, mode, c, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
-        mode.c[0] = c
-        exchange(stored, mode.factored, slot, False)
+        mode.c[0], s = c, mode.factored
+        copy(stored.panels[slot], s.panels)
+        copy_matrix(stored.columns[slot], s.compliance_columns)
+        copy_matrix(stored.frames[slot], s.frame)
 
 
 @entry
@@ -138,20 +132,21 @@ def makes_factors(model):
 
 def scene_factors(model, used):
     """The SceneFactors of a scene. used: False if compiled code makes none."""
-    panels = columns = size = blocks = numbers = places = 0
+    panels = columns = nodes = blocks = numbers = places = 0
     loads = np.empty((0, 0, 2))
     if used:
-        empty, size, blocks = corotated.empty_corotated(model, float), 2 * model.n_factored, len(model.pattern[1])
-        fronts, panels, columns = empty.fronts, empty.panels.size, empty.compliance_columns.size
+        empty, nodes, blocks = corotated.empty_corotated(model, float), model.n_factored, len(model.pattern[1])
+        fronts, panels, columns = empty.fronts, len(empty.panels), len(empty.compliance_columns)
         numbers, places = fronts.size**2 + fronts.depth, len(fronts.nodes) + len(fronts.children)
         loads = model.once(corotated.unit_loads, of_shape=True)
     modes = [
         StoredFactors(
-            *(np.empty((FACTORS, count), kind) for count in (panels, columns)),
-            np.empty((FACTORS, size)),
+            np.empty((FACTORS, panels), kind),
+            np.empty((FACTORS, columns, 2), kind),
+            np.empty((FACTORS, nodes, 2)),
             np.empty((blocks, 2, 2), wide),
             np.empty(numbers, wide),
-            np.empty(size, kind),
+            np.empty(2 * nodes, kind),
         )
         for kind, wide in KINDS.values()
     ]
