@@ -5,26 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
-from polyida.integrate.radau.step import (
-    AGE,
-    CONTRACTION,
-    ERROR,
-    FACTORS,
-    LAST,
-    MARKS,
-    PLACES,
-    SHARES,
-    UNKNOWN,
-    A,
-    Q,
-    V,
-    advance,
-    end_state,
-    local_error,
-    mean_square,
-    project_end,
-    solve_stages,
-)
+from polyida.integrate.radau import step
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import copy_matrix, put
@@ -116,7 +97,7 @@ def record(count, stages, n, m, tied):
     motion = (count,), (count, n), (count, n), (count, n), (count, m)
     each, closing = (count, stages, n), (count, stages, m)
     inner = each, each, each, closing, each, closing, (count, stages, m if tied else 0), (count, 2, m)
-    sizes = (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
+    sizes = (*motion, *inner, (count, step.MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
     return Record(*map(np.empty, sizes), np.full((MADE, 3 + 3 * n + m), np.inf))
 
 
@@ -204,11 +185,11 @@ def reserve_slot(slots, h, t, y):
     mark_used(slots, slot)
     state = slots.states[slot]
     state[0] = t
-    put(1.0, y.past[Q], state[1:])
-    put(1.0, y.past[V], state[1 + n :])
-    put(1.0, y.past[A], state[1 + 2 * n :])
+    put(1.0, y.past[step.Q], state[1:])
+    put(1.0, y.past[step.V], state[1 + n :])
+    put(1.0, y.past[step.A], state[1 + 2 * n :])
     put(1.0, y.lam, state[1 + 3 * n :])
-    y.marks[CONTRACTION], y.marks[AGE] = UNKNOWN[0], UNKNOWN[1]
+    y.marks[step.CONTRACTION], y.marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
     return slot
 
 
@@ -221,7 +202,7 @@ def clamp(p, t):
 @part
 def allowed_error(p, y):
     """atol + rtol |q| at the state of y."""
-    return p.atol + p.rtol * np.sqrt(mean_square(y.past[PLACES], y.past[Q]))
+    return p.atol + p.rtol * np.sqrt(step.mean_square(y.past[step.PLACES], y.past[step.Q]))
 
 
 @part
@@ -231,10 +212,10 @@ def newton_tolerance(p, h, y):
         return p.tolerance
     if p.share > 0.0:
         return p.share * allowed_error(p, y)
-    error = y.marks[ERROR]
+    error = y.marks[step.ERROR]
     if error < 0.0:
         return EXACT * p.length
-    round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(mean_square(y.past[SHARES], y.past[V])))
+    round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(step.mean_square(y.past[step.SHARES], y.past[step.V])))
     return max(round_off, SHARE * (error / p.length) ** ERROR_POWER * error)
 
 
@@ -265,7 +246,7 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
     mark_used(slots, slot)
     if f[SELECT]:
         call(f[SELECT], w, slot, address(select), 0, 0, 0, 0, 0)
-    ended, iterations = solve_stages(f, w, first, p, t, h, y, x, z, newton_tolerance(p, h, y), counts)
+    ended, iterations = step.solve_stages(f, w, first, p, t, h, y, x, z, newton_tolerance(p, h, y), counts)
     if ended != DONE:
         if fresh or ended in (NOT_FINITE, RAISED, WRONG_SHAPE):
             return ended, 0.0
@@ -273,9 +254,9 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
     slots.table[PRICE, slot] += max(0.0, iterations - slots.table[LEAST, slot])
-    ended, error = project_end(f, w, first, p, t, h, y, x, z), 0.0
+    ended, error = step.project_end(f, w, first, p, t, h, y, x, z), 0.0
     if ended == DONE and p.estimates_error:
-        ended, error = local_error(f, w, first, p, t, h, y, x, z, counts)
+        ended, error = step.local_error(f, w, first, p, t, h, y, x, z, counts)
     return ended, error
 
 
@@ -313,7 +294,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
         if c.adaptive:
             now[LEVEL] = level_within(c.first, now[LEVEL], c.most)
             h = step_of_level(c.first, now[LEVEL])
-            h, target = next_step(begin, c.end, h, y.marks[LAST] if y.marks[LAST] > 0.0 else h)
+            h, target = next_step(begin, c.end, h, y.marks[step.LAST] if y.marks[step.LAST] > 0.0 else h)
             if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
                 now[STEP] = h
                 return taken, STEP_TOO_SHORT
@@ -330,7 +311,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
             o.made[made, 0], o.made[made, 1] = taken, slot
             put(1.0, slots.states[slot], o.made[made, 2:])
             made += 1
-            ended, counts[FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[FACTORS] + 1
+            ended, counts[step.FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[step.FACTORS] + 1
             fresh = ended == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
                 ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
@@ -341,7 +322,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
         allowed = allowed_error(p, y) if c.adaptive else np.inf
         good = ended != DONE or error <= allowed
         if ended == DONE and good:
-            ended = end_state(f, w, at, h, y, x, z)
+            ended = step.end_state(f, w, at, h, y, x, z)
         if ended != DONE:
             return taken, ended
         if c.adaptive and (not good or h >= step_of_level(c.first, now[LEVEL]) * (1.0 - 1e-9)):
@@ -351,7 +332,7 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
             now[FAILED] += 1.0
             fresh = False
             continue
-        advance(h, error, y, x, z)
+        step.advance(h, error, y, x, z)
         fresh, now[TIME], now[FAILED] = False, target, 0.0
         record_step(o, taken, target, h, y, x, z, slots, now[LEVEL], counts)
         taken += 1
@@ -361,5 +342,5 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
 @part
 def make_factors(f, w, at, t, y, z, slot):
     """Make the factors of a slot at the state of y, for the step of the last attempt. Returns a status."""
-    state = address(y.past[Q]), address(y.past[V]), address(y.past[A]), address(y.lam)
+    state = address(y.past[step.Q]), address(y.past[step.V]), address(y.past[step.A]), address(y.lam)
     return call(f[MATRICES], w, at, state[0], state[1], state[2], state[3], slot, address(selected(t, z)))

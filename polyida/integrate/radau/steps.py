@@ -11,46 +11,9 @@ import numpy as np
 
 from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
-from polyida.integrate.radau import loop
+from polyida.integrate.radau import loop, step
 from polyida.integrate.radau.accepted import StretchData, StretchStates
-from polyida.integrate.radau.loop import (
-    FAILED,
-    LEAST,
-    LEVEL,
-    PRICE,
-    READY,
-    REMAINING,
-    STEP,
-    TARGET,
-    TIME,
-    USED,
-    Control,
-    H,
-    cut,
-    record,
-    reserve_slot,
-    stretch,
-)
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
-from polyida.integrate.radau.step import (
-    AGE,
-    CONTRACTION,
-    ERROR,
-    FACTORS,
-    LAST,
-    MISSES,
-    MOVED,
-    PLACES,
-    SHARES,
-    SPEED,
-    UNKNOWN,
-    A,
-    Method,
-    Q,
-    V,
-    compiled_tableau,
-    empty,
-)
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
@@ -92,8 +55,8 @@ class Steps:
         self.moves_v = (form == "ggl" or settings.project) and (bent or (model.compiled and model.m > 0))
         self.estimates_error = settings.adaptive or settings.tolerance is None
         self.table = _table(settings, model, self.tableau, self.tied)
-        self.compiled_tableau = compiled_tableau(self.tableau)
-        self.memory, self.trial, self.scratch = empty(settings.stages, model.n, model.m, self.tied)
+        self.compiled_tableau = step.compiled_tableau(self.tableau)
+        self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
         self.slots, self.state = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m))), None
         self.done = np.zeros(loop.COUNTS, np.int64)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
@@ -107,22 +70,22 @@ class Steps:
     @property
     def shares(self):
         """Shares of the coordinates in the mass, (n,)."""
-        return self.memory.past[SHARES]
+        return self.memory.past[step.SHARES]
 
     def begin(self, state):
         """Restore the memory of a state and nothing else: the norm's weights, Newton's contraction, the factors."""
         memory, model, table = state.memory, self.model, self.slots.table
         shares = memory.get("radau_shares")
-        self.memory.past[SHARES] = self.memory.past[PLACES] = weights(model, state.q) if shares is None else shares
-        self.memory.past[PLACES, model.hidden] = 0.0
+        self.memory.past[step.SHARES] = self.memory.past[step.PLACES] = weights(model, state.q) if shares is None else shares
+        self.memory.past[step.PLACES, model.hidden] = 0.0
         if self.tied:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
         table[:], self.state, self.factor_states = 0.0, None, None
-        self.memory.marks[[CONTRACTION, AGE]] = memory.get("newton", UNKNOWN)
+        self.memory.marks[[step.CONTRACTION, step.AGE]] = memory.get("newton", step.UNKNOWN)
         if "newton" in memory:
             for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
-                table[[H, PRICE, LEAST, USED], slot] = [*price, slot + 1.0]
+                table[[loop.H, loop.PRICE, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
                 self.slots.states[slot] = row[1:]
 
     def clamp(self, t):
@@ -135,15 +98,15 @@ class Steps:
             return
         y, memory, model = self.memory, state.memory, self.model
         known = "stages_e" in memory
-        y.past[Q], y.past[V] = state.q, state.v
+        y.past[step.Q], y.past[step.V] = state.q, state.v
         last = memory.get("a_end")
-        y.past[A] = state.a if last is None else last  # which may not be made yet
+        y.past[step.A] = state.a if last is None else last  # which may not be made yet
         y.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
         if known:
             y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
-        y.marks[LAST], y.marks[ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
-        y.marks[MISSES:] = memory.get("misses", 0.0) if known else 0.0
-        if y.marks[MISSES]:
+        y.marks[step.LAST], y.marks[step.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        y.marks[step.MISSES :] = memory.get("misses", 0.0) if known else 0.0
+        if y.marks[step.MISSES]:
             y.miss_e[:], y.miss_lam[:], y.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.has_constraint_increments:
             y.phi_start[:] = start_values(model, state, self.clamp(state.t))
@@ -152,7 +115,7 @@ class Steps:
     def method(self):
         s, model, sizes = self.settings, self.model, self.sizes
         rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
-        return Method(
+        return step.Method(
             tied=self.tied,
             by_increments=bool(model.has_constraint_increments),
             moves_v=self.moves_v,
@@ -174,7 +137,7 @@ class Steps:
 
     def step(self, state, h, t):
         """The State at t after one step of h. Raises StepFailure."""
-        control = Control(False, h, h, np.inf, np.inf, np.inf, new_control(state.t))
+        control = loop.Control(False, h, h, np.inf, np.inf, np.inf, new_control(state.t))
         end = next(self._stretches(state, control, np.array([t])))
         vars(self.counts).update(end.spent)
         return end.last
@@ -183,7 +146,7 @@ class Steps:
         """Yield stretches of the states at the remaining ends of a grid. Raises StepFailure."""
         while grid.done < grid.count:
             ends = grid.times(grid.done, min(grid.done + self.longest, grid.count))[1:]
-            control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, new_control(state.t))
+            control = loop.Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, new_control(state.t))
             for states in self._stretches(state, control, ends, partial(_grid_memory, grid)):
                 self.counts.steps += len(states)
                 yield states
@@ -208,14 +171,14 @@ class Steps:
         count = len(ends) or self.longest
         first = self.table.begin(self, state, control, ends)
         while True:
-            o = record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
+            o = loop.record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
             self.done[:], begin = 0, (state.t, state.q, state.v)
             self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
             misses_before = {name: getattr(y, name).copy() for name in ("miss_e", "miss_lam", "mu")}
-            control.now[REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
+            control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
             table_arguments, run_arguments = (self.table.functions, self.table.workspace, first), (control, self.slots, fresh)
             with self.table.timed():
-                accepted, ended = stretch(
+                accepted, ended = loop.stretch(
                     *table_arguments, p, self.compiled_tableau, *run_arguments, y, self.trial, self.scratch, self.done, ends[taken:], o
                 )
             self.state, before = None, replace(self.counts)
@@ -242,7 +205,7 @@ class Steps:
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
             self.state = self.state or state
-            if self.done[FACTORS]:
+            if self.done[step.FACTORS]:
                 self.factor_states = None
             taken, count, first = taken + accepted, count - accepted, first + accepted * (self.settings.stages + 1) * self.table.prepared
             self.table.raise_error()
@@ -269,28 +232,30 @@ class Steps:
 
     def make(self, control, new):
         """Make the factors of the attempted step: new ones, or the stored ones of this step again."""
-        h, t, table, y = float(control.now[STEP]), self.clamp(control.now[TIME]), self.slots.table, self.memory
-        slot = int(np.argmax(table[H] == h))
+        h, t, table, y = float(control.now[loop.STEP]), self.clamp(control.now[loop.TIME]), self.slots.table, self.memory
+        slot = int(np.argmax(table[loop.H] == h))
         if new:
-            slot, self.factor_states = reserve_slot(self.slots, h, t, y), None
+            slot, self.factor_states = loop.reserve_slot(self.slots, h, t, y), None
             self.counts.tangents += 1
             self.counts.factorizations += len(self.tableau.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         try:
             self.table.make(slot, h, self.slots.states[slot].copy(), self.counts)
         except SingularSystem as error:
-            table[H, slot] = table[USED, slot] = 0.0
-            raise StepFailure("singular", str(error), float(control.now[TARGET])) from None
+            table[loop.H, slot] = table[loop.USED, slot] = 0.0
+            raise StepFailure("singular", str(error), float(control.now[loop.TARGET])) from None
         if self.table.single:
-            table[READY] = 0.0
-        table[READY, slot] = 1.0
+            table[loop.READY] = 0.0
+        table[loop.READY, slot] = 1.0
 
     def _failure(self, ended, control):
         """The StepFailure of the attempted step."""
-        t, seen = float(control.now[TARGET]), {}
+        t, seen = float(control.now[loop.TARGET]), {}
         if ended in (loop.STEP_TOO_SHORT, loop.TOO_MANY_STEPS):
-            return StepFailure({loop.STEP_TOO_SHORT: "stuck", loop.TOO_MANY_STEPS: "too many steps"}[ended], "", float(control.now[TIME]))
+            return StepFailure(
+                {loop.STEP_TOO_SHORT: "stuck", loop.TOO_MANY_STEPS: "too many steps"}[ended], "", float(control.now[loop.TIME])
+            )
         if ended == REFACTOR:
-            seen = {"last |dq|": float(self.scratch.progress[MOVED]), "contraction": float(self.scratch.progress[SPEED])}
+            seen = {"last |dq|": float(self.scratch.progress[step.MOVED]), "contraction": float(self.scratch.progress[step.SPEED])}
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
 
 
@@ -361,26 +326,26 @@ def adaptive_steps(engine, settings, model, state, begin, end, most, counts, con
     controller: [first step, level], updated.
     """
     first, most, failures = float(controller[0]), _largest_step(model, state, begin, end, most), []
-    control = Control(True, 0.0, first, most, end, float(most_steps), new_control(begin, controller[1]))
+    control = loop.Control(True, 0.0, first, most, end, float(most_steps), new_control(begin, controller[1]))
     now = control.now
     position_memory = lambda taken, k, level: {"ladder": np.array([first, level]), "radau_piece": np.array([end, most])}  # noqa: E731
     while state.t < end:
         try:
             for states in engine.take_adaptive(state, control, position_memory):
-                failures, controller[1], state = [], now[LEVEL], states.last
+                failures, controller[1], state = [], now[loop.LEVEL], states.last
                 yield states
         except StepFailure as failure:
-            rejected = int(now[FAILED]) - len(failures)
+            rejected = int(now[loop.FAILED]) - len(failures)
             failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected
             if failure.status == "stuck":
-                raise _with_history(failures, now[STEP]) from None
+                raise _with_history(failures, now[loop.STEP]) from None
             if failure.status == "too many steps":
                 reason = f"more than {settings.max_num_steps} steps (max_num_steps)"
-                raise StepFailure(failure.status, reason, state.t, step=float(now[STEP])) from None
+                raise StepFailure(failure.status, reason, state.t, step=float(now[loop.STEP])) from None
             failures.append(failure)
             counts.rejected += 1
-            now[FAILED] += 1
-            now[LEVEL] = cut(first, now[LEVEL], now[STEP])
+            now[loop.FAILED] += 1
+            now[loop.LEVEL] = loop.cut(first, now[loop.LEVEL], now[loop.STEP])
 
 
 def _with_history(failures, h):

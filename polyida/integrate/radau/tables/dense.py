@@ -15,28 +15,6 @@ from polyida.linear import dense as lu
 from polyida.linear.lu import FACTORS as SLOTS
 from polyida.model.differences import NEAR
 from polyida.system import dense
-from polyida.system.dense import (
-    END,
-    FORCE,
-    FORCE_V,
-    INNER,
-    MASS,
-    MASS_VARIES,
-    PHI_Q,
-    ROWS_CURRENT,
-    ROWS_VARY,
-    TANGENT,
-    VELOCITY,
-    add_slope,
-    add_slopes,
-    evaluate,
-    evaluate_rows,
-    finite,
-    reach,
-    set_a_lam,
-    set_state,
-    vector,
-)
 
 CHOSEN, FACTORED, TIED = range(
     3
@@ -94,9 +72,9 @@ def complex_vector(at, size):
 @entry
 def prepare(w, first, times, b, c, d, e, f):
     """Store the times of a step."""
-    values = vector(times, 3 + w.rows.shape[0])
+    values = dense.vector(times, 3 + w.rows.shape[0])
     for i in range(1 + w.rows.shape[0]):
-        w.dense.times[first + i, INNER] = w.dense.times[first + i, END] = values[2 + i]
+        w.dense.times[first + i, dense.INNER] = w.dense.times[first + i, dense.END] = values[2 + i]
     return DONE
 
 
@@ -105,10 +83,10 @@ def reaction(w, instant, q, mu, dv, known, e, f):
     """dv += D^-1 B^T mu. B at q is stored for the residual there; known: B of the middle stage is used."""
     n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
     if not known:
-        set_state(w.dense, instant, q, address(w.dense.v))
-        ended, B = evaluate_rows(w.dense), w.dense.B
+        dense.set_state(w.dense, instant, q, address(w.dense.v))
+        ended, B = dense.evaluate_rows(w.dense), w.dense.B
         lu.copy_matrix(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
-    multipliers, moved = vector(mu, m), vector(dv, n)
+    multipliers, moved = dense.vector(mu, m), dense.vector(dv, n)
     for i in range(n):
         total = 0.0
         for e in range(m):
@@ -122,7 +100,7 @@ def restore_rows(w, instant):
     """Use the stored B of a stage in the next call."""
     if w.state[TIED]:
         lu.copy_matrix(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
-        w.dense.flags[ROWS_CURRENT] = 1
+        w.dense.flags[dense.ROWS_CURRENT] = 1
 
 
 @entry
@@ -130,7 +108,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi."""
     restore_rows(w, instant)
     ended = dense.residual(w.dense, instant, q, v, a, lam, r, phi)
-    w.dense.flags[ROWS_CURRENT] = 0
+    w.dense.flags[dense.ROWS_CURRENT] = 0
     return ended
 
 
@@ -152,7 +130,7 @@ def rate(w, instant, q, v, out, known, e, f):
     if known:
         restore_rows(w, instant)
     ended = dense.rate(w.dense, instant, q, v, out, 0, 0, 0)
-    w.dense.flags[ROWS_CURRENT] = 0
+    w.dense.flags[dense.ROWS_CURRENT] = 0
     return ended
 
 
@@ -171,23 +149,28 @@ def accept(w, instant, q, b, c, d, e, f):
 @part
 def bend(w, q, a):
     """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a may be 0."""
-    d, step, at, towards = w.dense, NEAR * reach(w.dense), vector(q, w.dense.q.shape[0]), vector(a, w.dense.q.shape[0] if a else 0)
-    t, ended = d.t[INNER], DONE
+    d, step, at, towards = (
+        w.dense,
+        NEAR * dense.reach(w.dense),
+        dense.vector(q, w.dense.q.shape[0]),
+        dense.vector(a, w.dense.q.shape[0] if a else 0),
+    )
+    t, ended = d.t[dense.INNER], DONE
     for e in range(2):
         s = (step, -step)[e]
         for i in range(d.q.shape[0]):
             d.q[i] = at[i] + s * d.v[i]
         for i in range(towards.shape[0]):
             d.q[i] += 0.5 * s * s * towards[i]
-        d.t[INNER] = t + s
+        d.t[dense.INNER] = t + s
         if ended == DONE:
-            ended = evaluate(d, PHI_Q, INNER, d.B)
+            ended = dense.evaluate(d, dense.PHI_Q, dense.INNER, d.B)
         for k in range(w.H.shape[0]):
             for i in range(w.H.shape[1]):
                 change = d.B[k, i] - w.B[k, i]
                 w.N[k, i] = change if e == 0 else (w.N[k, i] + change) / (step * step)
                 w.H[k, i] = d.B[k, i] if e == 0 else (w.H[k, i] - d.B[k, i]) / (2.0 * step)
-    d.t[INNER] = t
+    d.t[dense.INNER] = t
     for i in range(d.q.shape[0]):
         d.q[i] = at[i]
     lu.copy_matrix(w.B, d.B)
@@ -247,15 +230,15 @@ def factored(w, c, number, A):
 def rows(w, instant, q, v, a, known, e, f):
     """B, G, H and N of the middle stage, and the factors with them."""
     m, own = w.B.shape[0], w.dense
-    if w.state[FACTORED] and not (m and own.flags[ROWS_VARY]):
+    if w.state[FACTORED] and not (m and own.flags[dense.ROWS_VARY]):
         return DONE
     if m:
-        set_state(own, instant, q, v)
-        own.flags[ROWS_CURRENT] = known
-        ended = evaluate_rows(own)
-        own.flags[ROWS_CURRENT] = 0
+        dense.set_state(own, instant, q, v)
+        own.flags[dense.ROWS_CURRENT] = known
+        ended = dense.evaluate_rows(own)
+        own.flags[dense.ROWS_CURRENT] = 0
         lu.copy_matrix(own.B, w.B)
-        if ended == DONE and w.state[TIED] and own.flags[ROWS_VARY]:
+        if ended == DONE and w.state[TIED] and own.flags[dense.ROWS_VARY]:
             ended = bend(w, q, a)
         for k in range(m):
             for i in range(w.B.shape[1]):
@@ -290,7 +273,7 @@ def corrected(w, A, number, c, x, r, closing, dq, multipliers):
 def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     n, m = w.K.shape[1], w.B.shape[0]
-    vectors = vector(r, n), vector(closing, 2 * m), vector(dq, n), vector(multipliers, 2 * m)
+    vectors = dense.vector(r, n), dense.vector(closing, 2 * m), dense.vector(dq, n), dense.vector(multipliers, 2 * m)
     corrected(w, w.real, 0, w.c[0], w.x, vectors[0], vectors[1], vectors[2], vectors[3])
     return DONE
 
@@ -308,10 +291,10 @@ def pair(w, instant, r, closing, lam, dq, multipliers, f):
 def bias(w, instant, q, v, a, out, e, f):
     """The second derivative of phi."""
     own, n = w.dense, w.K.shape[1]
-    set_state(own, instant, q, v)
-    ended, acceleration, value = dense.bias(own), vector(a, n), vector(out, w.B.shape[0])
+    dense.set_state(own, instant, q, v)
+    ended, acceleration, value = dense.bias(own), dense.vector(a, n), dense.vector(out, w.B.shape[0])
     restore_rows(w, instant)
-    own.flags[ROWS_CURRENT] = 0
+    own.flags[dense.ROWS_CURRENT] = 0
     for k in range(w.B.shape[0]):
         value[k] = own.phi_bias[k]
         for i in range(n):
@@ -323,7 +306,7 @@ def bias(w, instant, q, v, a, out, e, f):
 def inertia(w, instant, v, a, r, p, q, rows):
     """r = C v + M a, p = M v, rows = the blocks of rows times v; B v in place of a second block that is not there."""
     k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
-    slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n if p else 0)
+    slow, fast, force, momentum = dense.vector(v, n), dense.vector(a, n), dense.vector(r, n), dense.vector(p, n if p else 0)
     for i in range(n):
         force[i] = 0.0
         for j in range(n):
@@ -333,7 +316,7 @@ def inertia(w, instant, v, a, r, p, q, rows):
         for j in range(n):
             momentum[i] += w.M[k, i, j] * slow[j]
     for level in range(2 if rows else 0):
-        of_H, of_B, out = 0.0, 1.0, vector(rows + 8 * level * m, m)
+        of_H, of_B, out = 0.0, 1.0, dense.vector(rows + 8 * level * m, m)
         if level < w.levels.shape[0]:
             of_H, of_B = 2.0 * w.levels[level, 2], w.levels[level, 1] + w.c[0] * w.levels[level, 2]
         for e in range(m):
@@ -354,27 +337,27 @@ def factor(w, instant, q, v, a, lam, slot, f):
     """Evaluate K, C and M at a state."""
     d, n = w.dense, w.K.shape[1]
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
-    set_state(d, instant, q, v)
-    set_a_lam(d, a, lam)
-    if d.flags[VELOCITY]:
+    dense.set_state(d, instant, q, v)
+    dense.set_a_lam(d, a, lam)
+    if d.flags[dense.VELOCITY]:
         lu.clear(d.S)
-        add_slope(d, FORCE_V, FORCE, d.v, 1.0)
+        dense.add_slope(d, dense.FORCE_V, dense.FORCE, d.v, 1.0)
         lu.copy_matrix(d.S, C)
-    if d.flags[MASS_VARIES]:
-        evaluate(d, MASS, INNER, d.M)
+    if d.flags[dense.MASS_VARIES]:
+        dense.evaluate(d, dense.MASS, dense.INNER, d.M)
     lu.copy_matrix(d.M, M)
     d.c[0] = d.c[1] = 0.0
-    ended = evaluate(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
+    ended = dense.evaluate(d, dense.TANGENT, dense.INNER, d.S) if d.functions[dense.TANGENT] else dense.add_slopes(d)
     lu.copy_matrix(d.S, K)
     w.state[FACTORED] = 0
-    good = finite(K.reshape(n * n)) and finite(C.reshape(n * n)) and finite(M.reshape(n * n))
+    good = dense.finite(K.reshape(n * n)) and dense.finite(C.reshape(n * n)) and dense.finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX
 
 
 @entry
 def select(w, slot, c, b, d, e, f, g):
     """Use the matrices of a slot."""
-    new = vector(c, 3)
+    new = dense.vector(c, 3)
     same = w.state[CHOSEN] == slot
     for i in range(3):
         same = same and w.c[i] == new[i]
