@@ -149,7 +149,7 @@ def plate_products(s, viscosity, u, v, which, moving, w, rotation, x):
 
 
 @part
-def point_products(s, laws, slopes, c, w, mu, x):
+def point_products(s, slopes, c, w, mu, x):
     """Add the parts of point masses, rows and force elements to column c; its x.rows = B w. slopes: phi_z; w (nodes, 2), mu (m,): of the column."""
     wz, forces = x.points[WZ], x.points[FORCES]
     joints.point_values(s, w, wz)
@@ -202,7 +202,7 @@ def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
     which = np.zeros(1, np.int64)
     body_products(s, viscosity, u, v, which, which, w, x.rotation, x)
     joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
-    point_products(s.links, laws, slopes, 0, w[0], mu, x)
+    point_products(s.links, slopes, 0, w[0], mu, x)
 
 
 def products_at(model, drives, q, v, lam, w, mu):

@@ -341,7 +341,7 @@ def multiply(w, k, now, multipliers, bar, which, moving, anew):
         x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
         products.body_products(w.scene, w.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
         for c in which:
-            products.point_products(w.scene.links, w.laws, w.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
+            products.point_products(w.scene.links, w.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
             for e in range(w.rows.shape[3]):
                 w.rows[MU, i, c, e] = x.rows[c, e]
     for c in which:

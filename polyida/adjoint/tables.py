@@ -165,19 +165,8 @@ def evaluate(w, k, i):
     put(1.0, w.v[k, i], d.v)
     put(1.0, w.a[k, i], d.a)
     put(1.0, w.lam[k, i], d.lam)
-    d.c[:], d.flags[small.ENDED] = 0.0, DONE
-    if d.functions[small.TANGENT]:
-        small.evaluate(d, small.TANGENT, small.INNER, d.S)
-    else:
-        small.add_slopes(d)
-    copy_matrix(d.S, w.K[i])
-    if d.flags[small.VELOCITY]:
-        d.S[:] = 0.0
-        small.add_slope(d, small.FORCE_V, small.FORCE, d.v, 1.0)
-        copy_matrix(d.S, w.C[i])
-    if d.flags[small.MASS_VARIES]:
-        small.evaluate(d, small.MASS, small.INNER, d.M)
-    copy_matrix(d.M, w.M[i])
+    d.flags[small.ENDED] = DONE
+    small.matrices_at(d, w.K[i], w.C[i], w.M[i])
     if w.mu.shape[2] and d.flags[small.ROWS_VARY]:
         bend(w, d, w.mu[k, i], w.H[i], w.T[i])
     if d.lam.shape[0] and d.flags[small.ROWS_VARY]:

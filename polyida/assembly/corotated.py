@@ -217,7 +217,12 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     if not w.keeps[0]:
         points_matrix(s, c, w)
         joints.joint_jacobian(s, drives, dz, w.border.slopes)
-        fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
+        if w.own.shape[0]:
+            turn_slopes(s, w, 1.0, w.own, w.border.curvature)
+        else:
+            w.border.curvature[:] = 0.0
+        joints.joint_curvature(s, drives, lam, w.border.curvature)
+        add_masses(s, c_m, w.border.curvature)
     joints.point_values(s, dq, w.moved)
     if not solve_multipliers(s, c, w, phi, dlam):
         return False
@@ -275,17 +280,6 @@ def points_matrix(s, c, w):
                 to = b.block[n] + 2 * (e - first) * wide + 2 * (o - first)
                 blocks[to], blocks[to + 1] = xx * co - xy * si, xx * si + xy * co
                 blocks[to + wide], blocks[to + wide + 1] = yx * co - yy * si, yx * si + yy * co
-
-
-@part
-def fill_curvature(s, w, curvature, drives, lam, c_m):
-    """Blocks of the coupling = C: curvature of the rows, c_m times the masses at points, derivatives of force elements."""
-    if w.own.shape[0]:
-        turn_slopes(s, w, 1.0, w.own, curvature)
-    else:
-        curvature[:] = 0.0
-    joints.joint_curvature(s, drives, lam, curvature)
-    add_masses(s, c_m, curvature)
 
 
 @leaf

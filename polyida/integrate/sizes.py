@@ -112,7 +112,7 @@ def states_at_rest(model, state, grid, counts):
         yield State(float(t), state.q, state.v, state.a, state.lam, {"rest": r})
 
 
-def memory_of_rest(model, t, q, lam, r, solve):
+def memory_of_rest(model, t, q, r, solve):
     """Memory of a state in equilibrium: empty if Newton's next correction of q, by `solve(r, phi)`, is more than round-off."""
     correction = np.abs(solve(r, model.phi(t, q))[0]).max()
     return {"rest": r} if correction <= ROUND_OFF * extent(model, q) else {}

@@ -198,7 +198,7 @@ class Loading:
     def equilibrium(self, q, lam, solve, definite=False, **parts):
         """The Equilibrium at (q, lam); solve: of the system factored there; definite: True if K is known to be positive definite."""
         model, t, (place, v, zero) = self.model, self.t, self.at_rest(q)
-        memory = {} if model.k else memory_of_rest(model, t, q, lam, model.residual(t, q, v, zero, lam), solve)
+        memory = {} if model.k else memory_of_rest(model, t, q, model.residual(t, q, v, zero, lam), solve)
         directions = 0 if definite else None
         if not definite:
             with suppress(SingularSystem):

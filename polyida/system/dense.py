@@ -249,6 +249,22 @@ def add_slopes(w):
     return w.flags[ENDED]
 
 
+@part
+def matrices_at(w, K, C, M):
+    """Fill K = dr/dq, C = dr/dv, unless that is zero, and M at w.t, w.q, w.v, w.a, w.lam. Returns the status."""
+    if w.flags[VELOCITY]:
+        dense.clear(w.S)
+        add_slope(w, FORCE_V, FORCE, w.v, 1.0)
+        dense.copy_matrix(w.S, C)
+    if w.flags[MASS_VARIES]:
+        evaluate(w, MASS, INNER, w.M)
+    dense.copy_matrix(w.M, M)
+    w.c[0] = w.c[1] = 0.0
+    ended = evaluate(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
+    dense.copy_matrix(w.S, K)
+    return ended
+
+
 @entry
 def factor(w, instant, q, v, a, lam, c, f):
     """S at a state; `solve` factors it with B."""

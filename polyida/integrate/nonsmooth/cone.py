@@ -74,16 +74,23 @@ def status_of(x, p, u, rho, i, limit):
 
 
 @part
+def rate_of(G, b, p, i):
+    """(rate of row i, the largest of its terms)."""
+    u, scale = b[i], abs(b[i])
+    for j in range(p.shape[0]):
+        u += G[i, j] * p[j]
+        scale = max(scale, abs(G[i, j] * p[j]))
+    return u, scale
+
+
+@part
 def newton(G, b, x, p, status, matrix, right, slope):
     """Iterations until p no longer changes; p and status are then the best ones. Returns (the largest error of p over the largest p, iterations)."""
     k, least, kept, kept_status = p.shape[0], np.inf, p.copy(), status.copy()
     for iteration in range(NEWTON):
         error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
-            u, scale = b[i], abs(b[i])
-            for j in range(k):
-                u += G[i, j] * p[j]
-                scale = max(scale, abs(G[i, j] * p[j]))
+            u, scale = rate_of(G, b, p, i)
             rho = 1.0 / G[i, i]
             limit = bound(x, p, i, slope) if x.kind[i] == FRICTION else 0.0
             now = status_of(x, p, u, rho, i, limit)
@@ -135,10 +142,7 @@ def press(G, b, low, high, p, matrix, right):
     for _ in range(CHANGES * (k + 1)):
         error, size, worst, released = 0.0, 0.0, 0.0, -1
         for i in range(k):
-            u, scale = b[i], abs(b[i])
-            for j in range(k):
-                u += G[i, j] * p[j]
-                scale = max(scale, abs(G[i, j] * p[j]))
+            u, scale = rate_of(G, b, p, i)
             right[i] = -u / G[i, i]
             size = max(size, abs(p[i]), scale / G[i, i])
             if free[i]:
@@ -175,9 +179,7 @@ def sweep(G, b, x, p, slope):
     """One projected Gauss-Seidel sweep."""
     k = p.shape[0]
     for i in range(k):
-        u = b[i]
-        for j in range(k):
-            u += G[i, j] * p[j]
+        u, _ = rate_of(G, b, p, i)
         at = p[i] - u / G[i, i]
         if x.kind[i] == CONTACT:
             p[i] = max(0.0, at)

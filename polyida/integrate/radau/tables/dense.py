@@ -339,16 +339,7 @@ def factor(w, instant, q, v, a, lam, slot, f):
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
     dense.set_state(d, instant, q, v)
     dense.set_a_lam(d, a, lam)
-    if d.flags[dense.VELOCITY]:
-        lu.clear(d.S)
-        dense.add_slope(d, dense.FORCE_V, dense.FORCE, d.v, 1.0)
-        lu.copy_matrix(d.S, C)
-    if d.flags[dense.MASS_VARIES]:
-        dense.evaluate(d, dense.MASS, dense.INNER, d.M)
-    lu.copy_matrix(d.M, M)
-    d.c[0] = d.c[1] = 0.0
-    ended = dense.evaluate(d, dense.TANGENT, dense.INNER, d.S) if d.functions[dense.TANGENT] else dense.add_slopes(d)
-    lu.copy_matrix(d.S, K)
+    ended = dense.matrices_at(d, K, C, M)
     w.state[FACTORED] = 0
     good = dense.finite(K.reshape(n * n)) and dense.finite(C.reshape(n * n)) and dense.finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX
