@@ -18,13 +18,12 @@ right (s, n), the terms of b_q and b_v in the first equation, bar = b_v, and fil
 products (3, s, n): q*, v* and a* without the terms [b_q], [b_v] and W.
 """
 
-from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_array, kron
 
-from polyida.adjoint.run import AdjointTable
+from polyida.adjoint.tables import CallbackAdjoint
 from polyida.errors import DONE
 from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
 from polyida.integrate.radau.step import FACTORS, A, Q, V
@@ -34,7 +33,6 @@ from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import clear, copy_matrix, put
 from polyida.linear.lu import ScaledLU
 from polyida.system import ADJOINT, MATRICES, PREPARE
-from polyida.system.python import PythonTable
 
 
 @pack
@@ -199,7 +197,7 @@ def stretch(f, workspace, first, last, c, W, h, j, b, x, y, out):
 ROUNDS = 2  # solves with a step's own factor: the second takes what round-off left
 
 
-class StageEquations(PythonTable, AdjointTable):
+class StageEquations(CallbackAdjoint):
     """The equations, linearised at the stages of one step after another, by a sparse factor of their whole matrix; and the table of any model.
 
     For models in Python, and for steps at which refinement with the factors of the run does not converge.
@@ -213,10 +211,7 @@ class StageEquations(PythonTable, AdjointTable):
     def __init__(self, model, tableau, lift, tied, counts):
         self.tableau, self.tied, self.counts, self.h = tableau, tied, counts, 1.0
         self.L = diags_array(np.tile(lift, tableau.stages))
-        super().__init__(model, False)
-
-    def _fill(self):
-        self.functions[ADJOINT] = self._address(self._solve)
+        super().__init__(model)
 
     def scale(self, h):
         """Set the step h."""
@@ -225,11 +220,6 @@ class StageEquations(PythonTable, AdjointTable):
     def set_states(self, *stages):
         """Set the stages of some steps, (count, s, .) each."""
         self.stages = stages
-
-    @contextmanager
-    def at_work(self):
-        """Context that gives (addresses of the functions, address of the workspace, here 0)."""
-        yield self.functions, 0
 
     def at(self, t, q, v, a, lam, mu):
         """Factor the matrix of a step at its stages, (s, .) each. Raises SingularSystem.

@@ -22,7 +22,19 @@ from polyida.system.python import PythonTable
 ROUNDS = 8  # solves, at most, for what eta turns with q
 
 
-class PythonAdjoint(PythonTable, AdjointTable):
+class CallbackAdjoint(PythonTable, AdjointTable):
+    """A table whose entry is the Python function `_solve`."""
+
+    def _entries(self):
+        return {ADJOINT: self._solve}
+
+    @contextmanager
+    def at_work(self):
+        """(addresses of the functions, address of the workspace)."""
+        yield self.functions, 0
+
+
+class PythonAdjoint(CallbackAdjoint):
     """The table of any model for steps of h, and of the stabilised form.
 
     That form has one more unknown, eta in `q = Newmark's - M^-1 B^T eta`, and one more equation, psi = `B v + phi_t = 0`, with the
@@ -36,10 +48,7 @@ class PythonAdjoint(PythonTable, AdjointTable):
     def __init__(self, model, settings, h, counts, columns=1):
         self.saddle, self.columns = ExactSaddle(model, *settings.coefficients.rates(h), counts), columns
         self.stabilised = settings.form == "stabilised" and model.m > 0
-        super().__init__(model, False)
-
-    def _fill(self):
-        self.functions[ADJOINT] = self._address(self._solve)
+        super().__init__(model)
 
     def set_states(self, t, q, v, a, lam, slips=None):
         """Set the states at the ends of some steps; slips (count, n): of the stabilised form, the part of q from eta."""
@@ -49,11 +58,6 @@ class PythonAdjoint(PythonTable, AdjointTable):
         if self.stabilised:
             self.slip, shapes = np.array(slips), (q.shape, q.shape, lam.shape)
             self.slips = tuple(np.empty((self.columns, *shape)) for shape in shapes)
-
-    @contextmanager
-    def at_work(self):
-        """(addresses of the functions, address of the workspace)."""
-        yield self.functions, 0
 
     def _solve(self, k, right, below, bar, w, mu, out):
         n, m, count = self.model.n, self.model.m, self.columns

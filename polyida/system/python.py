@@ -32,7 +32,7 @@ class PythonTable:
     instants = most = INSTANTS
     workspace = 0
 
-    def __init__(self, model, incremental):
+    def __init__(self, model, incremental=False):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
         self.unknowns = model.n
         self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}

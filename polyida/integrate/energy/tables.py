@@ -175,9 +175,6 @@ class MiddleTable:
 class PythonOwn(MiddleTable, PythonTable):
     """The table of a user's model in Python that is large or solves its systems itself."""
 
-    def __init__(self, model):
-        super().__init__(model, False)
-
     def _middle(self, instant, states, lam, r, phi, *_):
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
@@ -193,7 +190,7 @@ class DenseOwn(MiddleTable, DenseTable):
     """The table of a user's small model in Python."""
 
     def __init__(self, model):
-        super().__init__(model, False)
+        super().__init__(model)
         self.functions[MIDDLE] = own_addresses()[MIDDLE]
 
     def _functions(self, w):
@@ -209,7 +206,7 @@ class CompiledOwn(MiddleTable, CompiledTable):
     names = OF_ENERGY
 
     def __init__(self, model):
-        super().__init__(model, False)
+        super().__init__(model)
         self.complete = not model.needs.driven
         for number, at in own_addresses().items():
             self.functions[number] = at if number == MIDDLE or self.complete else 0
@@ -352,7 +349,7 @@ class PythonScene(MiddleTable, PythonTable):
     """
 
     def __init__(self, model):
-        super().__init__(model, False)
+        super().__init__(model)
         compact.provide(model.arrays.compact, compact.MIDDLE)
         self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
 

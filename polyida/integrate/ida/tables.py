@@ -116,7 +116,9 @@ class PythonForm(PythonStages):
     def __init__(self, system, kind):
         self.system = system
         super().__init__(system.model, EULER, system.form.stabilised, kind)
-        self.functions[BIAS] = self._address(self._bias)
+
+    def _entries(self):
+        return super()._entries() | {BIAS: self._bias}
 
     def stand(self, t):
         """Set the time of the equations."""

@@ -40,19 +40,13 @@ class PythonStages(Stages, PythonTable):
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
         self.increments, self.B = None, [None] * tableau.stages
-        super().__init__(model, False)
-        self.functions = np.zeros(of.ENTRIES, np.int64)
-        self._fill_stages()
+        super().__init__(model)
 
-    def _fill(self):
-        """No entry: _fill_stages sets them."""
-
-    def _fill_stages(self):
+    def _entries(self):
         entries = {of.PREPARE: self._prepare, of.BEGIN: self._begin, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
         entries |= {of.CONSTRAINTS: self._constraints, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept}
         entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
-        for number, function in (entries | {of.ROWS: self._rows, of.SELECT: self._select}).items():
-            self.functions[number] = self._address(function)
+        return entries | {of.ROWS: self._rows, of.SELECT: self._select}
 
     def set_lift(self, lift):
         """Set the diagonal of D^-1."""
@@ -186,7 +180,7 @@ class DenseStages(Stages, DenseTable):
     """The table of a small model: compiled code that calls back the model's functions."""
 
     def __init__(self, model, tableau, levels):
-        super().__init__(model, False)
+        super().__init__(model)
         self.stages = small.workspace(self.w, tableau.stages, levels)
         for number, at in small.addresses().items():
             self.functions[number] = at
