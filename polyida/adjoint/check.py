@@ -11,12 +11,12 @@ import numpy as np
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau import exact_steps, step_start_state, time_limits
+from polyida.adjoint.radau import exact_steps, step_start_state
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.errors import InputError
 from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.discontinuities import Grid, edges
+from polyida.integrate.discontinuities import Grid, edges, time_limits
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import VIOLATION, restarted, started
 from polyida.integrate.state import Counts
@@ -111,6 +111,11 @@ def _direction(value, random):
     return size * random.uniform(-1.0, 1.0, np.shape(value)) if np.ndim(value) else size
 
 
+def _fits(model, state):
+    """True if a state satisfies the constraints of a model."""
+    return bool(np.abs(guard(model).phi(state.t, state.q)).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(state.q).max()))
+
+
 class ReplayedRun:
     """A run of generalized-alpha that is solved again with the steps of its history and a Newton tolerance of 1e-11."""
 
@@ -152,9 +157,7 @@ class ReplayedRun:
 
     def can_start(self, model):
         """True if a run of another model can start from the same state and has as many kinks."""
-        phi = guard(model).phi(self.state.t, self.state.q)
-        consistent = np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max())
-        return bool(consistent) and len(self._edges(model)) == len(self._edges(self.model))
+        return _fits(model, self.state) and len(self._edges(model)) == len(self._edges(self.model))
 
     def _times(self, model):
         """A function of the number of a state: its time, which moves linearly with the kinks around it."""
@@ -195,7 +198,4 @@ class ReplayedState:
 
     def can_start(self, model):
         """True if the constraints of another model hold at a fixed state too."""
-        if isinstance(self.state, Equilibrium):
-            return True
-        phi = guard(model).phi(self.state.t, self.state.q)
-        return bool(np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max()))
+        return isinstance(self.state, Equilibrium) or _fits(model, self.state)

@@ -12,7 +12,7 @@ from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, REASONS, StepFailure
-from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side
+from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side, time_limits
 from polyida.integrate.radau import loop
 from polyida.integrate.radau.loop import EXACT, Control
 from polyida.integrate.radau.matrices import NOTHING, lift
@@ -42,11 +42,6 @@ def exact_steps(model, settings, first, t_end, counts):
     engine.begin(first)
     engine.estimates_error = False
     return engine
-
-
-def time_limits(model, begin, end):
-    """Bounds of the model's times in a step: beside its ends if these are kinks."""
-    return inner_side(model, begin, begin - end) if at_kink(model, begin) else -np.inf, inner_side(model, end, end - begin)
 
 
 def step_start_state(model, state):

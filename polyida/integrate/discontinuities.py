@@ -122,6 +122,11 @@ def inner_side(model, t, h):
     return beside(t, -h) if at_kink(model, t) else t
 
 
+def time_limits(model, begin, end):
+    """Bounds of the model's times in a piece: times inside it, beside its ends, at those that are kinks; infinite at others."""
+    return beside(begin, 1) if at_kink(model, begin) else -np.inf, beside(end, -1) if at_kink(model, end) else np.inf
+
+
 class Grid(NamedTuple):
     """`count` equal steps from begin to end, of which `done` are taken."""
 

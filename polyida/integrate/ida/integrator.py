@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.discontinuities import at_kink, edges, sampling, stop_times
+from polyida.integrate.discontinuities import edges, sampling, stop_times, time_limits
 from polyida.integrate.ida.forms import FORMS, AcceptedStates, System
 from polyida.integrate.ida.newton import Correction
 from polyida.integrate.ida.tables import SCALINGS
@@ -21,7 +21,6 @@ from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_r
 from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
-from polyida.model.differences import beside
 from polyida.model.guarded import guard
 from polyida.system import INSTANTS
 from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
@@ -194,14 +193,8 @@ class IDA(Integrator):
         sizes = sizes_of_run(model, state, t_end)
         run, cells = _Run(self, model, sizes, counts, "polynomials" in state.memory), sampling(math.inf, t_end - state.t)
         for begin, end in pairwise(edges(model, state.t, t_end)):
-            limits = (-math.inf, math.inf)
-            if at_kink(model, begin):
-                limits = (beside(begin, 1), math.inf)
-                state = far_side(model, state, limits[0])
-            else:
-                state = behind_samples(model, state)
-            if at_kink(model, end):
-                limits = (limits[0], beside(end, -1))
+            limits = time_limits(model, begin, end)
+            state = far_side(model, state, limits[0]) if limits[0] > begin else behind_samples(model, state)
             for stretch in run.piece(state, begin, stop_times(model, state, begin, end, *cells), limits):
                 yield stretch
             state = stretch.last

@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.discontinuities import PARTS, at_kink, pieces, run_interval, sampling
+from polyida.integrate.discontinuities import PARTS, pieces, run_interval, sampling, time_limits
 from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
 from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
-from polyida.model.differences import beside
 from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords
 
 FORMS = ("ggl", "index3")
@@ -178,9 +177,8 @@ class RadauIIA(Integrator):
         engine.begin(state)
         h, fine = (self.h, PARTS) if self.h else sampling(longest, np.ptp(run))
         for begin, end, most in pieces(model, run[0], t_end, h, fine, now=state.t):
-            engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
-            if at_kink(model, begin):
-                engine.limits = (beside(begin, 1), engine.limits[1])
+            engine.limits = time_limits(model, begin, end)
+            if engine.limits[0] > begin:
                 state = restarted(far_side(model, state, engine.limits[0]))
             elif (behind := behind_samples(model, state)) is not state:
                 state = restarted(behind)
