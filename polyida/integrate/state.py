@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.model import Model
 from polyida.model.differences import cubic
 from polyida.reprs import brief
@@ -147,6 +147,13 @@ class States:
 
     def __next__(self):
         return next(self._states)
+
+
+def first_of(failures, attempts):
+    """The first of StepFailures, with the attempts that followed, if any, and the reason of the last one in its message."""
+    first, last = failures[0], failures[-1]
+    reason = first.reason if last is first else f"{first.reason}; {attempts}, at last: {last.reason}"
+    return StepFailure(first.status, reason, first.t, **last.seen)
 
 
 def parted(stretch, counts, size=lambda: 1):

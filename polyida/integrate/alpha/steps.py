@@ -12,7 +12,7 @@ from polyida.integrate.alpha.step_size import CUT, LOWEST, StepSizeController
 from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
 from polyida.integrate.sizes import extent, states_at_rest, weights
 from polyida.integrate.start import start_values, started
-from polyida.integrate.state import State, States, Stretch
+from polyida.integrate.state import State, States, Stretch, first_of
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.system import INSTANTS
 from polyida.system.python import PythonTable, small_table
@@ -330,7 +330,7 @@ def fixed_steps(engine, state, begin, end, count):
                 failures.append(failure)
                 counts.rejected += 1
         else:
-            raise _first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
+            raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
         done, level = done + 1, level - 1
         counts.steps += 1
         state = _cut(state, level, grid=grid.after(done))
@@ -340,13 +340,6 @@ def fixed_steps(engine, state, begin, end, count):
 def _cut(state, level, **memory):
     """A state from which the method starts with a_alg = q''."""
     return State(state.t, state.q, state.v, state.a, state.lam, {"cut": float(level), "h": 0.0} | memory)
-
-
-def _first_of(failures, attempts):
-    """The first failure, with the attempts that followed and the reason of the last one."""
-    first, last = failures[0], failures[-1]
-    reason = first.reason if last is first else f"{first.reason}; {attempts}, at last: {last.reason}"
-    return StepFailure(first.status, reason, first.t, **last.seen)
 
 
 def adaptive_steps(engine, state, begin, end, longest, most_steps):
@@ -366,7 +359,7 @@ def adaptive_steps(engine, state, begin, end, longest, most_steps):
 
     def require_level(down, failures):
         if controller.level + down > LOWEST:
-            raise _first_of(failures, f"down to steps of {controller.h:.3g} s")
+            raise first_of(failures, f"down to steps of {controller.h:.3g} s")
 
     for state in states_at_rest(model, state, Grid(t, end, max(1, int(np.ceil((end - t) / most * (1 - 1e-12))))), counts):
         require_progress(state.t - t)

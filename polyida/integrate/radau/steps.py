@@ -18,20 +18,12 @@ from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, Stretch
+from polyida.integrate.state import State, Stretch, first_of
 from polyida.linear.lu import SingularSystem
 from polyida.system import ACCELERATION, STEPS
 
 COUNTED = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
 CHUNK = 4_000_000  # largest size of the record of a stretch, bytes
-
-
-def _no_memory(taken, k, level):
-    return {}
-
-
-def _grid_memory(grid, taken, k, level):
-    return {"radau_grid": grid.after(grid.done + taken + k + 1)}
 
 
 def new_control(t, level=0.0):
@@ -147,7 +139,8 @@ class Steps:
         while grid.done < grid.count:
             ends = grid.times(grid.done, min(grid.done + self.longest, grid.count))[1:]
             control = loop.Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, new_control(state.t))
-            for states in self._stretches(state, control, ends, partial(_grid_memory, grid)):
+            grid_memory = lambda taken, k, level, grid=grid: {"radau_grid": grid.after(grid.done + taken + k + 1)}  # noqa: E731
+            for states in self._stretches(state, control, ends, grid_memory):
                 self.counts.steps += len(states)
                 yield states
                 state = states.last
@@ -164,7 +157,7 @@ class Steps:
                 yield states
                 state = states.last
 
-    def _stretches(self, state, control, ends, position_memory=_no_memory):
+    def _stretches(self, state, control, ends, position_memory=lambda taken, k, level: {}):
         """Yield one stretch, or several between which factors are made. Raises StepFailure."""
         p, y, fresh, taken = self.method(), self.memory, False, 0
         self.start_from(state)
@@ -306,7 +299,7 @@ def _grid(model, state, begin, end, most):
 
 def _step_in_parts(engine, settings, state, grid, first, counts):
     """The state after the next step of the grid, taken in parts. Raises StepFailure."""
-    last = first
+    failures = [first]
     for level in range(1, settings.max_halvings + 1):
         parts, reached = Grid(grid.time(grid.done), grid.time(grid.done + 1), 2**level), state
         try:
@@ -315,9 +308,8 @@ def _step_in_parts(engine, settings, state, grid, first, counts):
             return reached
         except StepFailure as failure:
             counts.rejected += 1
-            last = failure
-    parts = f"; the step in 2 to {2**settings.max_halvings} parts fails too, at last: {last.reason}" if settings.max_halvings else ""
-    raise StepFailure(first.status, first.reason + parts, first.t, **last.seen)
+            failures.append(failure)
+    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
 
 
 def adaptive_steps(engine, settings, model, state, begin, end, most, counts, controller, most_steps):
@@ -338,7 +330,7 @@ def adaptive_steps(engine, settings, model, state, begin, end, most, counts, con
             rejected = int(now[loop.FAILED]) - len(failures)
             failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected
             if failure.status == "stuck":
-                raise _with_history(failures, now[loop.STEP]) from None
+                raise first_of(failures, f"down to steps of {now[loop.STEP]:.3g} s") from None
             if failure.status == "too many steps":
                 reason = f"more than {settings.max_num_steps} steps (max_num_steps)"
                 raise StepFailure(failure.status, reason, state.t, step=float(now[loop.STEP])) from None
@@ -346,13 +338,6 @@ def adaptive_steps(engine, settings, model, state, begin, end, most, counts, con
             counts.rejected += 1
             now[loop.FAILED] += 1
             now[loop.LEVEL] = loop.cut(first, now[loop.LEVEL], now[loop.STEP])
-
-
-def _with_history(failures, h):
-    """The first failure, with the last one in its message."""
-    first, last = failures[0], failures[-1]
-    reason = first.reason if last is first else f"{first.reason}; down to steps of {h:.3g} s, at last: {last.reason}"
-    return StepFailure(first.status, reason, first.t, **last.seen)
 
 
 def _largest_step(model, state, begin, end, most):
