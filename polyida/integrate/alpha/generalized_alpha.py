@@ -179,7 +179,7 @@ class GeneralizedAlpha(Integrator):
         atol_ok = atol_ok and (not rtol_ok or self.rtol is self.atol is None or bool(self.rtol or self.atol))
         fixed = self.h is not None and self.rtol is self.atol is None
         four = "four numbers, alpha_m, alpha_f, beta, gamma, or None"
-        for name, good, want in (
+        self._require_settings(
             ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
             ("tolerance", between_0_and_1, "between 0 and 1, or None: by the local error"),
@@ -199,9 +199,7 @@ class GeneralizedAlpha(Integrator):
             ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
             ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
-        ):
-            if not good:
-                raise InputError(f"GeneralizedAlpha: {name} = {getattr(self, name)!r} must be {want}")
+        )
         if numbers is not None:
             object.__setattr__(self, "member", tuple(numbers.tolist()))
             self.coefficients.require_damping()

@@ -78,13 +78,11 @@ class EnergyMomentum(Integrator):
     trusted, order = True, 2
 
     def __post_init__(self):
-        for name, good, want in (
+        self._require_settings(
             ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
             ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
-        ):
-            if not good or isinstance(getattr(self, name), bool):
-                raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
+        )
 
     def require(self, model: Model) -> None:
         """Raise InputError unless the method takes the model: any scene; a user's with a potential, constant mass, phi at most quadratic.

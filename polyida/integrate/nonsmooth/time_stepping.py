@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from polyida.errors import InputError, StepFailure
+from polyida.errors import StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
@@ -62,14 +62,12 @@ class TimeStepping(Integrator):
     def _require(self, own, good, limits):
         """Raise InputError unless the settings are good; own: the name of the method's own one, limits: of it in words."""
         tolerance, default = self.tolerance, type(self).tolerance
-        for name, right, expected in (
+        self._require_settings(
             ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
             ("tolerance", tolerance is default or (is_number(tolerance) and 1e-14 <= tolerance < 1.0), "in [1e-14, 1)"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             (own, good, limits),
-        ):
-            if not right:
-                raise InputError(f"{self.class_name()}: {name} = {getattr(self, name)!r} must be {expected}")
+        )
 
 
 @named_keywords

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from polyida.errors import InputError
 from polyida.integrate.discontinuities import PARTS, pieces, run_interval, sampling, time_limits
 from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
@@ -109,14 +108,9 @@ class RadauIIA(Integrator):
         return 2 * self.stages - 1
 
     def __post_init__(self):
-        for name, good, want in self._checks():
-            if not good:
-                raise InputError(f"RadauIIA: {name} = {getattr(self, name)!r} must be {want}")
-
-    def _checks(self):
         positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
         length = lambda x: is_number(x) and x >= 0  # noqa: E731
-        return (
+        self._require_settings(
             ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "between 0 and 1, or None: by the run"),
             ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
             ("h", positive(self.h), "a positive step in s, or None: by the local error"),
