@@ -338,7 +338,9 @@ def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
     whole = _joined(run, runs, motions, firsts, m)
     with_v0 = run.plan.get("began") != "state"
     totals, counts = Totals(run.model, names, with_v0), Counts()
-    _exclude_kinks(totals, names, run)
+    for name, parameter in list(totals.parameters.items()):
+        if parameter.kinks(float(run.t[0]), float(run.t[-1])):
+            totals.leave_out(name, "it moves kinks of a run with events, for which there is no adjoint")
     each = [_Backward(objective, totals.empty(), whole, runs, firsts, motions.modes) for objective in objectives]
     for k in reversed(range(len(runs))):
         mode, one = motions.modes[k], replace(runs[k], plan=runs[k].plan | {"began": "start"})
@@ -386,17 +388,6 @@ def _joined(run, runs, motions, firsts, m):
     happened = [replace(one, frame=frames[one.t]) for one in motions.happenings.happened if one.t in frames]
     events = Events(happened, old.first, motions.happenings.happened.models, True)
     return replace(run, **arrays, lam=lam, events=events)
-
-
-def _exclude_kinks(totals, names, run):
-    """Leave out parameters that move kinks of loads and motors. Raises InputError if they were requested."""
-    for name, parameter in list(totals.parameters.items()):
-        if parameter.kinks(float(run.t[0]), float(run.t[-1])):
-            why = "it moves kinks of a run with events, for which there is no adjoint"
-            if names is not None:
-                raise InputError(f"gradient: {name!r} has no slope: {why}")
-            del totals.parameters[name], totals.sums[name]
-            totals.left_out[name] = why
 
 
 def _start_bars(mode, state, bars, totals):

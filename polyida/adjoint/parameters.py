@@ -21,7 +21,7 @@ from polyida.adjoint.parameter import (
     with_part,
 )
 from polyida.adjoint.profile_parameters import element_work, in_time, over, profile_parameters, profile_works
-from polyida.adjoint.relaxation import cached_works, series_parameters
+from polyida.adjoint.relaxation import relaxation_works, series_parameters
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
@@ -425,7 +425,7 @@ def _scene_parameters(model):
         return slopes(t, q, bar) if moves_at(model, t, q) else None
 
     yield from field_parameters(model)
-    relaxing = cached_works(model)
+    relaxing = CachedByMultipliers(relaxation_works, model)
     yield from plate_parameters(model, changes, relaxing)
     yield from series_parameters(model, relaxing)
     yield from load_parameters(model, changes)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.adjoint.parameter import CachedByMultipliers, PartParameter
+from polyida.adjoint.parameter import PartParameter
 from polyida.assembly import compact
 from polyida.assembly.arrays import cells
 from polyida.assembly.equilibrium import hold_strains
@@ -168,8 +168,3 @@ def series_parameters(model, works):
         path = ("material", "prony") if isinstance(part, Plate) else ("plate", "material", "prony")
         if isinstance(part, Plate) or (isinstance(part, Body) and part.plate is not None):
             yield PronySeries(f"{name}.prony", np.array(model.strains[name].terms), model, name, path, works)
-
-
-def cached_works(model):
-    """`relaxation_works`, cached for the last AdjointMultipliers."""
-    return CachedByMultipliers(relaxation_works, model)

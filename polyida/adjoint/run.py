@@ -100,7 +100,7 @@ class Totals:
         names = names and [getattr(one, "name", one) for one in names]
         inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
         wanted = inexpensive if names is None else [self._find(name, with_v0).name for name in names if not (with_v0 and name == "v0")]
-        self.parameters = {name: known[name] for name in wanted}
+        self.parameters, self.requested = {name: known[name] for name in wanted}, names is not None
         self.with_v0 = with_v0 and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
         self.left_out = {} if names is not None else {name: parameter.reason for name, parameter in known.items() if parameter.only_by_name}
@@ -117,6 +117,13 @@ class Totals:
             )
         names = [*self.known, "v0"] if with_v0 else self.known
         raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
+
+    def leave_out(self, name, why, advice=""):
+        """Leave out a parameter without a slope. Raises InputError, with advice, if parameters were requested by name."""
+        if self.requested:
+            raise InputError(f"gradient: {name!r} has no slope: {why}{advice}")
+        del self.parameters[name], self.sums[name]
+        self.left_out[name] = why
 
     def empty(self):
         """Totals of the same parameters without slopes, for another objective."""
@@ -253,7 +260,7 @@ class RunAdjoint:
         self.totals = Totals(run.model, names, not self.start_is_given)
         self.objective_slopes = OwnSlopes(objective, run, self.history.frames, self.totals)
         self.events = EventTimeSensitivity(self.model, run, self.totals.parameters)
-        self._exclude_start_parameters(names)
+        self._exclude_start_parameters()
 
     @staticmethod
     def require_settings(settings):
@@ -319,7 +326,7 @@ class RunAdjoint:
             taped.add_entry(state.t, state.q, mu=nu)
         return v0.bar, taped.entries
 
-    def _exclude_start_parameters(self, names):
+    def _exclude_start_parameters(self):
         """Exclude parameters that move the constraints at a given initial state or change the meaning of coordinates: no run of another value
         starts there. Raises InputError if they were requested by name.
         """
@@ -335,11 +342,8 @@ class RunAdjoint:
             size = float(np.abs(parameter.value).max(initial=0.0)) or 1.0
             if size * np.abs(parameter.slope(phi)).max(initial=0.0) > MOVES * extent(model, state.q):
                 why = "it moves the constraints of the state that the run begins with, so that no run of another value begins there"
-                if names is not None:
-                    raise InputError(f"gradient: {name!r} has no slope: {why}; draw the scene where the run begins")
-                del totals.parameters[name], totals.sums[name]
+                totals.leave_out(name, why, "; draw the scene where the run begins")
                 self.events.speeds.pop(name, None)
-                totals.left_out[name] = why
 
 
 def add_together(sweeps, works, times):
