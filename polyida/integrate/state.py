@@ -75,7 +75,7 @@ class Stretch:
     the steps; None if the counts are those of the whole stretch.
     """
 
-    spent = None
+    spent = _last = None
 
     def __init__(self, t, q, v, a, lam, last=None):
         self.t, self.q, self.v, self.a, self.lam, self._last = t, q, v, a, lam, last
@@ -95,13 +95,14 @@ class Stretch:
     def last(self):
         """The last State."""
         if self._last is None:
-            self._last = State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
+            self._last = self._state(len(self) - 1)
         return self._last
 
     def state(self, k):
         """The State number k, counted from 0."""
-        if k == len(self) - 1:
-            return self.last
+        return self.last if k == len(self) - 1 else self._state(k)
+
+    def _state(self, k):
         return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], restart=False)
 
     def part(self, first, end, every=1):

@@ -10,7 +10,6 @@ If nothing is driven, there is an energy to conserve, and v_1, off its constrain
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -320,12 +319,7 @@ class Ends(Stretch):
     a = property(lambda self: self._compute("forces", self.steps.forces, self.v)[0])
     lam = property(lambda self: self._compute("forces", self.steps.forces, self.v)[1])
 
-    @cached_property
-    def last(self):
-        """The last State."""
-        return self.state(len(self) - 1)
-
-    def state(self, k):
+    def _state(self, k):
         """State number k, from 0, with Ends of its own, not these, which may hold it."""
         return End(self._part(slice(k, k + 1)))
 

@@ -143,16 +143,6 @@ class AcceptedStates(Stretch):
         """The counts at the last state."""
         return self._work[-1]
 
-    @property
-    def last(self):
-        """The last State."""
-        self._last = self._last or self._state(len(self) - 1)
-        return self._last
-
-    def state(self, k):
-        """State number k, from 0."""
-        return self.last if k == len(self) - 1 else self._state(k)
-
     def _state(self, k):
         memory = self._memory if self._mu is None else {"mu": self._mu[k]} | self._memory
         t, within = float(self.t[k]), self._within and partial(self._within, self.t[k])
