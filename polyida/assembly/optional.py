@@ -14,7 +14,7 @@ from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces, t
 from polyida.assembly.relaxation import add_relaxation, add_relaxation_middle
 from polyida.errors import DONE
 from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.intrinsics import pointer
 from polyida.jit.user_functions import table_address
 
 # constants of compiled code
@@ -119,24 +119,3 @@ def optional_kernels(model, *wanted):
 
 def _parts(model):
     return Parts(model.arrays, model.laws, len(model.profiles))
-
-
-@part
-def add_law_forces(optional, drives, u, v, r):
-    """Add the forces of the laws to r (nodes, 2), if there are any."""
-    if optional[LAW_FORCES] != 0:
-        call(optional[LAW_FORCES], optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
-
-
-@part
-def add_relaxing(optional, still, u, v, r):
-    """Add the forces of relaxation to r (nodes, 2), if there are any; still, 0 or 1: as of `add_relaxation`."""
-    if optional[RELAXING] != 0:
-        call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
-
-
-@part
-def add_damping_forces(optional, u, v, elastic, r):
-    """Add the damping forces of bodies to r (nodes, 2), if there are any; elastic: workspace (nodes, 2), (0, 2) without them."""
-    if optional[DAMPING] != 0:
-        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(elastic), address(r), 0, 0, 0)

@@ -12,18 +12,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
 from polyida.assembly.condensation import Condensation, condensation
 from polyida.assembly.increments import drive_table, gain_table
-from polyida.assembly.optional import (
-    DAMPING,
-    LAW_FORCES,
-    LAW_SLOPES,
-    PARTS,
-    RELAXING,
-    RENEW,
-    add_damping_forces,
-    add_law_forces,
-    add_relaxing,
-    optional_kernels,
-)  # fmt: skip
+from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_SLOPES, PARTS, RELAXING, RENEW, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constraint_projection, velocity_rate
 from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
@@ -88,16 +77,20 @@ def rows(w, at):
 
 @part
 def add_slowing(w, u, v, still, r):
-    """Add damping and relaxation to r; still: as of add_relaxing."""
-    add_damping_forces(w.optional, u, v, w.damp, r)
-    add_relaxing(w.optional, still, u, v, r)
+    """Add damping and relaxation to r; still, 0 or 1: as of `add_relaxation`."""
+    optional = w.optional
+    if optional[DAMPING] != 0:
+        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(w.damp), address(r), 0, 0, 0)
+    if optional[RELAXING] != 0:
+        call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
 
 
 @part
 def add_forces(w, drives, u, v, r):
     """Add damping, relaxation and force elements to r."""
     add_slowing(w, u, v, 1, r)
-    add_law_forces(w.optional, drives, u, v, r)
+    if w.optional[LAW_FORCES] != 0:
+        call(w.optional[LAW_FORCES], w.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
 
 
 @entry

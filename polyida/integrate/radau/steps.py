@@ -70,7 +70,7 @@ class Steps:
         shares = memory.get("radau_shares")
         self.memory.past[step.SHARES] = self.memory.past[step.PLACES] = weights(model, state.q) if shares is None else shares
         self.memory.past[step.PLACES, model.hidden] = 0.0
-        if self.tied:
+        if self.tied and self.table.lifts:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
         table[:], self.state, self.factor_states = 0.0, None, None

@@ -402,9 +402,6 @@ class SceneStages:
         self.renewal = PAIR + CALL / model.n if self.single else PAIR if model.flexible else NEVER
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
-    def set_lift(self, lift):
-        """No effect: D = 1."""
-
     def evaluate_constants(self, t, q):
         """No effect."""
 
