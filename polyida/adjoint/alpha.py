@@ -125,8 +125,7 @@ def begin(p, j, k, y, out, c):
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
         right[i] = -q[i] - p.to_v * v[i] - p.to_a * a[i] - b * ahead[i]
-    for i in range(below.shape[0]):
-        below[i] = 0.0
+    below[:] = 0.0
     add_slope(j[c, LAM], k, -1.0, below)
     predict(y.marks[c], out.w[:, c], k)
     predict(y.marks[c], out.mu[:, c], k)

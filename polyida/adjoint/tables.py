@@ -278,8 +278,7 @@ def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
             x[i * n + p] = right[i, p]
         for e in range(m):
             x[s * n + i * m + e] = size * below[i, e]
-    for e in range(s * (n + m), x.shape[0]):
-        x[e] = 0.0
+    x[s * (n + m) :] = 0.0
     if multipliers.shape[0] == 2:
         for p in range(n):
             for o in range(n):

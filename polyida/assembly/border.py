@@ -221,8 +221,7 @@ def assemble(b, w):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
         respond(b, w, n, first, count)
         for r in range(b.row_start[n], b.row_start[n + 1] if count else b.row_start[n]):
-            for j in range(count):
-                row[j] = 0.0
+            row[:count] = 0.0
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 value, at = w.slots[b.row_slot[e]], b.row_component[e]
                 for j in range(count):

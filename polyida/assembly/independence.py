@@ -22,6 +22,7 @@ from polyida.errors import DONE, InputError
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.joint.joint import Joint
+from polyida.linear.dense import put
 from polyida.linear.saddle import DEPENDENT, coordinate_sizes
 
 AWAY = 1e-3  # of the scene's size: distance from the start at which redundancy is checked again
@@ -321,8 +322,7 @@ def distance(u, w):
 def refer(times, qs, k, size, w):
     """Make state k, the one examined, the reference, with this bound of its least singular value."""
     w.least[0] = size
-    for e in range(w.rows.shape[1]):
-        w.rows[0, e] = w.rows[1, e]
+    put(1.0, w.rows[1], w.rows[0])
     for i in range(w.past.shape[1]):
         w.past[1, i] = w.past[0, i]
         w.past[0, i] = qs[k, i - 1] if i else times[k]

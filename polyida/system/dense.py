@@ -175,14 +175,12 @@ def bordered(A, w, matrix, size):
     """A = [[matrix, s B^T], [s B, 0]], s = size."""
     n, m = w.q.shape[0], w.lam.shape[0]
     for i in range(n):
-        for j in range(n):
-            A[i, j] = matrix[i, j]
+        dense.put(1.0, matrix[i], A[i])
         for k in range(m):
             A[i, n + k] = size * w.B[k, i]
             A[n + k, i] = size * w.B[k, i]
     for k in range(m):
-        for j in range(m):
-            A[n + k, n + j] = 0.0
+        A[n + k, n:] = 0.0
 
 
 @part
@@ -357,8 +355,7 @@ def project(w, instant, rows, x, from_zero, d, e, f):
             for i in range(n):
                 total -= w.B[k, i] * moved[i]
         w.x[n + k] = -total
-    for i in range(n):
-        w.x[i] = 0.0
+    w.x[:n] = 0.0
     if solve_masses(w) != DONE:
         return SINGULAR
     for i in range(n):
@@ -390,8 +387,7 @@ def bias(w):
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.functions[PHI_BIAS]:
         return evaluate(w, PHI_BIAS, INNER, w.phi_bias)
-    for k in range(m):
-        w.phi_bias[k] = 0.0
+    w.phi_bias[:] = 0.0
     if not w.flags[ROWS_VARY]:
         return DONE
     at, step = w.near[0], REACH * reach(w)

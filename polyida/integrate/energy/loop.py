@@ -43,8 +43,7 @@ def extrapolate(x, first, order, out):
 @part
 def remember(x, value, first, errors):
     """Add x[value] to the backward differences. Returns the order of the polynomial that would have been nearest to it."""
-    for j in range(TERMS):
-        errors[j] = 0.0
+    errors[:] = 0.0
     for i in range(x.shape[1]):
         new = x[value, i]
         for j in range(TERMS):

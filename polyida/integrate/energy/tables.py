@@ -27,7 +27,7 @@ from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
-from polyida.linear.dense import clear
+from polyida.linear.dense import clear, put
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
@@ -92,8 +92,7 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
     if m:
         small.set_state(w, instant, states + 8 * n, states + 24 * n)
         ended = small.evaluate(w, small.PHI, END, w.phi)
-        for k in range(m):
-            constraints[k] = w.phi[k]
+        put(1.0, w.phi, constraints)
     return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
 
 

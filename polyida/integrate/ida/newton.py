@@ -35,6 +35,7 @@ from polyida.integrate.ida.tables import table_of
 from polyida.integrate.state import Counts
 from polyida.jit import entry, pack, part, typed
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import put
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import unguarded, writes
 from polyida.system import BIAS, CONSTRAINTS, INERTIA, MATRICES, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
@@ -102,8 +103,7 @@ def equations(functions, model, z, y, yp):
         ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.v), address(z.derivative), 1, 0, 0)
         add_derivative(z, 1)
     if ended == DONE and z.velocity_rows.shape[0] and z.levels.shape[0] == 2:
-        for i in range(n):
-            z.vector[i] = yp[i]
+        put(1.0, yp[:n], z.vector)
         ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.vector), address(z.derivative), 0, 0, 0)
         for i in range(z.velocity_rows.shape[0]):
             z.rows[0, z.velocity_rows[i]] = z.derivative[z.velocity_rows[i]]

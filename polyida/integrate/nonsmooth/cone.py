@@ -205,8 +205,7 @@ def solve_cone(G, b, x, p, status):
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):
             right[i] = -b[i]
-            for j in range(k):
-                matrix[i, j] = G[i, j]
+            put(1.0, G[i], matrix[i])
             matrix[i, i] *= 1.0 + REGULAR
         if solve_small(matrix, right):
             put(1.0, right, p)

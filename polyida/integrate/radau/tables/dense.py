@@ -171,8 +171,7 @@ def bend(w, q, a):
                 w.N[k, i] = change if e == 0 else (w.N[k, i] + change) / (step * step)
                 w.H[k, i] = d.B[k, i] if e == 0 else (w.H[k, i] - d.B[k, i]) / (2.0 * step)
     d.t[dense.INNER] = t
-    for i in range(d.q.shape[0]):
-        d.q[i] = at[i]
+    lu.put(1.0, at, d.q)
     lu.copy_matrix(w.B, d.B)
     return ended
 
@@ -199,8 +198,7 @@ def whole(A, w, c, size):
         for e in range(m):
             for i in range(n):
                 A[at + e, i] = (of_B * w.B[e, i] + of_H * w.H[e, i] + second * w.N[e, i]) / unit
-            for o in range(n, A.shape[0]):
-                A[at + e, o] = 0.0
+            A[at + e, n:] = 0.0
     if w.levels.shape[0] == 2:
         for e in range(m):
             for i in range(n):
@@ -262,8 +260,7 @@ def corrected(w, A, number, c, x, r, closing, dq, multipliers):
         for e in range(level * m, (level + 1) * m):
             x[n + e] = -closing[e] / unit
     lu.solve(A, w.pivots[number], x)
-    for i in range(n):
-        dq[i] = x[i]
+    lu.put(1.0, x[:n], dq)
     for e in range(m):
         multipliers[e] = size * x[n + e]
         multipliers[m + e] = abs(c) * x[n + m + e] if w.levels.shape[0] == 2 else 0.0 * x[0]

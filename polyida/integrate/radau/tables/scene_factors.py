@@ -13,7 +13,7 @@ from polyida.assembly import compact, corotated
 from polyida.errors import DONE, SINGULAR
 from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer
-from polyida.linear.dense import copy_matrix
+from polyida.linear.dense import copy_matrix, put
 from polyida.linear.fronts import fill_panels
 from polyida.linear.lu import FACTORS
 
@@ -88,17 +88,10 @@ def factored(x, stored, mode, c, rotation, slot):
     if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
         return False
     corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
-    copy(s.panels, stored.panels[slot])
+    put(1.0, s.panels, stored.panels[slot])
     copy_matrix(s.compliance_columns, stored.columns[slot])
     copy_matrix(s.frame, stored.frames[slot])
     return True
-
-
-@part
-def copy(x, y):
-    """y = x."""
-    for i in range(x.shape[0]):
-        y[i] = x[i]
 
 
 @part
@@ -106,7 +99,7 @@ def restored(stored, mode, c, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
         mode.c[0], s = c, mode.factored
-        copy(stored.panels[slot], s.panels)
+        put(1.0, stored.panels[slot], s.panels)
         copy_matrix(stored.columns[slot], s.compliance_columns)
         copy_matrix(stored.frames[slot], s.frame)
 
