@@ -21,7 +21,7 @@ import numpy as np
 from polyida.adjoint.history import stored_state
 from polyida.adjoint.parameter import stacked
 from polyida.adjoint.run import Gradient, Totals, together
-from polyida.adjoint.taped import Tape, TapedModel, add_to
+from polyida.adjoint.taped import Tape, TapedModel, add_to, pulled_back
 from polyida.errors import InputError
 from polyida.event import Events, Impact, Remove
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_UP, STICKS
@@ -199,20 +199,19 @@ class _RowFunction:
         return weights
 
     def back(self, state, c):
-        tape, unit = Tape(), np.zeros(self.whole.m)
-        q, v, unit[self.law.row] = tape.var(state.q), tape.var(state.v), c
+        t, unit, columns = state.t, np.zeros(self.whole.m), slice(None)
+        unit[self.law.row] = c
         if self.gap:
-            taped = TapedModel(self.whole, tape)
-            taped.add_entry(state.t, q, mu=unit)
-            return unit @ self.whole.phi_q(state.t, state.q), np.zeros(len(state.q)), spread(taped.entries, slice(None), self.whole.m)
-        if self.of_rate:
-            taped, columns = TapedModel(self.whole, tape), slice(None)
-            add_to(taped.phi_rate(state.t, q, v), unit)
+            taped = TapedModel(self.whole, Tape())
+            taped.add_entry(t, state.q, mu=unit)
+            of_q, of_v, entries = unit @ self.whole.phi_q(t, state.q), np.zeros(len(state.q)), taped.entries
+        elif self.of_rate:
+            of_q, of_v, entries = pulled_back(self.whole, state, lambda model, q, v: (model.phi_rate(t, q, v),), (unit,))
         else:
-            taped, columns = TapedModel(self.mode, tape), self.mode.columns
-            add_to(consistent_acceleration(taped, state.t, q, v)[1], c * self._weights(state)[columns])
-        tape.back()
-        return q.bar, v.bar, spread(taped.entries, columns, self.whole.m)
+            columns = self.mode.columns
+            bars = None, c * self._weights(state)[columns]
+            of_q, of_v, entries = pulled_back(self.mode, state, lambda model, q, v: consistent_acceleration(model, t, q, v), bars)
+        return of_q, of_v, spread(entries, columns, self.whole.m)
 
 
 class _UserFunction:
@@ -392,15 +391,11 @@ def _joined(run, runs, motions, firsts, m):
 
 def _start_bars(mode, state, bars, totals):
     """Bars of q and v of the first state of a motion, whose a and lam are consistent."""
-    tape = Tape()
-    taped = TapedModel(mode, tape)
-    q, v = tape.var(state.q), tape.var(state.v)
-    for var, bar in zip((q, v, *consistent_acceleration(taped, state.t, q, v)), bars):
-        add_to(var, bar)
-    tape.back()
-    if taped.entries:
-        totals.add(stacked(taped.entries))
-    return q.bar, v.bar
+    results = lambda model, q, v: (q, v, *consistent_acceleration(model, state.t, q, v))  # noqa: E731
+    of_q, of_v, entries = pulled_back(mode, state, results, bars)
+    if entries:
+        totals.add(stacked(entries))
+    return of_q, of_v
 
 
 def _time_slope(by_times, runs, k):
@@ -415,23 +410,18 @@ def _time_slope(by_times, runs, k):
 
 def _through(jump, bars, by_time, totals, m):
     """Bars of q and v before a jump from those behind it."""
-    before, after, tape = jump.before, jump.after, Tape()
-    q, v, R_t = tape.var(before.q), tape.var(before.v), 0.0
-    add_to(q, bars[0])
-    if jump.reset is None:
-        add_to(v, bars[1])
-    else:
-        taped = TapedModel(jump.model, tape)
-        add_to(jump.reset(taped, before.t, q, v), bars[1])
-        tape.back()
-        if taped.entries:
-            totals.add(stacked(spread(taped.entries, jump.model.columns, m)))
+    before, after, (q_bar, v_bar), R_t = jump.before, jump.after, bars, 0.0
+    if jump.reset is not None:
+        results = lambda model, q, v: (q, jump.reset(model, before.t, q, v))  # noqa: E731
+        q_bar, v_bar, entries = pulled_back(jump.model, before, results, bars)
+        if entries:
+            totals.add(stacked(spread(entries, jump.model.columns, m)))
         if jump.model.needs.driven:
             R_t = along(lambda s: jump.reset(jump.model, before.t + s, before.q, before.v)) @ bars[1]
     f = consistent_acceleration(jump.modes[0], before.t, before.q, before.v)[0]
-    along_motion = q.bar @ before.v + v.bar @ f + R_t - bars[0] @ after.v - bars[1] @ after.a
+    along_motion = q_bar @ before.v + v_bar @ f + R_t - bars[0] @ after.v - bars[1] @ after.a
     c = -(along_motion + by_time) / jump.function.rate(replace(before, a=f))
     of_q, of_v, entries = jump.function.back(before, c)
     if entries:
         totals.add(stacked(entries))
-    return q.bar + of_q, v.bar + of_v
+    return q_bar + of_q, v_bar + of_v

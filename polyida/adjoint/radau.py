@@ -10,7 +10,7 @@ from polyida.adjoint.parameter import AdjointMultipliers, stacked
 from polyida.adjoint.radau_sweep import Slopes, StageEquations, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, stretch
 from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint
-from polyida.adjoint.taped import Tape, TapedModel, add_to
+from polyida.adjoint.taped import pulled_back
 from polyida.errors import DONE, REASONS, StepFailure
 from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side, time_limits
 from polyida.integrate.radau import loop
@@ -311,14 +311,9 @@ class RadauAdjoint(RunAdjoint):
 
     def _reverse(self, state, function, bars, more):
         """(b_q, b_v) at a state: `more` plus the bars that come back through `function(model, q, v)`."""
-        tape = Tape()
-        taped, q, v = TapedModel(self.model, tape), tape.var(state.q), tape.var(state.v)
-        for results, bar in zip(function(taped, q, v), bars):
-            if bar is not None:
-                add_to(results, bar)
-        tape.back()
-        self.entries += [(state.t, entry) for entry in taped.entries]
-        return q.bar + more[0], v.bar + more[1]
+        of_q, of_v, entries = pulled_back(self.model, state, function, bars)
+        self.entries += [(state.t, entry) for entry in entries]
+        return of_q + more[0], of_v + more[1]
 
     def first_state_bar(self):
         """The bar of the first q by D, which is evaluated there; its entries are added to the totals."""

@@ -165,6 +165,17 @@ class TapedModel:
         return _MassSystem(self, t, q)
 
 
+def pulled_back(model, state, function, bars):
+    """(bar of q, bar of v, entries for parameters) at a state, from the bars of the results of function(model, q, v); None for zero."""
+    tape = Tape()
+    taped, q, v = TapedModel(model, tape), tape.var(state.q), tape.var(state.v)
+    for result, bar in zip(function(taped, q, v), bars):
+        if bar is not None:
+            add_to(result, bar)
+    tape.back()
+    return q.bar, v.bar, taped.entries
+
+
 class _Rows:
     def __init__(self, taped, t, q):
         self.taped, self.t, self.q = taped, t, q
