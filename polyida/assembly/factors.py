@@ -27,9 +27,7 @@ def scaled(model, factors):
     contributions, checked = model.once(CellContributions, of_shape=True), _checked(model, factors)
     of_bodies = [checked.get(body.name, body.factors) for body in model.bodies]
     plates = contributions.scaled(*(concatenated(each, float) for each in zip(*of_bodies))) if of_bodies else contributions.plates
-    other = object.__new__(type(model))
-    other.__dict__.update({name: value for name, value in model.__dict__.items() if name not in OF_FACTORS})
-    other.bodies, other._rotated = [], [(None, None)]
+    other = model.altered(OF_FACTORS, bodies=[], _rotated=[(None, None)])
     for body, factor, first, last in zip(model.bodies, of_bodies, plates.at, plates.at[1:]):
         pattern, operator = slice(first[6], last[6]), body.operator
         stabilisation = None if operator.stabilisation is None else plates.stabilisation[pattern]

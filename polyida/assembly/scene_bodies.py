@@ -28,6 +28,12 @@ class Constraints(Model):
     `needs`, n, m, n_nodes and n_points.
     """
 
+    def altered(self, without=(), **attributes):
+        """A copy with these attributes in place of its own, without those named in `without`."""
+        other = object.__new__(type(self))
+        other.__dict__.update({name: value for name, value in vars(self).items() if name not in without}, **attributes)
+        return other
+
     def drives(self, t):
         """Value, first and second derivative of each profile at time t, (profiles, 3)."""
         at, table = self._driven
@@ -38,11 +44,9 @@ class Constraints(Model):
 
     def pushed(self, t, number, by):
         """This model with the value of profile `number` at time t increased by `by`, its rates unchanged."""
-        table, other = self.drives(t), object.__new__(type(self))
+        table = self.drives(t)
         table[number, 0] += by
-        forces = tuple(own.pushed(self.profiles[number], by) for own in self.own_forces)
-        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=forces)
-        return other
+        return self.altered(_driven=(t, table), own_forces=tuple(own.pushed(self.profiles[number], by) for own in self.own_forces))
 
     def kinks(self, t0, t1):
         if not self._kinks.size:
@@ -67,11 +71,7 @@ class Constraints(Model):
         return phi
 
     def facing(self, q):
-        if not self.edge_rows:
-            return self
-        other = object.__new__(type(self))
-        other.__dict__.update(self.__dict__, _facing=(None, self._links(self.dz(q))))
-        return other
+        return self.altered(_facing=(None, self._links(self.dz(q)))) if self.edge_rows else self
 
     def _links(self, dz):
         """The Links at displacements of the points; those of the last position are kept."""

@@ -118,9 +118,7 @@ class SceneModel(SceneBodies):
 
     def _leave_out_redundant(self, t, q, held=NONE, left_out=()):
         """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`. Returns the numbers of those that stay."""
-        whole = object.__new__(type(self))
-        whole.__dict__.update(self.__dict__)
-        redundant, columns = Redundant(whole, t, q), np.setdiff1d(np.arange(whole.m + len(left_out)), left_out)
+        redundant, columns = Redundant(self.altered(), t, q), np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
         if redundant.labels or self.treats_redundant == "least-norm":
             self.redundant = redundant
             self._assemble(held, [*left_out, *columns[redundant.left_out]])
@@ -177,10 +175,8 @@ class SceneModel(SceneBodies):
 
     def _copy(self, kept):
         """A copy without what is derived, but for these names."""
-        other = object.__new__(type(self))
         cached = {name for kind in type(self).__mro__ for name, value in vars(kind).items() if isinstance(value, cached_property)}
-        other.__dict__.update({name: value for name, value in vars(self).items() if name not in cached - kept}, _modes={})
-        return other
+        return self.altered(cached - kept, _modes={})
 
     def _late_joints(self):
         return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
