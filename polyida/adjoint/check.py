@@ -30,11 +30,8 @@ from polyida.validation import is_whole, named_keywords
 MIN_CHANGE = 1e-3  # of J over the parameter: smaller slopes do not serve as scale of errors
 CHANGE = 1e-3  # relative change of a parameter
 STEP = CHANGE / 7e-4  # about the same in units of the step of `along`
-ONE_SIDED = (
-    (0.5, 16 / 3),
-    (1.0, -2.0),
-    (2.0, 1 / 6),
-)  # (s, weight) of differences J(s) - J(0): their sum is dJ/ds, without errors of s^2 and s^3
+# (s, weight) of differences J(s) - J(0): their sum is dJ/ds, without errors of s^2 and s^3
+ONE_SIDED = (0.5, 16 / 3), (1.0, -2.0), (2.0, 1 / 6)
 TIGHT = 1e-11  # Newton's tolerance of repeated runs
 TOLERANCE = 1e-13  # of repeated equilibria
 ITERATIONS = 25  # least limit of Newton iterations with this tolerance

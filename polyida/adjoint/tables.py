@@ -255,11 +255,8 @@ def solve(w, k, right, below, bar, now, multipliers, out):
     assemble(w, size, unit)
     if not compiled_lu.factor(w.matrix, w.pivots):
         return SINGULAR
-    right, below, bar = (
-        carray(pointer(right), (s, w.columns, n)),
-        carray(pointer(below), (s, w.columns, m)),
-        carray(pointer(bar), (w.columns, n)),
-    )
+    right, below = carray(pointer(right), (s, w.columns, n)), carray(pointer(below), (s, w.columns, m))
+    bar = carray(pointer(bar), (w.columns, n))
     now, multipliers = carray(pointer(now), (s, w.columns, n)), carray(pointer(multipliers), (kinds, s, w.columns, m))
     out = carray(pointer(out), (3, s, w.columns, n))
     for c in range(w.columns):

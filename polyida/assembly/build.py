@@ -206,12 +206,11 @@ def given_rows(name, part, function="rows"):
         raise InputError(f"{what} raised {type(error).__name__}{_line(error)}: {error}{advice_on(error)}") from error
     for number, row in enumerate(rows, 1):
         if row.rate is not (function == "velocity_rows") and not (row.law and row.rate):
-            wanted = (
-                "each product of a velocity row has one factor with .rate"
-                if function == "velocity_rows"
-                else "only velocity_rows() have .rate"
-            )
-            raise InputError(f"{what}: row {number} of {len(rows)}: {wanted}")
+            wanted = {
+                "rows": "only velocity_rows() have .rate",
+                "velocity_rows": "each product of a velocity row has one factor with .rate",
+            }
+            raise InputError(f"{what}: row {number} of {len(rows)}: {wanted[function]}")
         if not np.isfinite(_at_rest(row)):
             raise InputError(f"{what}: row {number} of {len(rows)} is not finite at rest")
     return rows
@@ -344,10 +343,8 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass
     loads, operators = dead_loads(parts, gravity, places), [body.operator for body in plates]
-    materials, (modulus, nu) = (
-        [body.plate.material for body in plates],
-        np.array([body.plate.material.in_plane for body in plates]).reshape(-1, 2).T,
-    )
+    materials = [body.plate.material for body in plates]
+    modulus, nu = np.array([material.in_plane for material in materials]).reshape(-1, 2).T
     thickness = np.array([body.plate.thickness for body in plates], float)
     fields = operator_arrays(plates) | {
         "body_node": starts([range(body.mesh.n_nodes) for body in plates]),

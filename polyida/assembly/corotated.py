@@ -77,13 +77,8 @@ def corotated(model, blocks, rotation, before=None):
     if before is None or before.panels.dtype != single(blocks):
         before = empty_corotated(model, single(blocks))
     factorize(before.fronts, blocks, panels=before.panels)
-    fill_compliance_columns(
-        before,
-        before.compliance_columns,
-        rotation,
-        model.once(unit_loads, of_shape=True),
-        np.empty(2 * model.n_factored, before.panels.dtype),
-    )
+    loads, x = model.once(unit_loads, of_shape=True), np.empty(2 * model.n_factored, before.panels.dtype)
+    fill_compliance_columns(before, before.compliance_columns, rotation, loads, x)
     return before
 
 

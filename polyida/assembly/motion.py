@@ -184,11 +184,8 @@ def left_out(model, t, frames, accelerations):
     The residual `r = M x'' + f(x) - M g` of the full plate at the recovered motion, in the plate's frame, would move it by d, `K d + C^T l = -r`
     with its supports fixed, `C d = 0`: energy `-d^T r / 2`. Forces of joints have no part in it. Not of viscoelastic plates, whose f depends on the past.
     """
-    reduced = [
-        (number, placed)
-        for number, placed in enumerate(model.few)
-        if placed.body.truncation_error is not None and placed.name not in model.strains
-    ]
+    has_error = lambda placed: placed.body.truncation_error is not None and placed.name not in model.strains  # noqa: E731
+    reduced = [(number, placed) for number, placed in enumerate(model.few) if has_error(placed)]
     if not (reduced and len(frames)):
         return {}
     chosen, errors = np.unique(np.linspace(0, len(frames) - 1, COMPARED).astype(int)), {}

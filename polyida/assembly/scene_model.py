@@ -209,15 +209,8 @@ class SceneModel(SceneBodies):
         return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
 
     def __reduce__(self):
-        return _unpickled, (
-            type(self),
-            self.parts,
-            self.gravity,
-            self.treats_redundant,
-            self.without_strains,
-            self.late,
-            given_factors(self),
-        )
+        arguments = self.parts, self.gravity, self.treats_redundant, self.without_strains, self.late
+        return _unpickled, (type(self), *arguments, given_factors(self))
 
     @property
     def factors(self) -> dict[str, tuple[NDArray, NDArray]]:

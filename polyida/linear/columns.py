@@ -146,16 +146,9 @@ def forward(panels, at, w, own, nodes):
     for k in range(0, own - 1, 2):
         m = 2 * (nodes - k)
         b, c, d = at + m, at + 2 * m, at + 3 * m
-        p, q, r, s, x, y = forward_rows(
-            load_columns(w, k * NODE),
-            load_columns(w, (k + 1) * NODE),
-            panels[at + 1],
-            panels[at + 2],
-            panels[at + 3],
-            panels[b + 2],
-            panels[b + 3],
-            panels[c + 3],
-        )
+        x, y = load_columns(w, k * NODE), load_columns(w, (k + 1) * NODE)
+        a1, a2, a3, b2, b3, c3 = panels[at + 1], panels[at + 2], panels[at + 3], panels[b + 2], panels[b + 3], panels[c + 3]
+        p, q, r, s, x, y = forward_rows(x, y, a1, a2, a3, b2, b3, c3)
         store(w, k * NODE, (x,))
         store(w, (k + 1) * NODE, (y,))
         for j in range(4, m, 2):
@@ -195,20 +188,8 @@ def backward(panels, at, w, own, nodes):
             sums = products_of_four(
                 sums, x, load_spread(panels, at + j), load_spread(panels, b + j), load_spread(panels, c + j), load_spread(panels, d + j)
             )
-        x, y = backward_rows(
-            load_columns(w, k * NODE),
-            load_columns(w, (k + 1) * NODE),
-            sums,
-            panels[at],
-            panels[b + 1],
-            panels[c + 2],
-            panels[d + 3],
-            panels[at + 1],
-            panels[at + 2],
-            panels[at + 3],
-            panels[b + 2],
-            panels[b + 3],
-            panels[c + 3],
-        )
+        x, y = load_columns(w, k * NODE), load_columns(w, (k + 1) * NODE)
+        a1, a2, a3, b2, b3, c3 = panels[at + 1], panels[at + 2], panels[at + 3], panels[b + 2], panels[b + 3], panels[c + 3]
+        x, y = backward_rows(x, y, sums, panels[at], panels[b + 1], panels[c + 2], panels[d + 3], a1, a2, a3, b2, b3, c3)
         store(w, k * NODE, (x,))
         store(w, (k + 1) * NODE, (y,))

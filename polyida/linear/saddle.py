@@ -179,10 +179,8 @@ def path_length(before, after):
 
 def cosine(before, after):
     """Cosine of the angle by which the space of the rows has turned; -1 if a combination of rows was reversed."""
-    (sign, size), sizes = (
-        np.linalg.slogdet(dense(before.unit @ after.unit.T)),
-        [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)],
-    )
+    sign, size = np.linalg.slogdet(dense(before.unit @ after.unit.T))
+    sizes = [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)]
     return float(sign * np.exp(size - 0.5 * sum(sizes)))
 
 

@@ -48,9 +48,8 @@ The backward sweeps of generalized-alpha and Radau IIA have their own tables (ad
 | ADJOINT | right, below, bar, w, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
 """
 
-INSTANTS = (
-    1024  # most instants that are prepared together: small models take less than 1 ms for hundreds of steps, and 0.1 ms between stretches
-)
+# most instants that are prepared together: small models take less than 1 ms for hundreds of steps, and 0.1 ms between stretches
+INSTANTS = 1024
 STEPS = 256  # most steps of Radau IIA that are prepared together
 # constants of compiled code
 RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)

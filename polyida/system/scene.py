@@ -27,9 +27,8 @@ from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJEC
 
 SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
-DZ, FORCES, START, VX, DX, DV = range(
-    6
-)  # rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
+# rows of SceneWork.points: displacements, forces; displacements and velocities at the start, increments
+DZ, FORCES, START, VX, DX, DV = range(6)
 H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
 
 

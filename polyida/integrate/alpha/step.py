@@ -29,9 +29,8 @@ DD, R, DQ, DV, GGL = range(3, 8)  # further rows of Trial.now
 LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.rows and of Trial.rows
 # of Memory.marks; norms are root mean squares
 CONTRACTION, AGE = range(2)  # of Newton's method, and its age in steps
-ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(
-    2, 6
-)  # norms of q'' and of its change in a step: largest so far, of this iteration
+# norms of q'' and of its change in a step: largest so far, of this iteration
+ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(2, 6)
 AHEAD, BEHIND = range(6, 8)  # factors of CHANGE and EARLIER in the prediction
 MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, nan from a given trial state, 0 in a new step
 ERROR, SINCE = range(9, 11)  # largest local error of the last SINCE steps

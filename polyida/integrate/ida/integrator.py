@@ -26,11 +26,8 @@ from polyida.system import INSTANTS
 from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
-AIM, LENGTHS, FLEXIBLE_LENGTHS = (
-    1e-5,
-    3.0,
-    30.0,
-)  # default rtol of a motion over that many lengths of the model; the error is about ten times
+# default rtol of a motion over that many lengths of the model; the error is about ten times
+AIM, LENGTHS, FLEXIBLE_LENGTHS = 1e-5, 3.0, 30.0
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
 LEAST_RTOL = 4 * sys.float_info.epsilon  # four units of round-off; SUNDIALS refuses less than one

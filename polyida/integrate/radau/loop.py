@@ -21,9 +21,8 @@ ERROR_POWER = 0.6  # because the true error of a step is far below the local err
 EXACT = 1e-15  # of the model's length: Newton's tolerance in the first fixed step
 NOTHING = 1e-20  # of the model's length: least tolerance of Newton's method
 ROUND_OFF = 2.0**-53  # of v, which is e over h
-MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(
-    100, 105
-)  # further statuses of a stretch: requests to the caller, and failures
+# further statuses of a stretch: requests to the caller, and failures
+MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(100, 105)
 H, PRICE, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
 LEVEL, TIME, FAILED, STEP, TARGET, REMAINING = range(6)  # of Control.now
 REJECTED = 4  # of the counts, after those of step.py

@@ -192,20 +192,7 @@ class RadauIIA(Integrator):
 
 def restarted(state):
     """The state without the polynomial of the last step, which is invalid behind a kink or with another number of stages."""
-    gone = (
-        "stages_e",
-        "stages_v",
-        "a_end",
-        "stages_lam",
-        "miss_e",
-        "miss_lam",
-        "mu",
-        "misses",
-        "step",
-        "error",
-        "phi",
-        "rate",
-        "radau_piece",
-    )
+    of_step = "stages_e", "stages_v", "a_end", "stages_lam", "step", "error", "phi", "rate", "radau_piece"
+    gone = *of_step, "misses", "miss_e", "miss_lam", "mu"  # the polynomial, and its prediction errors
     memory = {name: value for name, value in state.memory.items() if name not in gone}
     return State(state.t, state.q, state.v, state.a, state.lam, memory)

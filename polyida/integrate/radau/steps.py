@@ -178,22 +178,10 @@ class Steps:
             if accepted:
                 shares = {"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {}
                 motion = None if self.table.functions[ACCELERATION] else (self.model, self.clamp)  # to compute a and lam later
+                before_them = begin, misses_before, self.tableau.c, self.factor_states, bool(self.model.has_constraint_increments)
                 memory = self.run_memory | shares, partial(position_memory, taken), motion
-                counts_at = partial(self.counts_at, before, o.counts)
-                states = StretchStates(
-                    StretchData(
-                        o,
-                        begin,
-                        misses_before,
-                        self.tableau.c,
-                        self.factor_states,
-                        bool(self.model.has_constraint_increments),
-                        *memory,
-                        counts_at,
-                        WeakValueDictionary(),
-                    ),
-                    range(accepted),
-                )
+                data = StretchData(o, *before_them, *memory, partial(self.counts_at, before, o.counts), WeakValueDictionary())
+                states = StretchStates(data, range(accepted))
                 self.state = state = states.last
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))

@@ -16,9 +16,8 @@ from polyida.linear.lu import FACTORS as SLOTS
 from polyida.model.differences import NEAR
 from polyida.system import dense
 
-CHOSEN, FACTORED, TIED = range(
-    3
-)  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether a derivative of phi is a row
+# of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether a derivative of phi is a row
+CHOSEN, FACTORED, TIED = range(3)
 
 
 @pack
@@ -113,12 +112,6 @@ def residual(w, instant, q, v, a, lam, r, phi):
 
 
 @entry
-def begin(w, instant, q, v, c, d, e, f):
-    """No effect: phi is computed from positions."""
-    return DONE
-
-
-@entry
 def constraints(w, instant, q, dd, dv, phi, rate, f):
     """phi at a state."""
     return dense.constraints(w.dense, instant, q, dd, dv, phi, rate, f)
@@ -149,12 +142,8 @@ def accept(w, instant, q, b, c, d, e, f):
 @part
 def bend(w, q, a):
     """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a may be 0."""
-    d, step, at, towards = (
-        w.dense,
-        NEAR * dense.reach(w.dense),
-        dense.vector(q, w.dense.q.shape[0]),
-        dense.vector(a, w.dense.q.shape[0] if a else 0),
-    )
+    d, step, n = w.dense, NEAR * dense.reach(w.dense), w.dense.q.shape[0]
+    at, towards = dense.vector(q, n), dense.vector(a, n if a else 0)
     t, ended = d.t[dense.INNER], DONE
     for e in range(2):
         s = (step, -step)[e]
@@ -360,7 +349,7 @@ def addresses():
     """{number of the entry: address} of all functions, valid for every DenseStages."""
     example = workspace(dense.example(), 3, np.eye(1, 3))
     functions = {
-        of.PREPARE: prepare, of.BEGIN: begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project,
+        of.PREPARE: prepare, of.BEGIN: dense.begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project,
         of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia, of.ACCELERATION: acceleration, of.MATRICES: factor,
         of.SELECT: select, of.BIAS: bias,
     }  # fmt: skip
