@@ -483,7 +483,7 @@ class SceneStepMatrix(StepMatrix):
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; only users' forces are not symmetric. Raises SingularSystem."""
-        free, own = self.corotated._replace(border=self.model.once(border_without_rows, of_shape=True)), self.workspace.own
+        free, own = self.corotated._replace(border=self.model.once(border, of_shape=True, rows=False)), self.workspace.own
         if transposed and len(own):
             own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
         workspace = self.workspace._replace(own=own, border=border_workspace(self.model, free.border, self.workspace.point_forces.dtype))
@@ -514,8 +514,3 @@ class SceneStepMatrix(StepMatrix):
                 recover(*strains, one)
             dq[:, *k], dlam[:, *k] = one.ravel(), forces
         return dq, dlam
-
-
-def border_without_rows(model):
-    """The Border of a scene for S without constraints."""
-    return border(model, rows=False)

@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.assembly.border import Border, BorderWorkspace, body_blocks, border_workspace, solve_border, solve_border_again
-from polyida.assembly.projection import border_of_rows
+from polyida.assembly.border import Border, BorderWorkspace, body_blocks, border, border_workspace, solve_border, solve_border_again
 from polyida.jit import pack, part
 
 
@@ -38,7 +37,7 @@ class RateMultipliers(NamedTuple):
 
 def rate_multipliers(model):
     """The RateMultipliers of a scene."""
-    pattern, (start, pairs, mass) = model.once(border_of_rows, of_shape=True), model.once(_point_masses)
+    pattern, (start, pairs, mass) = model.once(border, of_shape=True, active=False), model.once(_point_masses)
     workspace = border_workspace(model, pattern)
     workspace.blocks[:] = model.once(_overlaps, of_shape=True)
     return RateMultipliers(pattern, workspace, np.zeros_like(workspace.slopes), start, pairs, mass)
@@ -47,7 +46,7 @@ def rate_multipliers(model):
 def _overlaps(model):
     """The blocks A A^T of the bodies."""
     weights = model.point_weights
-    return body_blocks(model.once(border_of_rows, of_shape=True), weights, weights.conj().T.tocsc())
+    return body_blocks(model.once(border, of_shape=True, active=False), weights, weights.conj().T.tocsc())
 
 
 def _point_masses(model):

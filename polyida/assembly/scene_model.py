@@ -503,12 +503,12 @@ class SceneModel(SceneBodies):
         """First pair of each body, and the end, (bodies + 1,)."""
         return np.concatenate([self.arrays.plates.body_node, self.arrays.compact.pair[1:]])
 
-    def once(self, make, of_shape=False):
-        """make(self), computed once. of_shape: True if it does not depend on the factors of cells."""
-        derived = self._derived_of_shape if of_shape else self._derived
-        if make not in derived:
-            derived[make] = make(self)
-        return derived[make]
+    def once(self, make, of_shape=False, **options):
+        """make(self, **options), computed once. of_shape: True if it does not depend on the factors of cells."""
+        derived, key = self._derived_of_shape if of_shape else self._derived, (make, *options.items())
+        if key not in derived:
+            derived[key] = make(self, **options)
+        return derived[key]
 
 
 def _dense_mass(model):
