@@ -28,7 +28,7 @@ import numpy as np
 
 from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameter import AdjointMultipliers, SharedStates, stacked
-from polyida.adjoint.run import RunAdjoint, add_together, sweep_with_fallback
+from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
@@ -410,7 +410,10 @@ class AlphaAdjoint(RunAdjoint):
             keep = bool(self.events.speeds or self.observes)
             results = shared.back(inner, self.linearised(first + 1, q, v), v, a, rows, slopes_here, bars, keep, slip)
             works = [AdjointMultipliers(inner, q, v, a, rows, each.w, each.mu, each.kappa) for each in results]
-            add_together(sweeps, SharedStates(works, shared.out.w[: len(t)]), t)
+            works = SharedStates(works, shared.out.w[: len(t)])
+            sweeps[0].totals.prepare(works)
+            for sweep, work in zip(sweeps, works):
+                sweep.add(work, t)
             for sweep, slopes, result in zip(sweeps, slopes_here, results):
                 if self.stabilised:
                     (ahead, slipped, eta), still = result.slips, np.zeros_like(q)

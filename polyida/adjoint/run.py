@@ -346,13 +346,6 @@ class RunAdjoint:
                 self.events.speeds.pop(name, None)
 
 
-def add_together(sweeps, works, times):
-    """Add the AdjointMultipliers of each sweep, which are SharedStates; times: of these."""
-    sweeps[0].totals.prepare(works)
-    for sweep, work in zip(sweeps, works):
-        sweep.add(work, times)
-
-
 def together(sweeps, progress):
     """The bars of the run's first state of sweeps over the same steps; progress is called with t."""
     results = []

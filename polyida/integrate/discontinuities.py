@@ -155,9 +155,9 @@ class Grid(NamedTuple):
         return np.array([self.begin, self.end, self.count, done], float)
 
 
-def grid_of(state, begin, end, count):
-    """The grid in the state's memory if the state is within it and it ends at `end`; a new one otherwise."""
-    stored = state.memory.get("grid")
+def grid_of(state, begin, end, count, name="grid"):
+    """The grid in the state's memory, under a name, if the state is within it and it ends at `end`; a new one otherwise."""
+    stored = state.memory.get(name)
     if stored is not None and np.shape(stored) == (4,):
         grid = Grid(float(stored[0]), float(stored[1]), int(stored[2]), int(stored[3]))
         if grid.end == end and 0 < grid.done < grid.count and grid.time(grid.done) == begin == state.t:

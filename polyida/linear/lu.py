@@ -134,16 +134,11 @@ def first_order_sizes(c, s, n, m, orders, mu, unit=1.0):
     """Factors (of rows, of columns), (N,) each, of `first_order_matrix`.
 
     Rows: q' is divided by c, r by s, the k-th derivative of phi, k in `orders`, by c^k. Columns: dv and mu are measured in c, lam in s, both
-    multipliers in `unit` besides. mu: True if there are columns mu.
+    multipliers in `unit` besides. mu: True if there are columns mu. All factors are 1 for c = s = unit = 1.
     """
     rows = [np.full(n, 1 / c), np.full(n, 1 / s)] + [np.full(m, c**-k) for k in orders]
     columns = [np.ones(n), np.full(n, c), np.full(m, s * unit)] + [np.full(m, c * unit)] * mu
     return np.concatenate(rows), np.concatenate(columns)
-
-
-def first_order_units(n, m, mu):
-    """Factors 1 of the rows and columns of `first_order_matrix`."""
-    return tuple(np.ones((2, 2 * n + m * (2 if mu else 1))))
 
 
 class ScaledLU:

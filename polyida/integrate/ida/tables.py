@@ -35,7 +35,7 @@ from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs
 from polyida.integrate.radau.tables.scene import rows as rows_at
 from polyida.integrate.radau.tables.scene_factors import Solver
 from polyida.jit import entry
-from polyida.linear.lu import dense, first_order_sizes, first_order_units
+from polyida.linear.lu import dense, first_order_sizes
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
@@ -78,8 +78,7 @@ class FormRows:
 
 def sizes(scaling, form, n, m, cj, s):
     """Factors (of rows, of columns), (N,) each, of a scaling; n coordinates, m constraints, s the typical size of S."""
-    if scaling == "none":
-        return first_order_units(n, m, form.stabilised)
+    cj, s = (1.0, 1.0) if scaling == "none" else (cj, s)
     orders = (max(form.rows),) if form.combined else form.rows
     return first_order_sizes(cj, s, n, m, orders, form.stabilised, 1 / cj if form.integrated else 1.0)
 

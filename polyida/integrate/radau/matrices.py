@@ -21,7 +21,7 @@ number grows as h^-3 (index3) or h^-2 (ggl) where h is small; scaled, it is flat
 
 import numpy as np
 
-from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_order_sizes, first_order_units
+from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_order_sizes
 from polyida.linear.saddle import Border, StepMatrix, typical
 from polyida.model.differences import bend, reach_along
 
@@ -171,9 +171,7 @@ def whole_matrix(c, K, slope, rows):
 
 def sizes(scaling, c, s, n, m, tied):
     """Factors (of rows, of columns), (N,) each, of a scaling; tied: True if there is mu."""
-    if scaling == "none":
-        return first_order_units(n, m, tied)
-    size = abs(c)
+    size = 1.0 if scaling == "none" else abs(c)
     return first_order_sizes(size, s if scaling == "physical" else size**2, n, m, (0, 1) if tied else (0,), tied)
 
 
@@ -197,16 +195,11 @@ class WholeModes(Matrices):
     def corrections(self, k, r, r3, r4):
         """As of Matrices."""
         n, m = self.model.n, self.model.m
-        x = -self._whole(k, r, r3, r4)
-        return x[:n], x[2 * n : 2 * n + m], x[2 * n + m :]
-
-    def _whole(self, k, *below):
-        """The solution with a zero right-hand side of q'. Raises SingularSystem."""
-        n = self.model.n
         if self.borders[k] is None:
             matrix, s = whole_matrix(self.c[k], self.K, self.slopes[k], self.rows)
             self.borders[k] = ScaledLU(matrix, *self._sizes(self.c[k], s))
-        return self.borders[k].solve(np.concatenate([np.zeros(n), *below]))
+        x = -self.borders[k].solve(np.concatenate([np.zeros(n), r, r3, r4]))  # q' has no residual
+        return x[:n], x[2 * n : 2 * n + m], x[2 * n + m :]
 
     def _sizes(self, c, s):
         return sizes(self.scaling, c, s, self.model.n, self.model.m, self.rows.tied)

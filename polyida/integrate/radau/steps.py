@@ -18,7 +18,7 @@ from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, Stretch, first_of
+from polyida.integrate.state import Stretch, first_of
 from polyida.linear.lu import SingularSystem
 from polyida.system import ACCELERATION, STEPS
 
@@ -278,8 +278,7 @@ def fixed_steps(engine, settings, model, state, begin, end, most, counts):
 
 def _grid(model, state, begin, end, most):
     """The stored Grid of the state if its steps suit `most`, else a new one."""
-    stored = State(state.t, state.q, state.v, state.a, state.lam, {"grid": state.memory.get("radau_grid")})
-    known = grid_of(stored, begin, end, 0)
+    known = grid_of(state, begin, end, 0, "radau_grid")
     if known.count and known.h <= most * (1 + 1e-9) and (known.h > 0.5 * most or known.count <= PULSE):
         return known
     return Grid(begin, end, number_of_steps(model, state, begin, end, most))

@@ -446,19 +446,16 @@ class SceneStages:
     def make(self, slot, h, made_at, counts):
         """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
         if not self.single:
-            self._make_compiled(slot, h, made_at)
+            c = compiled_tableau(self.tableau).values / h
+            q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([self.model.n] * 3)))
+            if matrices(self.work, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, c.ctypes.data) != DONE:
+                raise SingularSystem(REASONS[SINGULAR][1])
             return
         known = self.slots.get(slot)
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
             known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at)
         counts.backend = known.backend
         self.set_solvers(known.real, known.pair)
-
-    def _make_compiled(self, slot, h, made_at):
-        c = compiled_tableau(self.tableau).values / h
-        q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([self.model.n] * 3)))
-        if matrices(self.work, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, c.ctypes.data) != DONE:
-            raise SingularSystem(REASONS[SINGULAR][1])
 
     def set_solvers(self, real, pair):
         """Use these Solvers of the modes, or None; functions are compiled for the type of the workspace."""
