@@ -38,6 +38,7 @@ from polyida.integrate.start import started
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call, pointer
+from polyida.linear.dense import zero
 from polyida.linear.lu import FactorCache
 from polyida.system import ADJOINT
 from polyida.system.python import small_own, small_table
@@ -125,7 +126,7 @@ def begin(p, j, k, y, out, c):
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
         right[i] = -q[i] - p.to_v * v[i] - p.to_a * a[i] - b * ahead[i]
-    below[:] = 0.0
+    zero(below)
     add_slope(j[c, LAM], k, -1.0, below)
     predict(y.marks[c], out.w[:, c], k)
     predict(y.marks[c], out.mu[:, c], k)

@@ -12,7 +12,7 @@ from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense as compiled_lu
-from polyida.linear.dense import copy_matrix, put
+from polyida.linear.dense import copy_matrix, put, zero
 from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
 from polyida.system import ADJOINT, ENTRIES
@@ -275,7 +275,7 @@ def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
             x[i * n + p] = right[i, p]
         for e in range(m):
             x[s * n + i * m + e] = size * below[i, e]
-    x[s * (n + m) :] = 0.0
+    zero(x[s * (n + m) :])
     if multipliers.shape[0] == 2:
         for p in range(n):
             for o in range(n):

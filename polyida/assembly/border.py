@@ -17,7 +17,7 @@ import numpy as np
 
 from polyida.assembly.arrays import starts
 from polyida.jit import pack, part, shared
-from polyida.linear.dense import magnitude, put, solve_small
+from polyida.linear.dense import magnitude, put, solve_small, zero
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
 from polyida.validation import on_pairs
 
@@ -177,7 +177,7 @@ def body_blocks(pattern, left, right):
 @part
 def measure(b, w, u):
     """right = F u. u: (points, 2)."""
-    w.right[:] = 0.0
+    zero(w.right)
     for n in range(b.block.shape[0] - 1):
         for r in range(b.row_start[n], b.row_start[n + 1]):
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
@@ -215,13 +215,14 @@ def solve_border_again(b, w):
 @part
 def assemble(b, w):
     """Set w.matrix to I_w + F G E."""
-    w.matrix[:] = 0.0
+    zero(w.matrix)
     row = w.row
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
         respond(b, w, n, first, count)
         for r in range(b.row_start[n], b.row_start[n + 1] if count else b.row_start[n]):
-            row[:count] = 0.0
+            for j in range(count):
+                row[j] = 0.0
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 value, at = w.slots[b.row_slot[e]], b.row_component[e]
                 for j in range(count):

@@ -30,7 +30,7 @@ from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.relaxation import Elimination, eliminate, elimination, recover
 from polyida.jit import entry, leaf, pack, part, shared
 from polyida.linear.columns import solve_columns
-from polyida.linear.dense import factor, put
+from polyida.linear.dense import clear, factor, put
 from polyida.linear.dense import solve as solve_factored
 from polyida.linear.dissection import Symbolic, symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
@@ -395,10 +395,10 @@ def solve_multipliers(s, c, w, phi, dlam):
         w.border.right[count + k] += phi[k]
     if not (solve_border_again(c.border, w.border) if w.keeps[0] else solve_border(c.border, w.border)):
         return False
-    w.point_forces[:] = 0.0
+    clear(w.point_forces)
     for i in range(count):
         component = c.border.active[i]
-        w.point_forces[component // 2, component % 2] = w.border.x[i]
+        w.point_forces[component >> 1, component & 1] = w.border.x[i]
     put(1.0, w.border.x[count:], dlam)
     joints.add_rows(s, w.border.slopes, dlam, w.point_forces)
     return True

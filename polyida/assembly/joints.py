@@ -11,7 +11,7 @@ A velocity row is `psi = constant + L z' + sum f p(t) + sum R(theta) E . F'`. It
 import numpy as np
 
 from polyida.jit import entry, leaf, part, shared
-from polyida.linear.dense import put
+from polyida.linear.dense import put, zero
 
 
 @leaf
@@ -123,7 +123,7 @@ def add_rows(s, slopes, lam, forces):
     for k in range(lam.shape[0]):
         for e in range(s.row_start[k], s.row_start[k + 1]):
             i = s.row_columns[e]
-            forces[i // 2, i % 2] += slopes[e] * lam[k]
+            forces[i >> 1, i & 1] += slopes[e] * lam[k]
 
 
 @leaf
@@ -256,7 +256,7 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
 @part
 def joint_rate_jacobian(s, drives, dz, vz, slopes):
     """Fill slopes with d(phi_z vz + phi_t)/dz."""
-    slopes[:] = 0.0
+    zero(slopes)
     for p in range(s.product_row.shape[0]):
         k, e, f = s.product_row[p], s.product_first[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)

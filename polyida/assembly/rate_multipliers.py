@@ -17,6 +17,7 @@ import numpy as np
 from polyida.assembly import joints
 from polyida.assembly.border import Border, BorderWorkspace, body_blocks, border, border_workspace, solve_border, solve_border_again
 from polyida.jit import pack, part
+from polyida.linear.dense import clear, zero
 
 
 @pack
@@ -92,7 +93,7 @@ def _entries(matrix, rows, columns):
 def factor_rates(s, x, drives, dz):
     """Factor B B^T at places dz of the points. False if it is singular."""
     joints.joint_jacobian(s, drives, dz, x.workspace.slopes)
-    x.workspace.right[:] = 0.0
+    zero(x.workspace.right)
     return solve_border(x.border, x.workspace)
 
 
@@ -124,7 +125,7 @@ def subtract_rates(s, x, z, right):
 def add_rate_forces(s, x, slowing, w, c, mu, r):
     """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; w: SolveWorkspace with the frames of the nodes and points."""
     forces = w.point_forces
-    forces[:] = 0.0
+    clear(forces)
     joints.add_rows(s, x.workspace.slopes, mu, forces)
     for f in range(forces.shape[0]):
         px, py = forces[f, 0], forces[f, 1]

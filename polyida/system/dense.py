@@ -180,7 +180,7 @@ def bordered(A, w, matrix, size):
             A[i, n + k] = size * w.B[k, i]
             A[n + k, i] = size * w.B[k, i]
     for k in range(m):
-        A[n + k, n:] = 0.0
+        dense.zero(A[n + k, n:])
 
 
 @part
@@ -355,7 +355,7 @@ def project(w, instant, rows, x, from_zero, d, e, f):
             for i in range(n):
                 total -= w.B[k, i] * moved[i]
         w.x[n + k] = -total
-    w.x[:n] = 0.0
+    dense.zero(w.x[:n])
     if solve_masses(w) != DONE:
         return SINGULAR
     for i in range(n):
@@ -387,7 +387,7 @@ def bias(w):
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.functions[PHI_BIAS]:
         return evaluate(w, PHI_BIAS, INNER, w.phi_bias)
-    w.phi_bias[:] = 0.0
+    dense.zero(w.phi_bias)
     if not w.flags[ROWS_VARY]:
         return DONE
     at, step = w.near[0], REACH * reach(w)

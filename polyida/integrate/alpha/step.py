@@ -17,7 +17,7 @@ from polyida import system as table
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, NOT_FINITE, REFACTOR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.linear.dense import copy_matrix, put
+from polyida.linear.dense import copy_matrix, put, zero
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
@@ -280,7 +280,7 @@ def settle(f, w, k, x, stabilised):
     if ended != DONE:
         return ended
     ended = call(f[table.PROJECT], w, k, address(rows[RATE]), address(now[V]), 0, 0, 0, 0)
-    rows[RATE] = 0.0
+    zero(rows[RATE])
     return ended
 
 
@@ -294,7 +294,7 @@ def newton(f, w, k, p, stabilised, y, x, counts):
         y.marks[ACCEL_CHANGE] *= 0.9
     call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
     if stabilised and last == 0.0:
-        now[GGL] = 0.0
+        zero(now[GGL])
     state = address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM])
     r, phi, dq, dlam = address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
     for iteration in range(p.max_iterations):

@@ -14,6 +14,7 @@ from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call
+from polyida.linear.dense import zero
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
 Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps
@@ -43,7 +44,7 @@ def extrapolate(x, first, order, out):
 @part
 def remember(x, value, first, errors):
     """Add x[value] to the backward differences. Returns the order of the polynomial that would have been nearest to it."""
-    errors[:] = 0.0
+    zero(errors)
     for i in range(x.shape[1]):
         new = x[value, i]
         for j in range(TERMS):

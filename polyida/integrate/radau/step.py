@@ -429,23 +429,24 @@ def residuals(f, w, first, p, t, h, y, x, z):
 
 
 @fast
-def into_mode(row, x, out):
-    """out = row x of stages x (s, .); zero without a row."""
-    out[:] = 0.0
-    for k in range(row.shape[0]):
-        for i in range(out.shape[0]):
-            out[i] += row[k] * x[k, i]
-
-
-@part
 def into_modes(p, t, h, z):
     """Transform the residuals of the stages to the modes. Velocity rows are divided by c."""
-    real = t.real_row.shape[0] > 0
-    into_mode(t.real_row, z.r, z.right)
-    into_mode(t.pair_row, z.r, z.right_pair)
+    stages, real = z.r.shape[0], t.real_row.shape[0] > 0
+    for i in range(z.right.shape[0]):
+        one, pair = 0.0, 0.0j
+        for k in range(stages):
+            if real:
+                one += t.real_row[k] * z.r[k, i]
+            pair += t.pair_row[k] * z.r[k, i]
+        z.right[i], z.right_pair[i] = one, pair
     for g in range(2):
-        into_mode(t.real_row, z.rows[g], z.closing[g])
-        into_mode(t.pair_row, z.rows[g], z.closing_pair[g])
+        for e in range(z.closing.shape[1]):
+            one, pair = 0.0, 0.0j
+            for k in range(stages):
+                if real:
+                    one += t.real_row[k] * z.rows[g, k, e]
+                pair += t.pair_row[k] * z.rows[g, k, e]
+            z.closing[g, e], z.closing_pair[g, e] = one, pair
     for i in range(p.velocity_rows.shape[0]):
         e = p.velocity_rows[i]
         z.closing_pair[PHI, e] *= h / complex(t.values[1], t.values[2])

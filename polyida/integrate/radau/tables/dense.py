@@ -187,7 +187,7 @@ def whole(A, w, c, size):
         for e in range(m):
             for i in range(n):
                 A[at + e, i] = (of_B * w.B[e, i] + of_H * w.H[e, i] + second * w.N[e, i]) / unit
-            A[at + e, n:] = 0.0
+            lu.zero(A[at + e, n:])
     if w.levels.shape[0] == 2:
         for e in range(m):
             for i in range(n):
