@@ -17,7 +17,7 @@ from polyida.joint.attachment import require_attachment
 from polyida.joint.joint import Joint
 from polyida.model import Model
 from polyida.results.motion import reaction_of
-from polyida.validation import is_number, is_one_of, is_whole, labelled, named_keywords, number, read_only, settle, takes, vector2
+from polyida.validation import is_number, is_one_of, labelled, named_keywords, number, read_only, settle, takes, vector2, whole
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -107,8 +107,7 @@ class Event:
             raise InputError(f"{label}: when = {self.when!r:.60} must be a function of one argument, a state, that gives a number")
         if not is_one_of(self.direction, DIRECTIONS):
             raise InputError(f"{label}: direction = {self.direction!r:.60} must be one of {', '.join(map(repr, DIRECTIONS))}")
-        if not is_whole(self.most):
-            raise InputError(f"{label}: most = {self.most!r:.60} must be a whole number of at least 1")
+        whole(label, "most", self.most)
         then = tuple(self.then) if isinstance(self.then, (list, tuple)) else (self.then,)
         for one in then:
             if not (is_one_of(one, ("stop",)) or isinstance(one, (*ADDABLE, Model, Remove, Impulse, Impact)) or takes(one, 1)):

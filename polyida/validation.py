@@ -143,6 +143,27 @@ def number(part, name, value, unit, least=-math.inf):
     return float(value)
 
 
+def one_of(part, name, value, known):
+    """The value; InputError, with part and value, unless it is one of the texts `known`."""
+    if not is_one_of(value, known):
+        raise InputError(f"{part}: {name} = {value!r:.100} must be one of {', '.join(known)}")
+    return value
+
+
+def flag(part, name, value):
+    """The value; InputError, with part and value, unless it is a bool."""
+    if not is_flag(value):
+        raise InputError(f"{part}: {name} = {value!r:.100} must be True or False")
+    return value
+
+
+def whole(part, name, value, least=1):
+    """The value as an int; InputError, with part and value, unless it is a whole number of `least` or more."""
+    if not is_whole(value, least):
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a whole number of at least {least}")
+    return operator.index(value)
+
+
 def vector2(part, name, value):
     """The value as two floats; InputError, with part and value, for anything else."""
     pair = floats(value)

@@ -16,7 +16,7 @@ from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
 from polyida.linear.saddle import KKT
 from polyida.reprs import brief
-from polyida.validation import complex_of_pairs, is_one_of, is_whole, named_keywords, pairs_of, reals, settle
+from polyida.validation import complex_of_pairs, is_one_of, is_whole, named_keywords, pairs_of, reals, settle, whole
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -226,8 +226,7 @@ def pod_modes(run: "Trajectory", name: str, count: int = 5) -> np.ndarray:
     drawn = {} if getattr(run, "model", None) is None else {body.name: body for body in run.model.drawn}
     if not is_one_of(name, drawn):
         raise InputError(f"pod_modes: the run has no plate {name!r}; known: {', '.join(map(repr, drawn)) or 'none'}")
-    if not is_whole(count):
-        raise InputError(f"pod_modes: count = {count!r} must be a whole number of at least 1")
+    whole("pod_modes", "count", count)
     body, moved = drawn[name], []
     weights = np.add.reduceat(body.operator.mass, body.operator.indptr[:-1])
     weights = weights / weights.sum()
@@ -282,8 +281,7 @@ def missing_fields(run: "Trajectory", name: str, count: int = 3) -> np.ndarray:
     }
     if not is_one_of(name, known):
         raise InputError(f"missing_fields: no elastic reduced plate is called {name!r}; known: {', '.join(map(repr, known)) or 'none'}")
-    if not is_whole(count):
-        raise InputError(f"missing_fields: count = {count!r} must be a whole number of at least 1")
+    whole("missing_fields", "count", count)
     placed, corrections = known[name], []
     for k in np.unique(np.linspace(0, len(run) - 1, SNAPSHOTS).astype(int)).tolist():
         moved, a = (complex_of_pairs(np.asarray(x[k], float).reshape(-1, 2)[placed.pairs]) for x in (run.q, run.a))

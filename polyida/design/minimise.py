@@ -21,7 +21,7 @@ from polyida.design.variables import Densities, Sharpness, Size
 from polyida.errors import InputError
 from polyida.objective.objective import Limit, Objective
 from polyida.progress import teller
-from polyida.validation import is_number, is_whole, named_keywords
+from polyida.validation import is_number, named_keywords, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,8 +62,7 @@ class Stage:
     move: float = 1.0
 
     def __post_init__(self):
-        if not is_whole(self.evaluations, 1):
-            raise InputError(f"Stage: evaluations = {self.evaluations!r:.40} must be a whole number of at least 1")
+        whole("Stage", "evaluations", self.evaluations)
         if not (is_number(self.q) and self.q >= 0):
             raise InputError(f"Stage: q = {self.q!r:.40} must be a number of at least 0")
         if not (self.beta is None or (is_number(self.beta) and self.beta > 0)):

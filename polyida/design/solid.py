@@ -20,7 +20,7 @@ from polyida.design.variables import BuiltSizeMap, Densities, DensityMap, Sharpn
 from polyida.errors import InputError
 from polyida.mesh import MeshWarning, PolygonMesh, density_filter
 from polyida.objective.peak_stress import PeakStress
-from polyida.validation import is_whole, named_keywords
+from polyida.validation import named_keywords, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -118,8 +118,7 @@ def solid(
     """
     from pandas import DataFrame
 
-    if not is_whole(changes, 0):
-        raise InputError(f"solid: changes = {changes!r:.40} must be a whole number of at least 0")
+    whole("solid", "changes", changes, 0)
     problem, values = design.problem, design.values
     maps = [one for one in problem.maps if isinstance(one, DensityMap)]
     solids, tried, reasons = _Solids(design, build, maps), [], []

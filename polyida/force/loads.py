@@ -11,7 +11,7 @@ from polyida.force.force_element import ForceElement, takes_three, with_checked_
 from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Attachment, ground, require_attachment, require_directions, require_sides
 from polyida.profile import Profile, as_profile, constant
-from polyida.validation import is_flag, labelled, named_keywords, settle, vector2
+from polyida.validation import flag, labelled, named_keywords, settle, vector2
 
 
 @named_keywords
@@ -243,8 +243,7 @@ class Force(ForceElement):
 
     def __post_init__(self):
         require_attachment(self.label, self.at)
-        if not is_flag(self.follower):
-            raise InputError(f"{self.label}: follower = {self.follower!r} must be True or False")
+        flag(self.label, "follower", self.follower)
         if self.follower and not self.at.has_direction:
             raise InputError(f"{self.label}: {self.at!r} has no direction to follow; {self.at.advice}")
         if takes_three(self.force):

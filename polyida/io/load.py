@@ -15,7 +15,7 @@ from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
-from polyida.validation import is_flag, named_keywords, require_bytes
+from polyida.validation import flag, named_keywords, require_bytes
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
 KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"
@@ -53,8 +53,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
         If the file is missing, truncated or of another kind, and for a model of other sizes than those of the run.
     """
     require_bytes("load", memory_limit)
-    if not is_flag(check):
-        raise InputError(f"load: check = {check!r} must be True or False")
+    flag("load", "check", check)
     stored = read(path)
     with naming(path):
         try:

@@ -21,7 +21,7 @@ from polyida.io.reader import read_open
 from polyida.io.scene_data import to_data
 from polyida.io.writer import NotWritten, Writer, writing
 from polyida.model import NONE
-from polyida.validation import is_flag
+from polyida.validation import flag
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system may drop those before from its cache
@@ -189,8 +189,7 @@ def free(path_given, overwrite):
 
     Raises InputError if the file exists and must not be overwritten, is being written, or cannot be written there.
     """
-    if not is_flag(overwrite):
-        raise InputError(f"{path_given}: overwrite = {overwrite!r} must be True or False")
+    flag(path_given, "overwrite", overwrite)
     try:
         path = Path(path_given).resolve()
         folder, file, there, home = path.is_dir(), path.is_file(), path.exists(), path.parent.is_dir()

@@ -13,7 +13,7 @@ from polyida.errors import InputError
 from polyida.mesh import formats, meshio_files, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, RawMesh, repaired, unit_note, unit_size
-from polyida.validation import is_flag, is_number, is_whole, named_keywords, reals
+from polyida.validation import flag, is_number, is_whole, named_keywords, reals
 
 
 @named_keywords
@@ -169,8 +169,7 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
 
 def put(part, path, overwrite, write):
     """Write a file by `write(temporary path)` and rename it. Raises InputError in the name of `part` if it exists and overwrite is False."""
-    if not is_flag(overwrite):
-        raise InputError(f"{part}: overwrite = {overwrite!r} must be True or False")
+    flag(part, "overwrite", overwrite)
     if path.exists() and not overwrite:
         raise InputError(f"{part} exists; pass overwrite=True to replace it")
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")

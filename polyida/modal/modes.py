@@ -18,7 +18,7 @@ from polyida.modal.eigen import linear_system
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.reprs import brief
-from polyida.validation import is_flag, is_number, is_whole, named_keywords
+from polyida.validation import flag, is_number, is_whole, named_keywords, whole
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root that is less to the right of the imaginary axis is on it
@@ -203,12 +203,10 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     else:
         relaxing = None
     system = linear_system("modes", model, state)
-    if not is_whole(count):
-        raise InputError(f"modes: count = {count!r} must be a whole number of at least 1")
+    whole("modes", "count", count)
     if not system.freedoms:
         raise InputError(f"modes: the model cannot move: it has as many constraints as coordinates, {model.n}")
-    if not is_flag(damped):
-        raise InputError(f"modes: damped = {damped!r} must be True or False")
+    flag("modes", "damped", damped)
     held = system if damped or not system.model.k else system.with_states_held()
     if not (damped or held.conservative):
         raise InputError("modes: K is not symmetric, a force has no potential; use damped=True, which takes any K")

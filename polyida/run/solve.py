@@ -32,7 +32,7 @@ from polyida.run.modes import Modes
 from polyida.run.run import Run
 from polyida.sensor import Sensor
 from polyida.system.python import small_own
-from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords, require_bytes
+from polyida.validation import flag, floats, is_number, named_keywords, one_of, require_bytes, whole
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -159,14 +159,11 @@ def solve(
     begin = t0 if state is None else state.t
     method = require_run(known, t_end, begin, integrator)
     for name, value in (("every", every), ("flush_every", flush_every)):
-        if not is_whole(value):
-            raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
-    if not isinstance(fsync, bool):
-        raise InputError(f"solve: fsync = {fsync!r} must be True or False")
+        whole("solve", name, value)
+    flag("solve", "fsync", fsync)
     if until is not None:
         require_of_state("solve: until", until, known)
-    if not is_one_of(precision, PRECISIONS):
-        raise InputError(f"solve: precision = {precision!r} must be one of {', '.join(PRECISIONS)}")
+    one_of("solve", "precision", precision, PRECISIONS)
     times = None if output is None else floats(output)
     if output is not None and (times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all()):
         raise InputError("solve: output must be increasing finite times in s, at least one")

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.show.style import INK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
-from polyida.validation import is_flag, is_whole
+from polyida.validation import flag, is_whole
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 
@@ -18,8 +18,7 @@ def require_run(part, run, overwrite):
         raise InputError(f"{part}: {run.missing}; the run that was loaded has no plates")
     if len(run.t) == 0:
         raise InputError(f"{part}: the run has no frames")
-    if not is_flag(overwrite):
-        raise InputError(f"{part}: overwrite = {overwrite!r} must be True or False")
+    flag(part, "overwrite", overwrite)
 
 
 def bodies(model):

@@ -34,7 +34,7 @@ from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.ivp import require_labels, resolve_model, step_list
 from polyida.study.result import Result
 from polyida.study.rows import fit_slope, pick
-from polyida.validation import is_number, is_one_of, named_keywords
+from polyida.validation import is_number, is_one_of, named_keywords, one_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -104,8 +104,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
     if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):
         raise InputError(f"condition_number: integrator {shown(integrator)} must be GeneralizedAlpha, IDA or RadauIIA")
     name, of_stages = type(integrator).__name__, isinstance(integrator, RadauIIA)
-    if not is_one_of(unknown, UNKNOWNS):
-        raise InputError(f"condition_number: unknown = {unknown!r} must be one of {', '.join(UNKNOWNS)}")
+    one_of("condition_number", "unknown", unknown, UNKNOWNS)
     if unknown != "q" and not isinstance(integrator, GeneralizedAlpha):
         raise InputError(f"condition_number: unknown = {unknown!r} must be 'q' for {name}, which has q and v at once")
     if mode is not None and not of_stages:
@@ -172,17 +171,7 @@ class Conditioning(Result):
         return {f"slope {label}": value for label, value in self.slopes.items()} | worst
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the condition numbers against h, a line for each integrator and state.
-
-        Parameters
-        ----------
-        axes : Axes, optional
-            New pyplot axes if None.
-
-        Returns
-        -------
-        axes : Axes
-        """
+        """Draw the condition numbers against h, a line for each integrator and state."""
         with on_axes(axes) as axis:
             for i, (label, state) in enumerate(product(self.labels, self._states())):
                 rows = pick(self.rows, integrator=label, state=state)

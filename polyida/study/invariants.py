@@ -14,7 +14,7 @@ from polyida.results.motion import unbalanced
 from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.ivp import initial_value_problem, integrator_lists, settings_text
 from polyida.study.result import Result
-from polyida.validation import is_one_of, is_whole, named_keywords
+from polyida.validation import named_keywords, one_of, whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,9 +51,7 @@ class Invariants(Result):
             For a quantity that no run has.
         """
         known = self._known()
-        quantity = known[0] if quantity is None else quantity
-        if not is_one_of(quantity, known):
-            raise InputError(f"plot: quantity = {quantity!r} must be one of {', '.join(known)}")
+        quantity = one_of("plot", "quantity", known[0] if quantity is None else quantity, known)
         label, logarithmic = self.quantities[quantity]
         with on_axes(axes) as axis:
             for i, (name, history) in enumerate(self.histories.items()):
@@ -83,8 +81,7 @@ def _run_all(result_class, measure, study, model, t_end, q0, v0, integrators, fr
     """The result of one run for each integrator; measure(run, frames) -> (row, history)."""
     ivp = initial_value_problem(study, model, t_end, q0, v0)
     lists = integrator_lists(study, ivp, integrators, several=False)
-    if not is_whole(frames, 2):
-        raise InputError(f"{study}: frames = {frames!r} must be a whole number of at least 2")
+    whole(study, "frames", frames, 2)
     rows, notes, histories = [], [], {}
     with teller(study, progress) as report:
         for label, (integrator,) in lists.items():

@@ -22,7 +22,7 @@ from polyida.study.plotting import slope_line
 from polyida.study.references import end_of, make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
-from polyida.validation import is_one_of, is_whole, named_keywords
+from polyida.validation import named_keywords, one_of, whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,6 +89,8 @@ def stagnation_notes(rows, runs, reference):
 
 class Precision(Result):
     """Runs with their errors at the end in q, v, lam, in x of a model with first-order states, and in an objective J.
+
+    Plots: errors below the reference's accuracy cannot be resolved; their markers are hollow, at the edge of the grey area.
 
     Attributes
     ----------
@@ -270,9 +272,8 @@ class WorkPrecision(Precision):
         InputError
             For another part or work.
         """
-        for name, value, known in (("part", part, self.parts), ("work", work, tuple(WORK))):
-            if not is_one_of(value, known):
-                raise InputError(f"plot: {name} = {value!r} must be one of {', '.join(known)}")
+        one_of("plot", "part", part, self.parts)
+        one_of("plot", "work", work, WORK)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
                 rows = [row for row in self._finished(label) if row[work] > 0]
@@ -346,8 +347,7 @@ def work_precision(
         require_objective("work_precision", objective)
     elif reference is False:
         raise InputError("work_precision: reference = False leaves no errors; give an objective, such as pi.objective.Deviation(...)")
-    if not is_whole(repeats):
-        raise InputError(f"work_precision: repeats = {repeats!r} must be a whole number of at least 1")
+    whole("work_precision", "repeats", repeats)
     with teller("work_precision", progress) as report:
         return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective))
 
@@ -380,8 +380,7 @@ class StepSizes(Precision):
         InputError
             For another part.
         """
-        if not is_one_of(part, self.parts):
-            raise InputError(f"plot: part = {part!r} must be one of {', '.join(self.parts)}")
+        one_of("plot", "part", part, self.parts)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
                 self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (self._step(row), error))

@@ -67,28 +67,13 @@ class Result:
         return {}
 
     def to_dataframe(self) -> DataFrame:
-        """The rows as a pandas.DataFrame.
-
-        Returns
-        -------
-        frame : pandas.DataFrame
-        """
+        """The rows as a pandas.DataFrame."""
         from pandas import DataFrame
 
         return DataFrame(self.rows, columns=self._names() or None)
 
     def to_xarray(self) -> Dataset:
-        """The histories over (run, frame), padded with NaN; without histories the rows over row.
-
-        Returns
-        -------
-        dataset : xarray.Dataset
-
-        Raises
-        ------
-        InputError
-            If xarray is not installed.
-        """
+        """The histories over (run, frame) as an xarray.Dataset, padded with NaN; without histories the rows over row."""
         try:
             from xarray import Dataset
         except ImportError:
@@ -177,13 +162,7 @@ class Result:
         return [html.Table(self.shown_columns(), [without_lists(row) for row in self.rows])]
 
     def as_dict(self) -> dict:
-        """The content of figures.json.
-
-        Returns
-        -------
-        data : dict
-            "title", "lead", "figures", "notes", "rows" and "machine" as plain values; numbers that are not finite are None.
-        """
+        """The content of figures.json: "title", "lead", "figures", "notes", "rows" and "machine" as plain values; None for numbers that are not finite."""
         names = ("title", "lead", "figures", "notes", "rows")
         return finite(json.loads(json.dumps({name: getattr(self, name) for name in names} | {"machine": machine_info()}, default=to_json)))
 
