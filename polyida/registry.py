@@ -1,10 +1,12 @@
 """Dictionaries of classes and functions by name, to which users add their own.
 
-A value is the class or function itself, or "module:name" of one that is imported on first use. parts, integrators: classes, by their names
+A value is the class or function itself, or "module:name" or "module" of what is imported on first use. parts, integrators: classes, by their names
 in the files of runs; a class of joints or forces is added when it is defined. problems: functions that return a `polyida.problems.Problem`;
 their arguments are its options. studies: a `Study` each.
 """
 
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -117,5 +119,24 @@ def find(book: dict[str, Any], name: str) -> Any:
     known = book.get(name)
     if isinstance(known, str):
         module, _, attribute = known.partition(":")
-        known = getattr(import_module(module), attribute)
+        known = import_module(module)
+        known = getattr(known, attribute) if attribute else known
     return known
+
+
+def places(package: str, modules: Mapping[str, Iterable[str]]) -> dict[str, Any]:
+    """{name: "module:name"} of names by the modules of a package that define them."""
+    return {name: f"{package}.{module}:{name}" for module, names in modules.items() for name in names}
+
+
+def attributes(package: str, book: dict[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package whose names are those of a dictionary: they are imported when they are first used."""
+
+    def attribute(name):
+        if name not in book:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = find(book, name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return attribute, lambda: sorted(book)

@@ -3,17 +3,8 @@
 `RunPlots` is `run.plot`. `animation` writes GIF and MP4. `settings`, `figure` and `save` make other figures in the style of this package.
 """
 
-from importlib import import_module
+from polyida import registry
 
-_MODULES = {"RunPlots": "plots", "animation": "animations", "settings": "style", "figure": "style", "save": "style"}
-__all__ = list(_MODULES)
-
-
-def __getattr__(name):
-    if name not in _MODULES:
-        raise AttributeError(f"module 'polyida.show' has no attribute {name!r}")
-    return getattr(import_module(f"polyida.show.{_MODULES[name]}"), name)
-
-
-def __dir__():
-    return sorted(__all__)
+_PLACES = registry.places(__name__, {"plots": ("RunPlots",), "animations": ("animation",), "style": ("settings", "figure", "save")})
+__all__ = list(_PLACES)
+__getattr__, __dir__ = registry.attributes(__name__, _PLACES)

@@ -4,29 +4,19 @@
 matrices, `energy` and `drift` conserved quantities; `sweep` runs a user's function over cases. A `Study` is a script with tasks.
 """
 
-from importlib import import_module
+from polyida import registry
 
-_MODULES = {
-    "work_precision": "precision",
-    "step_sizes": "precision",
-    "conditioning": "conditions",
-    "energy": "invariants",
-    "drift": "invariants",
-    "sweep": "sweeps",
-    "Sweep": "sweeps",
-    "Isolated": "executors",
-    "Result": "result",
-    "Study": "tasks",
-}
-__all__ = list(_MODULES)
-
-
-def __getattr__(name):
-    """Import a name when it is first used."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'polyida.study' has no attribute {name!r}")
-    return getattr(import_module(f"polyida.study.{_MODULES[name]}"), name)
-
-
-def __dir__():
-    return sorted(__all__)
+_PLACES = registry.places(
+    __name__,
+    {
+        "precision": ("work_precision", "step_sizes"),
+        "conditions": ("conditioning",),
+        "invariants": ("energy", "drift"),
+        "sweeps": ("sweep", "Sweep"),
+        "executors": ("Isolated",),
+        "result": ("Result",),
+        "tasks": ("Study",),
+    },
+)
+__all__ = list(_PLACES)
+__getattr__, __dir__ = registry.attributes(__name__, _PLACES)
