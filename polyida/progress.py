@@ -3,15 +3,12 @@
 from contextlib import contextmanager
 
 from polyida.errors import InputError
+from polyida.validation import library
 
 
 def bar_for(part):
     """tqdm's class of bars. Raises InputError if it is not installed."""
-    try:
-        from tqdm.auto import tqdm
-    except ImportError:
-        raise InputError(f"{part}: progress = True needs tqdm; pip install 'polyida[notebook]'") from None
-    return tqdm
+    return library("tqdm.auto", f"{part}: progress = True needs tqdm; pip install 'polyida[notebook]'").tqdm
 
 
 def require_progress(part, progress):

@@ -4,6 +4,7 @@ import math
 import operator
 from collections.abc import Callable
 from functools import lru_cache, wraps
+from importlib import import_module
 from inspect import Parameter, isclass, signature
 from numbers import Real
 from typing import Any, TypeVar
@@ -204,6 +205,14 @@ def _complaint(name, known, wrong):
     near = [lower[word] for word in get_close_matches(wrong.lower(), lower, 1)]
     meant = f"did you mean {near[0]!r}? " if near else ""
     return f"{name}: there is no argument {wrong!r}; {meant}it takes {', '.join(known) or 'none'}"
+
+
+def library(name, message):
+    """Import an optional package. Raises InputError with the message if it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError:
+        raise InputError(message) from None
 
 
 def require_bytes(part, memory_limit):

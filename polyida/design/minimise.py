@@ -21,7 +21,7 @@ from polyida.design.variables import Densities, Sharpness, Size
 from polyida.errors import InputError
 from polyida.objective.objective import Limit, Objective
 from polyida.progress import teller
-from polyida.validation import is_number, named_keywords, whole
+from polyida.validation import is_number, library, named_keywords, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -194,7 +194,7 @@ def minimise(
     stages = list(stages) if stages is not None else [*(OF_DENSITIES if densities else OF_SIZES)]
     if not stages or not all(isinstance(stage, Stage) for stage in stages):
         raise InputError(f"minimise: stages = {stages!r:.100} must be a list of at least one pi.design.Stage")
-    nlopt = _nlopt()
+    nlopt = library("nlopt", "minimise: the optimiser is missing; pip install 'polyida[design]'")
     with teller("minimise", progress) as report:
         search = _Search(problem, _Store(folder), sum(stage.evaluations for stage in stages), report)
         design = None
@@ -209,14 +209,6 @@ def minimise(
 def limits_in_words(excess):
     """'limits kept' for a largest relative excess that still counts as kept, or by how much they are exceeded."""
     return "limits kept" if excess <= MET else f"limits exceeded by {100 * excess:.2g} %"
-
-
-def _nlopt():
-    try:
-        import nlopt
-    except ImportError:
-        raise InputError("minimise: the optimiser is missing; pip install 'polyida[design]'") from None
-    return nlopt
 
 
 class _Search:

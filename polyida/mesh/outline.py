@@ -6,7 +6,6 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, counted, guarded, unit_note, unit_size
 from polyida.mesh.read_write import existing, path_of, put
 from polyida.mesh.sections import ROUND, centre, signed_area
-from polyida.validation import floats, is_number, named_keywords
+from polyida.validation import floats, is_number, library, named_keywords
 
 AT_ONCE = 2_000_000  # pairs of points and edges in memory
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
@@ -74,11 +73,9 @@ class Outline(Domain):
         self.walls = [wall for ring in self._rings for wall in ring.walls]
 
     def corners(self) -> np.ndarray:
-        """Return the points (n, 2) where the outline or a hole turns by more than `corner`."""
         return np.concatenate([ring.corners for ring in self._rings])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the signed distance, (n,), m: negative inside, exact everywhere."""
         return np.max([ring.distance(points) for ring in self._rings], axis=0)
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
@@ -194,10 +191,7 @@ class Drawing:
 
 
 def _library(name):
-    try:
-        return import_module(name)
-    except ImportError:
-        raise InputError(f"it needs {name.partition('.')[0]}: pip install 'polyida[mesh]'") from None
+    return library(name, f"it needs {name}: pip install 'polyida[mesh]'")
 
 
 def _dxf(path, part):
@@ -435,11 +429,6 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwri
         Of the drawing.
     overwrite : bool
         True to replace an existing file.
-
-    Raises
-    ------
-    InputError
-        For an existing file without overwrite=True, for another ending or unit, or if ezdxf is not installed.
     """
     path = path_of(path)
     if unit not in UNITS:

@@ -11,7 +11,7 @@ from polyida.element import kernels
 from polyida.errors import InputError
 from polyida.io.layout import blocks, each
 from polyida.joint.joint import Joint
-from polyida.validation import floats, named_keywords
+from polyida.validation import floats, library, named_keywords
 
 
 class Motion(NamedTuple):
@@ -182,10 +182,6 @@ def _of_row(model, row, k):
 
 def dataset(run):
     """The xarray.Dataset of `Trajectory.to_xarray`."""
-    try:
-        from xarray import Dataset
-    except ImportError:
-        raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
     scene = run.model is not None and run.model.is_scene
     entries = {part: (("t", "coordinate"), np.asarray(getattr(run, part)), {"units": UNITS[part]} if scene else {}) for part in UNITS}
     entries["lam"] = (("t", "constraint"), np.asarray(run.lam))
@@ -200,7 +196,12 @@ def dataset(run):
         entries["x"], marks["state"] = (("t", "state"), np.stack([*states.values()], axis=1)), [*states]
     plain = {name: value for name, value in run.counts.as_dict().items() if isinstance(value, (int, str))}
     about = {"status": run.status, "message": run.message, "integrator": repr(run.integrator), "cpu_seconds": run.cpu_seconds}
-    return Dataset(entries | _sensed(run), marks, about | plain)
+    return xarray().Dataset(entries | _sensed(run), marks, about | plain)
+
+
+def xarray():
+    """The package xarray. Raises InputError if it is not installed."""
+    return library("xarray", "to_xarray: xarray is not installed; pip install 'polyida[xarray]'")
 
 
 def _of_scene(run):

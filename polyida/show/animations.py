@@ -23,7 +23,7 @@ from polyida.show.style import (
     show_to_scale,
     stress_colorbar,
 )
-from polyida.validation import named_keywords
+from polyida.validation import library, named_keywords
 
 GIF_FRAMES, MP4_RATE = 80, 25  # default number of frames of a GIF; frames per second of an MP4
 
@@ -44,7 +44,7 @@ def animation(
     ----------
     run : Trajectory
     path : str or Path
-        A file that ends in .gif or .mp4.
+        A file that ends in .gif or .mp4 (needs imageio-ffmpeg: `pip install 'polyida[movie]'`).
     frames : int, optional
         Largest number of frames, evenly spread in time. Default: 80 of a GIF, 25 per second of an MP4.
     seconds : float, s, optional
@@ -59,11 +59,6 @@ def animation(
     -------
     path : Path
         The file.
-
-    Raises
-    ------
-    InputError
-        For another suffix, an existing file, and for MP4 if imageio-ffmpeg is not installed.
     """
     if not isinstance(path, (str, Path)):
         raise InputError(f"animation {path!r} must be the path of a file")
@@ -117,11 +112,7 @@ def _write_mp4(path, sample, images, duration):
 
 
 def _ffmpeg():
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise InputError("animation: MP4 needs imageio-ffmpeg: pip install 'polyida[movie]'") from None
-    return imageio_ffmpeg
+    return library("imageio_ffmpeg", "animation: MP4 needs imageio-ffmpeg: pip install 'polyida[movie]'")
 
 
 class FramePicture:

@@ -16,6 +16,7 @@ import numpy as np
 from polyida.environment import machine_info
 from polyida.errors import InputError
 from polyida.reprs import cut, table
+from polyida.results.motion import xarray
 from polyida.show import html
 from polyida.show.style import figure, settings
 from polyida.study.executors import to_json
@@ -74,10 +75,7 @@ class Result:
 
     def to_xarray(self) -> Dataset:
         """The histories over (run, frame) as an xarray.Dataset, padded with NaN; without histories the rows over row."""
-        try:
-            from xarray import Dataset
-        except ImportError:
-            raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
+        Dataset = xarray().Dataset
         if not self.histories:
             return self.to_dataframe().rename_axis("row").to_xarray()
         names = dict.fromkeys(name for history in self.histories.values() for name in history)
