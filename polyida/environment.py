@@ -34,22 +34,15 @@ def versions():
     """{package: version} of Python, of polyida and of the installed packages that compute."""
     result = {"python": platform.python_version(), "polyida": __version__}
     for name in PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             result[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return result
 
 
 def machine_info():
     """`versions()` with processor, number of cores, threads and platform, as plain data for a report."""
-    threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "not set")}
-    return (
-        versions()
-        | {"processor": processor(), "cores": os.cpu_count()}
-        | threads
-        | {"platform": f"{platform.system()} {platform.machine()}"}
-    )
+    machine = {"processor": processor(), "cores": os.cpu_count(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "not set")}
+    return versions() | machine | {"platform": f"{platform.system()} {platform.machine()}"}
 
 
 @cache

@@ -73,9 +73,11 @@ class Outline(Domain):
         self.walls = [wall for ring in self._rings for wall in ring.walls]
 
     def corners(self) -> np.ndarray:
+        """Return the points (n, 2) where the outline or a hole turns by more than `corner`."""
         return np.concatenate([ring.corners for ring in self._rings])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance, (n,), m: negative inside, exact everywhere."""
         return np.max([ring.distance(points) for ring in self._rings], axis=0)
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
@@ -429,6 +431,11 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwri
         Of the drawing.
     overwrite : bool
         True to replace an existing file.
+
+    Raises
+    ------
+    InputError
+        For an existing file without overwrite=True, for another ending or unit, or if ezdxf is not installed.
     """
     path = path_of(path)
     if unit not in UNITS:

@@ -21,9 +21,9 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.model import Model, differences
 from polyida.validation import is_number, is_whole, named_keywords, reals
 
-TAKEN = (  # attributes with defaults that a model of some rows takes from the whole one
+TAKEN = (  # attributes and functions with defaults that a model of some rows takes from the whole one
     "extent", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed", "named_profiles",
-    "motor_profiles", "path_profiles",
+    "motor_profiles", "path_profiles", "force_q", "force_v", "mass_a_q", "initial_velocity", "rejection_reason", "kinks", "samples", "sampled",
 )  # fmt: skip
 MOST = 30  # iterations for the force of friction that depends on multipliers
 
@@ -151,15 +151,6 @@ class WithRows(Model):
     def force(self, t, q, v):
         return self.whole.force(t, q, v)
 
-    def force_q(self, t, q, v):
-        return self.whole.force_q(t, q, v)
-
-    def force_v(self, t, q, v):
-        return self.whole.force_v(t, q, v)
-
-    def mass_a_q(self, q, a):
-        return self.whole.mass_a_q(q, a)
-
     def residual(self, t, q, v, a, lam):
         return self.whole.residual(t, q, v, a, self._all(lam))
 
@@ -190,21 +181,6 @@ class WithRows(Model):
 
     def phi_bias(self, t, q, v):
         return self.whole.phi_bias(t, q, v)[self.kept]
-
-    def initial_velocity(self, t, q):
-        return self.whole.initial_velocity(t, q)
-
-    def rejection_reason(self, t, q):
-        return self.whole.rejection_reason(t, q)
-
-    def kinks(self, t0, t1):
-        return self.whole.kinks(t0, t1)
-
-    def samples(self, t0, t1):
-        return self.whole.samples(t0, t1)
-
-    def sampled(self, t, q, v):
-        return self.whole.sampled(t, q, v)
 
     def constraint_name(self, row):
         return self.whole.constraint_name(int(self.kept[row]))

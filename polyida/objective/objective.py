@@ -167,7 +167,7 @@ class Objective:
         return self if is_number(other) and other == 0 else Sum((*terms_of(other), *terms_of(self)))
 
     def __sub__(self, other: Objective) -> Sum:
-        return self + -_objective(other)
+        return self + -require_objective("a sum of objectives", other)
 
     def __mul__(self, number: float) -> Sum:
         if not is_number(number):
@@ -205,11 +205,9 @@ class Sum(Objective):
         return float(sum(weight * part(run) for weight, part in self.terms))
 
     def named(self, model: Any) -> Sum:
-        """Return the sum of the named terms."""
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Return a function of a slice of frames that returns the sum of the terms' slopes."""
         each = [(weight, term, term.slopes(run)) for weight, term in self.terms]
 
         def of(part):
@@ -245,13 +243,9 @@ def require_objective(part: str, objective: Any) -> Objective:
     return objective
 
 
-def _objective(objective):
-    return require_objective("a sum of objectives", objective)
-
-
 def terms_of(objective):
     """(weight, objective) of each term of a sum, or of the objective itself."""
-    return objective.terms if isinstance(objective, Sum) else ((1.0, _objective(objective)),)
+    return objective.terms if isinstance(objective, Sum) else ((1.0, require_objective("a sum of objectives", objective)),)
 
 
 @named_keywords
@@ -355,7 +349,6 @@ class UserObjective(Objective):
         return float(result)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Return a function of a slice of frames that returns the user's slopes, checked."""
         run = run_of("UserObjective", run)
         result = _call("slopes", self._slopes, run)
         if not isinstance(result, Mapping):

@@ -10,7 +10,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.joint.joint import Joint
 from polyida.model.differences import along
-from polyida.objective.objective import Slopes
+from polyida.objective.objective import Slopes, run_of
 from polyida.objective.time_mean import TimeMean, named, power
 from polyida.results.motion import components
 from polyida.validation import complex_of_pairs, is_one_of, named_keywords, pairs_of, settle
@@ -54,8 +54,8 @@ class PeakReaction(TimeMean):
         return False  # forces depend on lam
 
     def largest(self, run: Any) -> float:
-        """Return the largest value of a frame."""
-        return self._largest(run)
+        run = run_of(type(self).__name__, run)
+        return float(np.max(self._sizes(run, self._of(run))))
 
     def _chosen(self, model):
         """(name of the joint, its rows, the chosen components)."""
@@ -98,7 +98,6 @@ class PeakReaction(TimeMean):
         return name
 
     def named(self, model: Any) -> PeakReaction:
-        """Return the objective with the joint's name."""
         return replace(self, joint=self._name(model))
 
 

@@ -12,11 +12,12 @@ from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
-from polyida.element.kernels import _differences, _gradient, _workspace
-from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
+from polyida.element.cell_products import _add_forces
+from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _workspace
+from polyida.element.material import add_energy, carried, determinant, second_piola, strain
 from polyida.errors import InputError
 from polyida.jit import entry
-from polyida.jit.intrinsics import LANES, lane, load, load2, scatter_add, store, traced, zeros2
+from polyida.jit.intrinsics import LANES, lane, load, store, traced, zeros2
 from polyida.model.guarded import guard
 from polyida.objective.objective import Slopes, run_of
 from polyida.objective.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative
@@ -60,11 +61,9 @@ class PeakStress(TimeMean):
             raise InputError(f"PeakStress: power = {self.power!r:.100} must be a number from 0 to 1")
 
     def named(self, model: Any) -> PeakStress:
-        """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
     def largest(self, run: Any) -> float:
-        """Return the largest von Mises stress of a cell in a frame, Pa."""
         run = run_of("PeakStress", run)
         model = guard(run.model, "PeakStress")
         moved, bodies = (model.nodal(np.asarray(q, float)) for q in run.q), self._bodies(model)
@@ -166,7 +165,6 @@ class StrainEnergy(TimeMean):
     _of_material = True
 
     def named(self, model: Any) -> StrainEnergy:
-        """Return the objective with the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
     def _evaluator(self, model, span):
@@ -335,14 +333,6 @@ def add_stress_forces(layout, corners, gradients, weights, toward, c, nu, u, f):
         bar = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
         for p in range(layout[b, 1]):
             g = layout[b, 3] + p * size
-            pull = _stress_slope(
-                _gradient(gradients, g, workspace, m), bar, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu)
-            )
-            for k in range(0, size, 2 * LANES):
-                store(force, k, add_times(load2(force, k), pull, load2(gradients, g + k)))
-        balance = zeros2()
-        for i in range(m):
-            own = load2(force, 2 * i * LANES)
-            scatter_add(f, corners, first + i * LANES, 0, own)
-            balance = difference(balance, own)
-        scatter_add(f, corners, first + m * LANES, 0, balance)
+            h, weight = _gradient(gradients, g, workspace, m), load(weights, layout[b, 4] + p * LANES)
+            _add_forces(force, gradients, g, _stress_slope(h, bar, weight, c * nu, c * (1.0 - nu)), size)
+        _scatter_balanced(force, corners, first, 0, m, f)

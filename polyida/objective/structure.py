@@ -40,7 +40,6 @@ class Mass(Objective):
         return sum(self._masses(run_of("Mass", run).model).values())
 
     def named(self, model: Any) -> Mass:
-        """Return the objective with the name of its part."""
         return replace(self, part=named(model, self.part))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:

@@ -116,11 +116,6 @@ class TimeMean(Objective):
         run = run_of(type(self).__name__, run)
         return self._mean(run, self._of(run)).value
 
-    def _largest(self, run):
-        """The largest value of a frame."""
-        run = run_of(type(self).__name__, run)
-        return float(np.max(self._sizes(run, self._of(run))))
-
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each slice."""
         run = run_of(type(self).__name__, run)
@@ -349,7 +344,6 @@ class Deviation(TimeMean):
             self._place(self.path)
 
     def named(self, model: Any) -> Deviation:
-        """Return the objective with the name of its part, or of the body of its attachment."""
         body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
         return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
 

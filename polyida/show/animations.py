@@ -44,7 +44,7 @@ def animation(
     ----------
     run : Trajectory
     path : str or Path
-        A file that ends in .gif or .mp4 (needs imageio-ffmpeg: `pip install 'polyida[movie]'`).
+        A file that ends in .gif or .mp4.
     frames : int, optional
         Largest number of frames, evenly spread in time. Default: 80 of a GIF, 25 per second of an MP4.
     seconds : float, s, optional
@@ -59,6 +59,11 @@ def animation(
     -------
     path : Path
         The file.
+
+    Raises
+    ------
+    InputError
+        For another suffix, an existing file, and for MP4 if imageio-ffmpeg is not installed.
     """
     if not isinstance(path, (str, Path)):
         raise InputError(f"animation {path!r} must be the path of a file")

@@ -60,11 +60,8 @@ def condition_number(
     Parameters
     ----------
     model : Model
-        The model.
     integrator : GeneralizedAlpha, IDA or RadauIIA
-        The integrator.
     state : State
-        The state.
     scaling : str, optional
         A scaling that the integrator knows, in place of its own.
     unknown : {"q", "v", "a"}
@@ -182,7 +179,6 @@ class Conditioning(Result):
             return axis
 
     def pictures(self) -> dict:
-        """The condition numbers against the step."""
         return {"condition": ("Condition number of the iteration matrix against the step.", self.plot)}
 
     def _states(self):

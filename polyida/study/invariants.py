@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FLOOR = 1e-17  # zero on a logarithmic axis
+RUN = {"integrator": ("integrator", "{}"), "setting": ("setting", "{}")}  # columns
+COST = {"steps": ("steps", "{}"), "cpu_s": ("CPU s", "{:.3g}"), "status": ("status", "{}")}
 
 
 class Invariants(Result):
@@ -64,7 +66,6 @@ class Invariants(Result):
             return axis
 
     def pictures(self) -> dict:
-        """The history of each quantity."""
         least = f", {FLOOR:g} if it is less"
         return {
             name.replace("_", "-"): (f"{label} against time{least if logarithmic else ''}.", lambda axes, name=name: self.plot(name, axes))
@@ -102,16 +103,13 @@ class EnergyKept(Invariants):
 
     title = "energy over a run"
     columns = {
-        "integrator": ("integrator", "{}"),
-        "setting": ("setting", "{}"),
+        **RUN,
         "energy_change": ("energy error at the end, J", "{:.2e}"),
         "energy_drift": ("largest energy error, J", "{:.2e}"),
         "relative_drift": ("relative to the kinetic energy", "{:.1e}"),
         "momentum_drift": ("momentum change, N s", "{:.1e}"),
         "angular_drift": ("angular momentum change, N m s", "{:.1e}"),
-        "steps": ("steps", "{}"),
-        "cpu_s": ("CPU s", "{:.3g}"),
-        "status": ("status", "{}"),
+        **COST,
     }
     quantities = {
         "unbalanced": ("change of energy less external work, J", False),
@@ -187,15 +185,7 @@ class Drift(Invariants):
     """Result of `drift`: a row for each run, and histories of both violations."""
 
     title = "drift off the constraints"
-    columns = {
-        "integrator": ("integrator", "{}"),
-        "setting": ("setting", "{}"),
-        "drift": ("largest |phi|", "{:.1e}"),
-        "velocity_drift": ("largest |phi'|", "{:.1e}"),
-        "steps": ("steps", "{}"),
-        "cpu_s": ("CPU s", "{:.3g}"),
-        "status": ("status", "{}"),
-    }
+    columns = {**RUN, "drift": ("largest |phi|", "{:.1e}"), "velocity_drift": ("largest |phi'|", "{:.1e}"), **COST}
     quantities = {"drift": ("largest |phi|", True), "velocity_drift": ("largest |phi_q v + phi_t|", True)}
 
     @property
