@@ -168,7 +168,17 @@ class Conditioning(Result):
         return {f"slope {label}": value for label, value in self.slopes.items()} | worst
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the condition numbers against h, a line for each integrator and state."""
+        """Draw the condition numbers against h, a line for each integrator and state.
+
+        Parameters
+        ----------
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+        """
         with on_axes(axes) as axis:
             for i, (label, state) in enumerate(product(self.labels, self._states())):
                 rows = pick(self.rows, integrator=label, state=state)
