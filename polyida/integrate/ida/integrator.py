@@ -33,7 +33,7 @@ LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
 LEAST_RTOL = 4 * sys.float_info.epsilon  # four units of round-off; SUNDIALS refuses less than one
 DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
-SHORT = 1e-8  # of the last step: a shorter rest before a time at which a step must end is added to that step
+APPROACH = 3  # steps before a time at which a step must end are chosen so that they end there
 STANDSTILL = 20  # steps in a row that hardly change t and so end the run; IDA alone would not end
 STATUS = {-2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve"}
 STATUS |= {-8: "residual", -9: "residual", -12: "residual", -22: "input"}
@@ -247,7 +247,7 @@ class _Run:
         y, yp = self.system.pack(state)
         self.linear.begin(begin, y)
         self.solver.init_step(begin, y, yp)
-        self.last_step, self.reached = math.inf, begin
+        self.last_step, self.stop = math.inf, begin
         self.t, self.q, most = begin, state.q, 1 if self.model.switching or self.looked_into else INSTANTS
         for end in times:
             while self.t < end:
@@ -273,9 +273,9 @@ class _Run:
         """The State at t in the step to `end`, by the polynomial of IDA; None if a later step has been taken."""
         if end != self.t:
             return None
-        result = self.solver.step(min(t, self.reached), method="normal")
+        result = self.solver.step(t, method="normal")
         q, v, a, lam, _ = (None if x is None else x.copy() for x in self.system.split(result.y, result.yp))
-        self.solver.step(self.reached, method="normal")  # the next step goes on from there
+        self.solver.step(self.t, method="normal")  # the next step goes on from there
         return State(t, q, v, a, lam, restart=False)
 
     def _work(self):
@@ -294,10 +294,7 @@ class _Run:
             reason = (printed.message or result.message).rstrip(".")
             raise self._failure(STATUS.get(result.status, "ida"), reason)
         t, y, yp = float(result.t), result.y, result.yp
-        self.reached = t
         self.linear.accept(t, y)
-        if 0.0 < end - t < SHORT * (t - self.t):
-            t, y = end, y + (end - t) * yp
         q, self.last_step = y[: self.model.n], t - self.t
         self.steps += 1
         self.counts.steps += 1
@@ -315,12 +312,14 @@ class _Run:
     def _stop(self, end):
         """The time that the next step must not pass, so that no very short step is left before `end`.
 
-        The errors of v over a very short step would be in v' and the multipliers of that step and those behind it. IDA at most doubles a step.
+        The errors of v over a very short step would be in v' and the multipliers of that step. IDA at most doubles a step, and it shortens
+        the next one already if a stop lies within it: a stop once given stays until it is reached, or the rest would be halved without end.
         """
-        rest = end - self.t
-        if rest > 2.0 * self.last_step:
-            return end + self.last_step  # IDA shortens the next step already if a stop lies within it
-        return self.t + 0.5 * rest if rest > self.last_step else end
+        if not self.t < self.stop < end:
+            rest = end - self.t
+            pieces = next((k for k in range(1, APPROACH + 1) if rest <= k * self.last_step), 0)
+            self.stop = end - rest * (pieces - 1) / pieces if pieces else end + self.last_step
+        return self.stop
 
     def _failure(self, status, reason):
         """StepFailure at the last accepted state, with the step that was tried and the constraint with the largest violation."""
