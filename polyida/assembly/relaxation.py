@@ -28,6 +28,7 @@ from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import LANES, address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import copy_matrix, put
+from polyida.linear.lu import summed
 from polyida.validation import pairs_of
 
 
@@ -314,13 +315,6 @@ def slope_entries(model, q, c_v, c_q):
     return parts
 
 
-def _sparse(pieces, shape):
-    from scipy.sparse import coo_array
-
-    rows, columns, values = (np.concatenate(each) for each in zip(*pieces))
-    return coo_array((values, (rows, columns)), shape=shape).tocsr()
-
-
 def _strain_slopes(model, b, q):
     """(B, B^T D) of full plate b at its q, sparse."""
     plates, body = model.arrays.plates, model.bodies[b]
@@ -331,10 +325,10 @@ def _strain_slopes(model, b, q):
     e12, e22, h = e11 + LANES, e11 + 2 * LANES, 4 * point
     changes = [(e11, h, f11), (e11, h + 2, f21), (e22, h + 1, f12), (e22, h + 3, f22)]
     changes += [(e12, h + k, 0.5 * f) for k, f in enumerate((f12, f11, f22, f21))]
-    B = _sparse(changes, (3 * len(weights), 4 * len(weights))) @ gradients
+    B = summed(changes, 3 * len(weights), 4 * len(weights)) @ gradients
     w, nu = plates.body_c1[b] * weights, plates.body_nu[b]
     moduli = [(e11, e11, w), (e22, e22, w), (e11, e22, nu * w), (e22, e11, nu * w), (e12, e12, 2.0 * (1.0 - nu) * w)]
-    return B, B.T @ _sparse(moduli, (3 * len(weights),) * 2)
+    return B, B.T @ summed(moduli, 3 * len(weights))
 
 
 def _form_slopes(model, b, q):

@@ -4,8 +4,8 @@ import numpy as np
 
 LEAST = 4 * np.finfo(float).eps  # a pivot below n times this times the largest entry may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
-# constants of compiled code, some of them
-FACTORS = 6  # factors in a FactorCache
+# constants of compiled code
+FACTORS = 6  # factors in a FactorCache, and in those of the compiled drivers
 
 
 class SingularSystem(Exception):
@@ -36,13 +36,13 @@ def block_matrix(blocks):
     return matrix
 
 
-def summed(entries, n):
-    """The matrix (n, n), CSC, of which `entries` are parts, (rows, columns, values) each; entries at one place are added."""
+def summed(entries, n, columns=None):
+    """The matrix (n, columns), CSC, of which `entries` are parts, (rows, columns, values) each; entries at one place are added. Default: (n, n)."""
     from scipy.sparse import csc_array
 
     none = np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-    rows, columns, values = map(np.concatenate, zip(none, *entries))
-    return csc_array((values, (rows, columns)), shape=(n, n))
+    i, j, values = map(np.concatenate, zip(none, *entries))
+    return csc_array((values, (i, j)), shape=(n, columns or n))
 
 
 class LU:
