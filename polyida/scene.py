@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.assembly.build import attached_sides
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body
+from polyida.body.body import Body, points_of, sticks_between
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement, require_element
+from polyida.force.force_element import ForceElement, require_element, sides_of
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.joint.attachment import OwnPart
+from polyida.joint.attachment import Attachment, Ground, OwnPart
 from polyida.joint.joint import Joint
 from polyida.profile import Profile, as_profile
 from polyida.reprs import counted, cut, settings, short, table
 from polyida.validation import is_number, is_one_of, named_keywords, number, vector2
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | OwnPart)
 REDUNDANT = ("refuse", "least-norm")
@@ -91,6 +95,46 @@ class Scene:
         while f"{kind} {number}" in self.parts:
             number += 1
         return f"{kind} {number}"
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw the parts as they are now, with their names: before `assemble` also joints whose sides do not meet, with a line between them.
+
+        Parameters
+        ----------
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+            Lengths in m.
+
+        Raises
+        ------
+        InputError
+            If the scene has no body, or a part is attached to a body of another scene.
+        """
+        from polyida.show.plates import draw_scene
+        from polyida.show.style import on_axes
+
+        self.require_sides("plot")
+        bodies: dict[str, tuple] = {}
+        connections = []
+        for name, part in self.parts.items():
+            if isinstance(part, (Plate, Body)):
+                plate = part if isinstance(part, Plate) else part.plate
+                if plate is None:
+                    bodies[name] = None, sticks_between(np.reshape([point.point for point in points_of(part)], (-1, 2)))
+                else:
+                    bodies[name] = plate.mesh, plate.points
+            else:
+                kind = "joint" if isinstance(part, Joint) else "force" if isinstance(part, ForceElement) else "mass"
+                kind = "load" if isinstance(part, (PointLoad, EdgeTraction)) else kind
+                places = _places_of(name, part)
+                connections += [(name, kind, places)] if len(places) else []  # none of a user's joint whose sides have other names
+        with on_axes(axes) as axis:
+            draw_scene(axis, bodies, connections)
+            return axis
 
     def assemble(self) -> Assembly:
         """Close all joints by the least motion of the bodies, each as a rigid one.
@@ -163,6 +207,17 @@ def _gravity(gravity):
     if not (isinstance(gravity, (tuple, list)) and len(gravity) == 2 and any(map(callable, gravity))):
         return vector2("Scene", "gravity", gravity)
     return tuple(as_profile(g, "Scene: gravity") if callable(g) else number("Scene", "gravity", g, "m/s2") for g in gravity)
+
+
+def _places_of(name, part):
+    """Where a part holds on to bodies and to the ground, (k, 2), m, as drawn."""
+    if isinstance(part, ForceElement):
+        return np.array(
+            [side.rest if side.at is None else side.at.point for side in sides_of(name, part) if side.at or side.part == "point"]
+        )
+    sides = [side for side in (getattr(part, key, None) for key in ("a", "b", "at")) if isinstance(side, (Ground, Attachment))]
+    held = next((side for side in sides if side.body), None)
+    return np.array([(side.facing(held) if isinstance(side, Ground) else side).point for side in sides] if held else np.zeros((0, 2)))
 
 
 def kind_of(part):

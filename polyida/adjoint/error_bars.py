@@ -185,25 +185,17 @@ class ErrorBars:
         InputError
             If the plate has no estimate, or if the mesh is another one.
         """
-        from matplotlib.collections import PolyCollection
-
-        from polyida.show.style import INK, literal, on_axes
+        from polyida.show.plates import draw_mesh
+        from polyida.show.style import literal, on_axes
 
         if not is_one_of(name, self.cells):
             raise InputError(f"plot_cells: no shares of {name!r}; known: {', '.join(map(repr, self.cells)) or 'none'}")
         shares = self.cells[name]
         if not isinstance(mesh, PolygonMesh) or mesh.n_cells != len(shares):
             raise InputError(f"plot_cells: mesh must be the mesh of {name!r}, of {len(shares)} cells")
-        largest = float(np.abs(shares).max()) or 1.0
         with on_axes(axes) as axis:
-            cells = PolyCollection(np.split(mesh.points[mesh.nodes], mesh.offsets[1:-1]), cmap="RdBu_r", edgecolors=INK, linewidths=0.2)
-            cells.set_array(shares)
-            cells.set_clim(-largest, largest)
-            axis.add_collection(cells)
-            axis.autoscale_view()
-            axis.set(xlabel="x, m", ylabel="y, m", title=f"error of the mesh of {literal(name)}", aspect="equal")
-            if axes is None:
-                axis.figure.colorbar(cells, ax=axis, shrink=0.8, label="share of a cell")
+            draw_mesh(axis, mesh, shares, "share of a cell" if axes is None else "", symmetric=True)
+            axis.set_title(f"error of the mesh of {literal(name)}")
             return axis
 
 

@@ -8,7 +8,7 @@ from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
 from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
-from polyida.body.body import points_of
+from polyida.body.body import points_of, sticks_between
 from polyida.element import kernels
 from polyida.element.relaxation import change_of_strain, relax_stress
 from polyida.errors import InputError
@@ -420,8 +420,7 @@ class SceneBodies(Constraints):
             if placed.body.plate is None:
                 z = placed.rest + complex_of_pairs(pairs[placed.pairs])
                 points = np.array([placed.body.weights_of(point, "point") @ z for point in points_of(placed.body)])
-                points = pairs_of(points[np.argsort(np.angle(points - points.mean()))])
-                segments.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None])
+                segments.append(sticks_between(pairs_of(points)))
         return np.concatenate(segments)
 
     def stress(self, q, v=None):

@@ -295,6 +295,13 @@ def points_of(body):
     return [body.at(name) for name in body.attachments()]
 
 
+def sticks_between(points):
+    """Segments (segments, 2, 2) between points (k, 2) in the order of their angles about the mean, by which a body without a mesh is drawn."""
+    angles = np.arctan2(*(points - points.mean(axis=0)).T[::-1]) if len(points) else np.zeros(0)
+    points = points[np.argsort(angles)]
+    return np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None]
+
+
 def _finite(value):
     array = complexes(value)
     return array if array is not None and np.isfinite(array).all() else None

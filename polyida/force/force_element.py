@@ -166,7 +166,7 @@ def sides_of(name, element):
         if not plain or (terms and summand.constant):
             hint = "use plate.section(...), plate.node(...), body.at(...) or ground.at(point), or the .d of one of them"
             raise InputError(f"{name}: the side {str(side)[:80]} is no attachment; {hint}")
-        at, part = terms[0][:2] if terms else (None, "point")
+        at, part = terms[0][:2] if terms else (None, summand.of_ground[0][1] if summand.of_ground else "point")
         sides.append(Side(at, part, np.array([summand.rest.real, summand.rest.imag])))
     if not any(side.at for side in sides):
         expected = "a tuple of attachments, like (self.at,), one at least of a body"

@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
-from polyida.mesh.sections import Section, select
-from polyida.validation import is_number, named_keywords, settle
+from polyida.mesh.sections import Section, edges_within, select
+from polyida.validation import floats, is_number, named_keywords, settle
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from scipy.sparse import csr_array
 
 
@@ -176,6 +177,41 @@ class PolygonMesh:
             pieces=pieces,
             holes=pieces - (self.n_nodes - len(self.edges) + self.n_cells),
         )
+
+    def plot(self, values: ArrayLike | None = None, label: str = "value of a cell", axes: "Axes | None" = None) -> "Axes":
+        """Draw the cells to scale, plain with the named sections, or coloured by a value of each cell.
+
+        Parameters
+        ----------
+        values : (n_cells,) float, optional
+            Such as the densities of a design, `run.von_mises(k)` or the shares of `ErrorBars.cells`.
+        label : str
+            Of the colorbar of the values.
+        axes : Axes, optional
+            New pyplot axes if None.
+
+        Returns
+        -------
+        axes : Axes
+
+        Raises
+        ------
+        InputError
+            If the values are not one finite number for each cell.
+        """
+        from polyida.show.plates import draw_mesh
+        from polyida.show.style import on_axes
+
+        colours, sections = None if values is None else floats(values), {}
+        if values is None:
+            for name, nodes in self.sections.items():
+                edges = edges_within(self, nodes)
+                sections[name] = self.points[edges if len(edges) else nodes]
+        elif colours is None or colours.shape != (self.n_cells,):
+            raise InputError(f"mesh.plot: values must be {self.n_cells} finite numbers, one for each cell, not {values!r:.100}")
+        with on_axes(axes) as axis:
+            draw_mesh(axis, self, colours, label, sections=sections)
+            return axis
 
     def require_convex(self, tolerance: float = 1e-6) -> None:
         """Raise InputError naming the first corner whose exterior angle has a sine of at most the tolerance."""

@@ -1,13 +1,21 @@
-"""Geometry of the bodies in each frame of a run, from which pictures and exports are drawn; figures of vibration modes. Positions are in m."""
+"""Geometry of the bodies in each frame of a run; drawings of meshes and of scenes before a run; figures of vibration modes. Positions are in m."""
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.reprs import cut
-from polyida.show.style import INK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
+from polyida.show.style import INK, MARK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
 from polyida.validation import flag, is_whole
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
+AMPLITUDE = 0.12  # largest displacement of a drawn shape, relative to the size of the scene
+MAX_EDGES = 2000  # cells; edges of more cells would hide them
+PROBE = 1e-5  # of the extent: displacement from which the scale of a shape is measured
+ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
+REST, MOVED = "#9A9A9A", "#D5E5F0"
+KINDS = {"joint": "o", "force": "s", "load": "^", "mass": "D"}  # markers of the parts of a scene
+ABOVE = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4}  # a legend
+NEAR = 0.02  # of the size of a scene: parts that are closer share a label
 
 
 def require_run(part, run, overwrite):
@@ -75,6 +83,75 @@ def closed(model):
     return np.insert(nodes, offsets[1:], nodes[offsets[:-1]]), offsets + np.arange(len(offsets))
 
 
+def draw_mesh(axes, mesh, values=None, label="", symmetric=False, sections=None):
+    """Draw the cells of a mesh to scale: filled by `values` (cells,), with a colorbar if `label` is given, or plain.
+
+    symmetric: colours for values of both signs, white at zero. sections: {name: edges (k, 2, 2), or points (k, 2), to be marked}.
+    """
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    cells = np.split(mesh.points[mesh.nodes], mesh.offsets[1:-1])
+    low, high = bounds(mesh.points)
+    fine, wide = len(cells) > MAX_EDGES, (high - low)[0] > 2.0 * (high - low)[1]
+    look = {"edgecolors": "face" if fine else INK, "linewidths": 0.2, "rasterized": fine}
+    if values is None:
+        axes.add_collection(PolyCollection(cells, facecolors=MOVED, **look))
+    else:
+        limit = float(np.abs(values).max()) or 1.0
+        colours = {"cmap": "RdBu_r", "clim": (-limit, limit)} if symmetric else {"cmap": "viridis"}
+        drawn = axes.add_collection(PolyCollection(cells, array=values, **colours, **look))
+        if label:
+            axes.figure.colorbar(drawn, ax=axes, shrink=0.8, label=label, location="bottom" if wide else "right")
+    for i, (name, places) in enumerate((sections or {}).items()):
+        if places.ndim == 3:
+            axes.add_collection(LineCollection(places, label=literal(name), linewidths=2.0, **line_style(i)))
+        else:
+            axes.plot(*places.T, label=literal(name), color=PALETTE[i % len(PALETTE)], marker="o", linestyle="none")
+    if sections:
+        axes.legend(**ABOVE)
+    show_to_scale(axes, low, high)
+
+
+def draw_scene(axes, bodies, connections):
+    """Draw bodies {name: (mesh and places of its nodes, or None and segments (k, 2, 2))} and connections [(name, kind of KINDS, points (k, 2))] to scale.
+
+    A line joins the points of a connection that are apart.
+    """
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    points, labels = [places for _, _, places in connections], []
+    for name, (mesh, places) in bodies.items():
+        points.append(places.reshape(-1, 2))
+        if mesh is None:
+            axes.add_collection(LineCollection(places, colors=STICK, linewidths=1.6, capstyle="round"))
+        else:
+            cells = np.split(places[mesh.nodes], mesh.offsets[1:-1])
+            axes.add_collection(
+                PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES)
+            )
+            axes.add_collection(LineCollection(places[mesh.boundary_edges], colors=INK, linewidths=0.7))
+        if len(points[-1]):
+            axes.annotate(literal(name), points[-1].mean(axis=0), color=MARK, fontsize=7.5, ha="center", va="center")
+    low, high = bounds(np.concatenate(points))
+    for name, kind, places in connections:
+        colour, dashes = PALETTE[list(KINDS).index(kind)], "--" if kind == "joint" else "-"
+        marker = {"marker": KINDS[kind], "markersize": 4, "markerfacecolor": "white"}
+        axes.plot(*places.T, color=colour, linewidth=1.0, linestyle=dashes, label=kind, **marker)
+        middle = places.mean(axis=0)
+        near = [names for place, names in labels if np.hypot(*(place - middle)) < NEAR * (high - low).max()]
+        if near:
+            near[0].append(name)
+        else:
+            labels.append((middle, [name]))
+    for place, names in labels:
+        text = literal(", ".join(names))
+        axes.annotate(text, place, xytext=(5, 5), textcoords="offset points", color=INK, fontsize=7.5, annotation_clip=False)
+    handles = {label: line for line, label in zip(*axes.get_legend_handles_labels())}
+    if handles:
+        axes.legend(handles.values(), handles, **ABOVE)
+    show_to_scale(axes, low, high, margin=0.09)
+
+
 def frames_at(run, times):
     """Index of the frame nearest to each time, (times,); of equally near frames the first."""
     times, t = np.asarray(times, float), run.t
@@ -99,13 +176,6 @@ def clock(run, frames):
             shown[event.name] = None
     texts = [f", {cut(', '.join(shown), EVENT_TEXT)}" if shown else "" for shown in names]
     return [f"t = {run.t[k]:.3f} s{text}" for k, text in zip(frames, texts)]
-
-
-AMPLITUDE = 0.12  # largest displacement of a drawn shape, relative to the size of the scene
-MAX_EDGES = 2000  # cells; edges of more cells would hide them
-PROBE = 1e-5  # of the extent: displacement from which the scale of a shape is measured
-ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
-REST, MOVED = "#9A9A9A", "#D5E5F0"
 
 
 def shapes(model, q, modes, scale=1.0):

@@ -21,6 +21,42 @@ def test_mesh_draws_every_polygon(model):
     assert len(cells.get_paths()) == sum(body.mesh.n_cells for body in model.bodies)
 
 
+def test_a_mesh_is_drawn_with_its_sections_or_with_a_value_of_each_cell():
+    mesh = pi.mesh.rectangle(1.0, 0.2, cells=12, seed=1)
+    axes = mesh.plot()
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == set(mesh.sections)
+    ends = np.array(axes.collections[1].get_segments()).reshape(-1, 2)
+    assert np.ptp(ends[:, 0]) == 0.0 and np.ptp(ends[:, 1]) == pytest.approx(0.2)  # "left" is the first section
+    values = np.linspace(1.0, 2.0, mesh.n_cells)
+    axes = mesh.plot(values, "density")
+    assert np.array_equal(axes.collections[0].get_array(), values)
+    assert "density" in [other.get_xlabel() or other.get_ylabel() for other in axes.figure.axes]
+    with pytest.raises(InputError, match="12 finite numbers, one for each cell"):
+        mesh.plot(values[:-1])
+
+
+def test_a_scene_is_drawn_where_its_parts_are_before_it_is_assembled():
+    scene = pi.Scene()
+    crank = scene.add(pi.RigidBody.bar(0.3, 1.0, name="crank"))
+    rod = scene.add(pi.Rigid(pi.Plate(pi.mesh.quads(1.0, 0.1, 4, 1), pi.Material(1e9, 0.3, 1e3), 0.01, name="rod", origin=(0.3, 0.02))))
+    scene.add(pi.Revolute(pi.ground, crank.at("left"), name="hinge"))
+    scene.add(pi.AngleMotor(pi.ground, crank.at("left"), lambda t: t, name="motor"))
+    scene.add(pi.Revolute(crank.at("right"), rod.section("left"), name="pin"))
+    scene.add(pi.SpringDamper(rod.section("right"), pi.ground.at((1.5, 0.3)), stiffness=100.0, name="spring"))
+    scene.add(pi.TorsionSpring(pi.ground.at((0.3, 0.0)), rod.section("left"), stiffness=1.0, name="torsion"))
+    scene.add(pi.PointLoad(rod.section("right"), (0.0, -1.0), name="weight"))
+    axes = scene.plot()
+    places = {tuple(map(tuple, line.get_xydata())) for line in axes.lines}
+    pin, spring = crank.at("right").point, rod.section("right").point
+    assert tuple(map(tuple, (pin, rod.section("left").point))) in places and not np.array_equal(pin, rod.section("left").point)
+    assert (tuple(spring), (1.5, 0.3)) in places
+    assert {len(place) for place in places} == {1, 2}
+    names = ", ".join(text.get_text() for text in axes.texts).split(", ")
+    assert sorted(names) == sorted(scene.parts)
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == {"joint", "force", "load"}
+    assert axes.dataLim.x1 >= 1.5 and axes.get_aspect() == 1.0
+
+
 def test_deformed_plates_stand_where_the_run_has_them_in_the_colour_of_their_stress(run):
     cells = drawn(plots.deformed(run, times=[0.0, 0.021, 0.04]))
     assert len(cells) == 3

@@ -9,7 +9,6 @@ the least compliance, then of the run, for the least deviation in motion. The pa
 import matplotlib.pyplot as plt
 import nlopt
 import numpy as np
-from matplotlib.collections import PolyCollection
 
 import polyida as pi
 
@@ -101,9 +100,7 @@ print(f"mean square deviation on densities: {deviation[0]:.3g} -> {deviation[-1]
 
 solid = pi.design.threshold(mesh, densities(x, 16)[0], at=0.25, keep=["left"], hanging="leave out")
 fig, (shape, motion) = plt.subplots(2, 1, figsize=(6.4, 4.6), layout="constrained")
-cells = [solid.points[solid.cell(i)] for i in range(solid.n_cells)]
-shape.add_collection(PolyCollection(cells, facecolor="C0", edgecolor="white", linewidth=0.3))
-shape.set(xlim=(-0.01, 1.01), ylim=(-0.13, 0.13), aspect="equal", title="designed in motion")
+solid.plot(axes=shape).set_title("designed in motion")
 for name, plate in (("the whole plate, thinner", mesh), ("designed in motion", solid)):
     run = pi.solve(machine(plate, thickness=0.01 * VOLUME * mesh.area / plate.area), 0.5, pi.GeneralizedAlpha(h=1e-3))
     off = run.position("tip") - np.array([[np.cos(turn.at(t)[0]), np.sin(turn.at(t)[0])] for t in run.t])
