@@ -18,9 +18,14 @@ Public = TypeVar("Public", bound=Callable[..., Any])
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by a right angle: the imaginary unit as a matrix of (x, y)
 
 
+def is_real(value):
+    """True for a number (int, float, also of numpy), finite or not, not for a bool."""
+    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
+
+
 def is_number(value):
-    """True for a finite number (int, float, also of numpy), not for a bool."""
-    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_)) and abs(_as_float(value)) < math.inf
+    """True for a finite number, not for a bool."""
+    return is_real(value) and abs(_as_float(value)) < math.inf
 
 
 def _as_float(value):

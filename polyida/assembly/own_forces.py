@@ -15,7 +15,7 @@ from polyida.model import differences
 from polyida.model.differences import along
 from polyida.model.states import solved
 from polyida.profile import constant, difference
-from polyida.validation import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
+from polyida.validation import complexes, floats, is_real, on_pairs, pairs_of, read_only, reals
 
 SORT = {reals: "real", complexes: "complex"}
 NEAR = 1e-3  # relative range of finite differences: contact forces change over such distances
@@ -117,15 +117,15 @@ class OwnForce:
         after[self.placed.columns[self.placed.own :]] = outputs / self.placed.units[self.placed.own :]
 
     def energy(self, x, v=None):
-        """Energy, J; 0 without. v: velocities of the sides, needed if there are states. Raises InputError if it is no finite number."""
+        """Energy, J; 0 without. v: velocities of the sides, needed if there are states. Raises InputError if it is no number."""
         if not self.strain and not writes(self.element, ForceElement, "energy"):
             return 0.0
         own = read_only(x[self.own_sides]) if self.placed else read_only(x)
         value = self.element.energy(own, *map(read_only, self.states(v))) if self.placed else self.element.energy(own)
         if value is None:
             return 0.0
-        if not is_number(value):
-            raise InputError(f"{self.name}: energy(x) must return a finite number or None, not {value!r}")
+        if not is_real(value):
+            raise InputError(f"{self.name}: energy(x) must return a number or None, not {value!r:.100}")
         return float(value)
 
     def power(self, t, q, v):

@@ -213,7 +213,7 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
                 dx, dy = x1[i, 0] - x0[i, 0], x1[i, 1] - x0[i, 1]
                 size += dx * dx + dy * dy
                 bracket += static[i, 0] * dx + static[i, 1] * dy
-            if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
+            if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
                 for i in range(own):
                     for j in range(2):
                         f[i, j] -= bracket / size * (x1[i, j] - x0[i, j])

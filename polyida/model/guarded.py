@@ -16,7 +16,7 @@ from polyida.model import Model, Needs
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.row_laws import require_laws, with_velocity_rows
 from polyida.model.states import HELPERS, OwnStates, arguments_of
-from polyida.validation import floats, instance_of, is_number, is_whole, read_only, takes
+from polyida.validation import floats, instance_of, is_number, is_real, is_whole, read_only, takes
 
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of a change of M, over that of M: above it M is not symmetric, or varies
@@ -46,7 +46,7 @@ SHAPES = {  # of the returned arrays, in n, m and k
 OF_STEPS = tuple(name for name in SHAPES if name not in ("potential", "tangent", "phi_rate", "phi_rate_q", "phi_bias_q"))  # for tables
 CHECKED = tuple(name for name in SHAPES if name != "potential")
 ANSWERS = {  # {function: (check of its value, description)}
-    "potential": (lambda result: result is None or is_number(result), "a finite number or None"),
+    "potential": (lambda result: result is None or is_real(result), "a number or None"),
     "momenta": (lambda result: result is None or np.shape(floats(result)) == (3,), "three finite numbers px, py, L, or None"),
     "powers": (
         lambda result: isinstance(result, dict) and all(isinstance(name, str) and is_number(value) for name, value in result.items()),

@@ -28,7 +28,6 @@ from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, put
-from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
@@ -37,8 +36,8 @@ from polyida.system.dense import END, ENDED, INNER, vector
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
-SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: nearer ones have more round-off
-STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them on each side
+# V' by a central difference of sixth order, (s of dq, weight of (V(s) - V(-s)) / (2 s)): nearer values have more round-off
+POINTS = ((1 / 32, 64 / 45), (1 / 16, -20 / 45), (1 / 8, 1 / 45))
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
 OF_ENERGY = (*OF_STEPS, "potential")
 
@@ -75,8 +74,8 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
     for i in range(n):
         d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
     first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
-    for k in range(4):
-        work += (8.0, -8.0, -1.0, 1.0)[k] * potential(w, x, d, (1.0, -1.0, 2.0, -2.0)[k] * STEP) / (12.0 * STEP)
+    for s, weight in POINTS:
+        work += weight * (potential(w, x, d, s) - potential(w, x, d, -s)) / (2.0 * s)
     if w.flags[ENDED] != DONE:
         return w.flags[ENDED]
     metric, size = w.near[1], 0.0
@@ -86,7 +85,7 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
             metric[i] += w.M[i, j] * d[j]
         size += d[i] * metric[i]
     bracket = last - first - work
-    if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
+    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
         for i in range(n):
             residual[i] += bracket / size * metric[i]
     if m:
@@ -123,9 +122,9 @@ def discrete_derivative(potential, x0, x1, metric, slope=None):
     """
     dx, middle = x1 - x0, 0.5 * (x0 + x1)
     size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
-    along_dx = along(lambda s: potential(middle + s * dx), SPAN) if slope is None else np.vdot(slope, dx)
-    bracket = last - first - along_dx
-    if not (size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last))):
+    differences = (weight * (potential(middle + s * dx) - potential(middle - s * dx)) / (2.0 * s) for s, weight in POINTS)
+    bracket = last - first - (sum(differences) if slope is None else np.vdot(slope, dx))
+    if not size > 0.0 or abs(bracket) <= NOISE * max(abs(first), abs(last)):
         return np.zeros_like(dx)
     return bracket / size * metric
 
@@ -179,10 +178,8 @@ class PythonOwn(MiddleTable, PythonTable):
         x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
         residual, constraints = self._array(r, model.n), self._array(phi, model.m)
         residual[:], constraints[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy()), model.phi(end, x1)
-        if not (np.isfinite(residual).all() and np.isfinite(constraints).all()):
-            return NOT_FINITE
         residual += discrete_derivative(model.potential, x0, x1, model.mass(q) @ model.without_states(x1 - x0))
-        return DONE
+        return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
 
 
 class DenseOwn(MiddleTable, DenseTable):
