@@ -313,7 +313,7 @@ def _changed(settings, **values):
 
 
 def _modes_again(run, objective):
-    """J of a run whose reduced plates have FIELDS more fields."""
+    """J of the run solved again with FIELDS more deformation fields in each reduced plate that is not viscoelastic. Raises InputError."""
     old = guard(run.model)
     names = [placed.name for placed in old.few if isinstance(old.parts[placed.name], Reduced) and placed.name not in old.strains]
     model = old

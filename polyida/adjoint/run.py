@@ -116,7 +116,7 @@ class Totals:
                 "bodies and whole numbers have none; take the difference of two runs"
             )
         names = [*self.known, "v0"] if with_v0 else self.known
-        raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
+        raise InputError(f"gradient: {name!r} is no parameter here; known: {', '.join(map(repr, names)) or 'none'}")
 
     def leave_out(self, name, why, advice=""):
         """Leave out a parameter without a slope. Raises InputError, with advice, if parameters were requested by name."""
@@ -302,7 +302,7 @@ class RunAdjoint:
         return Gradient(self.objective_slopes.value, self.totals.slopes(), self.counts, self.totals.left_out)
 
     def first_state_bar(self):
-        """The bar of the first q by quantities that the method evaluates once at the start."""
+        """Derivative of J with respect to the first q by what a method evaluates once at the start, (n,); 0 unless it overrides this."""
         return 0.0
 
     def add(self, multipliers, times=None, moving=True):

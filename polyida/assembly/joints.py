@@ -16,7 +16,7 @@ from polyida.linear.dense import put, zero
 
 @leaf
 def point_value(s, u, f):
-    """A u at point f."""
+    """The components (x, y) of `A u` at point f: its displacement or velocity, if u (pairs, 2) has those of the coordinates."""
     x = y = 0.0
     for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
         c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]

@@ -122,7 +122,8 @@ def _warn_of_change(model, R, prescribed, change):
     share, changes = np.sqrt(energy(change) / energy(prescribed)), []
     energies = [energy(alone * change) for alone in np.eye(len(bodies)).repeat(3, axis=1)]
     for k in np.argsort(energies)[::-1][:NAMED]:
-        (vx, vy, spin), (ux, uy, turn) = prescribed[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
+        motions = np.array([prescribed[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]])
+        (vx, vy, spin), (ux, uy, turn) = np.where(np.abs(motions) > NO_MASS * np.abs(motions).max(), motions, 0.0)
         changes.append(f"{bodies[k].name!r} from ({vx:.3g}, {vy:.3g}) m/s, {spin:.3g} rad/s to ({ux:.3g}, {uy:.3g}) m/s, {turn:.3g} rad/s")
     warnings.warn(
         f"the joints do not let the bodies move as given: they change the start by {100 * share:.0f} % (root of its kinetic energy), "

@@ -37,7 +37,7 @@ def writes(part, base, function):
 
 
 def compiled_functions(part, base, *names):
-    """Return {name: function} of the overridden functions for numba; empty if they, or functions that they call, are Python."""
+    """Return {name: Python function that numba will compile} of those that a class overrides; empty without `@pi.compiled`, or if one needs Python."""
     from polyida.jit.owner_data import OwnData
 
     functions = {name: getattr(type(part), name) for name in names if writes(part, base, name)}

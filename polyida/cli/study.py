@@ -28,7 +28,8 @@ def main(study, arguments=None, command=None):
     report, of a study that is no script. Exit code 2: invalid input; 1: stopped, the disk is full, or every task failed. Finished rows stay.
     """
     prepare()
-    program = PROGRAM.get() or f"python studies/{study.name}.py"
+    own = getattr(study.run, "__module__", "") == "__main__"  # a script of a user
+    program = PROGRAM.get() or f"python {sys.argv[0] if own else f'studies/{study.name}.py'}"
     parser = _parser(program, study.title, "a small selection, under a minute", f"folder of the report (default {study.name})")
     parser.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
     for name, (meaning, _) in study.options.items():

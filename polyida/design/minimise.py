@@ -242,7 +242,7 @@ class _Search:
         trials, known = [], {}
 
         def at(x):
-            """(f, its slope, c, their slopes) of the scaled objective and limits."""
+            """(f, its slope, c, their slopes) of the scaled objective and limits; evaluated, noted and stored in `trials` once for each x."""
             key = x.tobytes()
             if key not in known:
                 found = self.evaluated(x, stage)

@@ -248,7 +248,11 @@ def _searched(solids, meshes, changes):
 
 
 def _step(edges, best, found, spoiled, share, trust, uppers, first):
-    """(cells to remove or add, a mask for each plate, predicted relative changes of the limits), or None if no step promises a gain."""
+    """Choose the cells to remove or add by an integer linear programme: (a mask for each plate, predicted changes of the limits over their uppers).
+
+    None if no choice promises a gain. spoiled: cells that must stay as they are; share: largest changed area over the present one; trust: factor
+    of each limit's slopes; first: scale of the objective.
+    """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     scale = np.divide(found.largest, found.values, out=np.ones_like(found.values), where=found.values != 0)

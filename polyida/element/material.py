@@ -41,7 +41,7 @@ def add_times(f, p, g):
 
 @traced(1)
 def determinant(h):
-    """det F."""
+    """det F of F = I + H; h: H by rows."""
     return (1.0 + h[0]) * (1.0 + h[3]) - h[1] * h[2]
 
 

@@ -26,9 +26,9 @@ class State:
         Coordinates, velocities and accelerations.
     lam : (m,) float
         Multipliers.
-    memory : dict
+    memory : {name: float or array of float}
         What the integrator needs, beside the vectors, to continue as if it had not stopped (generalized-alpha: the algorithmic acceleration
-        `a_alg` and its step; Radau IIA: the polynomial of the last step; IDA: nothing).
+        `a_alg` and its step; Radau IIA: the polynomial of the last step; IDA: nothing). Files store it.
     restart : bool
         False if a run cannot continue from this state because the memory is missing: inside a compiled stretch, or between two accepted
         states.

@@ -348,7 +348,7 @@ def pointer_to(item):
 
 @intrinsic
 def seen(typing_context, numbers, at):
-    """Atomic load of numbers[at], int64, with all that another thread wrote before its `leave` of that number."""
+    """Atomic load of numbers[at], int64, with acquire order: all that another thread wrote before its `leave` of that number is seen too."""
 
     def generate(context, builder, sig, args):
         return builder.load_atomic(_address(context, builder, sig.args[0], args[0], args[1], INT64), "acquire", 8)

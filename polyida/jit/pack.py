@@ -31,7 +31,7 @@ class _Packed:
 
     @cached_property
     def address(self):
-        """Address of the block, which lives as long as the tuple."""
+        """Address of the block, an int; the block lives as long as the tuple."""
         block = np.array([word for value in self for word in _words(value)] or [0], np.int64)
         return vars(self).setdefault("_block", block).ctypes.data  # if two threads meet here, both use the first block
 

@@ -50,7 +50,7 @@ class Joint(OwnPart, part=False):
     b: Any
     name: str | None = field(default=None, kw_only=True)
     kind: ClassVar[str | None] = None  # base of the automatic name ("revolute 1"); the class's name if None
-    placing: ClassVar[str] = "place the bodies so that they meet"  # advice in the message that it is not closed at rest
+    placing: ClassVar[str] = "place the bodies so that its rows are zero"  # advice in the message that they are not, as drawn
     directed: ClassVar[tuple[str, ...]] = ()  # the sides, "a" and "b", that must have a direction
 
     def __post_init__(self):

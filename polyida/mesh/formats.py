@@ -41,7 +41,7 @@ def read_mat(path):
 
 
 def write_mat(mesh, path):
-    """Write PolyMesher's variables for `load` in MATLAB; Supp and Load may be empty."""
+    """Write a MATLAB file with PolyMesher's Node, Element, Supp and Load, the last two may be empty, and the sections; nodes count from 1."""
     from scipy.io import savemat
 
     names = np.empty((len(mesh.sections), 2), dtype=object)

@@ -252,7 +252,7 @@ def _dxf(path, part):
 
 
 def _svg(path, part):
-    """Drawing of a file in user units, y upwards from the page's lower edge."""
+    """Drawing of an SVG file, or of its element with the id `part`, in user units, y upwards. Raises InputError for an unknown id."""
     svgelements = _library("svgelements")
     with guarded(path.stat().st_size):
         tree = svgelements.SVG.parse(str(path))

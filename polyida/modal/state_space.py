@@ -237,7 +237,7 @@ class StateSpace:
         return np.array([self.C @ np.linalg.solve(2j * np.pi * f * one - self.A, self.B) + self.D for f in np.atleast_1d(frequencies)])
 
     def displacements(self, x: ArrayLike) -> NDArray:
-        """Return changes of q (..., n) for states x (..., states)."""
+        """Return changes of q (..., n), m, for states x (..., states)."""
         x, d, k = np.asarray(x), len(self.shapes) - len(self.motors), len(self.states)
         return np.concatenate([x[..., :d], x[..., 2 * d + k : 2 * d + k + len(self.motors)]], axis=-1) @ self.shapes
 

@@ -59,7 +59,7 @@ def require_energies(model, t, q, strain_only=False):
         if not model.is_scene:
             advice = "correct it, or, if forces do more than that, give powers(t, q, v, lam)"
             raise InputError(f"{model.name}.potential(q) must have force(t, q, 0) as its slope: {wrong}; {advice}")
-        what = "elastic(z) as its slope" if part.strain else "the forces at v = 0 as its falling slope"
+        what = "elastic(z) as its gradient" if part.strain else "minus the forces at v = 0 as its gradient"
         advice = "correct one of them" + ("" if part.strain else "; an element that works on what does not move says `works = True`")
         raise InputError(f"{part.name}: its energy must have {what}: {wrong}; {advice}")
 
@@ -370,10 +370,12 @@ def _slope(function, size):
 
 
 def _drawn(model, t, random, state):
-    """q, v and a, random if None, with finite forces."""
+    """q, v and a, random if None, with finite forces and energies."""
     for _ in range(TRIES):
         q, v, a = (random.standard_normal(model.n) if x is None else x for x in state)
-        if np.isfinite(model.force(t, q, v)).all():
+        with np.errstate(all="ignore"):
+            sizes = model.force(t, q, v), *(energy(x) or 0.0 for _, energy, _, x, _ in energies(model, t, q))
+        if all(np.isfinite(size).all() for size in sizes):
             break
     return q, v, a
 

@@ -317,7 +317,7 @@ class Guarded(Model):
         return gaps
 
     def call_all(self, t, q, v):
-        """Each of the four functions once."""
+        """Evaluate mass, force and, with constraints, phi and phi_q once, so that wrong results raise an error."""
         self.mass(q), self.force(t, q, v)
         if self.m:
             self.phi(t, q), self.phi_q(t, q)
@@ -375,7 +375,7 @@ def _entries(matrix):
 
 
 def writes(model, name):
-    """True if a model overrides a function of Model."""
+    """True if a model's class, or the object itself, has a function of this name in place of Model's."""
     return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)
 
 

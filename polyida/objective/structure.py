@@ -149,7 +149,7 @@ class _Mode:
         return self.model.tangent(self.t, q, self.still, self.still, self.lam, 0.0, 0.0, 1.0)
 
     def work(self):
-        """Entries of `x^T K x - omega^2 x^T M x + 2 mu^T B x`, times df/d(omega^2)."""
+        """Entries (t, q, v, a, lam, w, mu) of `x^T K x - omega^2 x^T M x + 2 mu^T B x`, times df/d(omega^2), as `Slopes.work` takes them."""
         x, still, q, lam = self.x, self.still, self.q, self.lam
         stiff = along_way(self.model, self.t, q, lam, x, self.by_square * x, 2.0 * self.by_square * self.mu)
         w, none = self.by_square * self.square * x, np.zeros_like(lam)

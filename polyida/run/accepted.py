@@ -111,10 +111,14 @@ class AcceptedStates:
             t = self.t_end if abs(yielded.t - self.t_end) <= self.slack else float(yielded.t)
             if not isinstance(yielded.memory or {}, dict):
                 self.stop(f"memory at t = {yielded.t:.9g} s must be a dictionary, not {type(yielded.memory).__name__}")
-            try:
-                memory = deepcopy(yielded.memory or {})
-            except Exception as error:  # noqa: BLE001 what a copy of anything may raise
-                self.stop(f"memory at t = {yielded.t:.9g} s cannot be copied ({error}); keep numbers, texts and arrays in it")
+            for key, value in (yielded.memory or {}).items():
+                try:
+                    good = isinstance(key, str) and np.asarray(value, float) is not None
+                except (TypeError, ValueError):
+                    good = False
+                if not good:
+                    self.stop(f"memory[{key!r}] at t = {yielded.t:.9g} s must be a number or an array of numbers, as files store it")
+            memory = deepcopy(yielded.memory or {})
             state = State(t, *arrays, memory, bool(yielded.restart))
             self._require_finite(state)
             if not t > self.before.t:

@@ -202,7 +202,7 @@ class Run:
         """Give the Trajectory to an exception that is raised to the caller."""
         error.trajectory = run
         where = f" and in {self.store.file.shown}" if self.streams else ""
-        error.add_note(f"The run so far, {len(run)} frames, is in this exception's attribute `trajectory`{where}.")
+        error.add_note(f"The run so far, {len(run)} frame{'s' * (len(run) != 1)}, is in this exception's attribute `trajectory`{where}.")
 
     def _end(self, status, message):
         """The Trajectory, and the file closed."""

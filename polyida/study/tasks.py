@@ -165,7 +165,7 @@ def _finished_rows(submit, waiting):
 class RowFolder:
     """Rows in a folder, one file each, with their case and `code`, the hash of what computes them. folder: None for none.
 
-    retry_failed: treat rows with an error as missing. Raises InputError if a row or the folder cannot be written.
+    Rows with an error are missing if other code computed them, and always with retry_failed. Raises InputError if a row or the folder cannot be written.
     """
 
     folder: Path | None = None
@@ -188,7 +188,7 @@ class RowFolder:
     def read(self, key, case):
         """The row of a case, or None if there is no complete file or it belongs to another case."""
         data = _read_file(self.folder / f"{key}.json") if self.folder else None
-        if data is None or self.retry_failed and data["row"].get("error"):
+        if data is None or data["row"].get("error") and (self.retry_failed or data["code"] != self.code):
             return None
         shown = {name: data["row"].get(name) for name in case} if self.retry_failed else case  # rows of a study may replace values
         text = [

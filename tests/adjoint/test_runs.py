@@ -158,7 +158,7 @@ def test_numbers_of_laws_and_places_are_said_to_have_no_slope():
     for name, value in (("floor.restitution", 0.7), ("floor.friction", 0.2), ("ball.angle", 0)):
         with pytest.raises(pi.InputError, match=f"^gradient: '{name}', which is {value}, has no slope: numbers of laws of contact"):
             pi.gradient(run, height, [name])
-    with pytest.raises(pi.InputError, match="'floor.resitution' is no parameter of what it is taken for; known: "):
+    with pytest.raises(pi.InputError, match="'floor.resitution' is no parameter here; known: "):
         pi.gradient(run, height, ["floor.resitution"])
 
 

@@ -358,7 +358,7 @@ def test_an_energy_that_is_not_that_of_the_elastic_force_is_told():
     model = scene.build()
     assert pi.check_derivatives(model)["energy of spring"] == pytest.approx(0.01, rel=0.02)
     for method in (pi.GeneralizedAlpha(h=1e-2), pi.EnergyMomentum(h=1e-2)):
-        with pytest.raises(pi.InputError, match=r"spring: its energy must have elastic\(z\) as its slope"):
+        with pytest.raises(pi.InputError, match=r"spring: its energy must have elastic\(z\) as its gradient"):
             pi.solve(model, 0.1, method)
 
 

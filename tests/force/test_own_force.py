@@ -354,7 +354,7 @@ def test_an_energy_that_is_not_that_of_the_force_is_seen(scenes):
     keeping = pi.EnergyMomentum(h=1e-3)
     model = pulled(scenes, TwiceAsMuch, d=2.0, name="spring")
     assert pi.check_derivatives(model, q=np.zeros(model.n))["energy of spring"] == pytest.approx(0.5, rel=1e-6)
-    with pytest.raises(pi.InputError, match="spring: its energy must have the forces at v = 0 as its falling slope.*works = True"):
+    with pytest.raises(pi.InputError, match="spring: its energy must have minus the forces at v = 0 as its gradient.*works = True"):
         pi.solve(model, 5e-3, keeping)
     for kind in (Pull, Actuator, Shaken):
         model = pulled(scenes, kind, d=2.0, name="spring")

@@ -179,5 +179,6 @@ def test_a_step_to_where_an_energy_is_not_a_number_is_halved(kind):
     run = pi.solve(scene.build(), 1.0, pi.EnergyMomentum(h=0.01))
     assert run.success and run.counts.rejected > 0, run.message
     assert run.position(ball.at("c"))[:, 0].max() < 1.0 and np.ptp(run.energy.total) < 1e-7
+    assert max(pi.check_derivatives(scene.build()).values()) < 1e-6  # at places within the wall
     failed = pi.solve(scene.build(), 1.0, pi.EnergyMomentum(h=0.2))  # 64 parts of it are too long
     assert failed.status == "not finite" and np.abs(failed.position(ball.at("c"))).max() < 1.0

@@ -102,6 +102,17 @@ def test_one_that_gives_no_states_at_all():
     assert "Empty: it ended short" in solved(Empty()).message
 
 
+@pytest.mark.parametrize("memory", [{"past": (np.zeros(1), 1e-2, np.zeros(2))}, {"name": "abc"}, {7: 1.0}])
+def test_a_memory_that_no_file_stores_stops_the_run(memory):
+    class Forgets:
+        def steps(self, model, state, t_end, counts):
+            counts.steps += 1
+            yield pi.State(t_end, state.q, state.v, state.a, state.lam, memory=memory)
+
+    run = pi.solve(Free(), END, Forgets(), q0=[1.0, 2.0])
+    assert not run.success and f"memory[{next(iter(memory))!r}] at t = " in run.message and "must be a number or an array" in run.message
+
+
 class Reuses:
     """Uniform motion in ten steps that changes, in place, what it was given and what it has yielded."""
 

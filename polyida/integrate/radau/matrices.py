@@ -29,7 +29,10 @@ NOTHING = 1e-12  # of the largest mass: smaller masses count as zero
 
 
 def lift(model, shares):
-    """The diagonal of D^-1, (n,), from the shares of the coordinates in the mass: 1 for massless coordinates, and for all if the model has uniform units."""
+    """Weights (n,) of `phi_q^T mu` in q': the mean mass over the mass of each coordinate, from their shares in the total mass.
+
+    1 for massless coordinates, and for all if the model has uniform units.
+    """
     heavy = shares > NOTHING * shares.max()
     masses = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0)
     return np.ones_like(shares) if model.uniform_units else masses
