@@ -91,17 +91,21 @@ def rows_of_motions(model, t, q, R):
     by_body[blocks.indices] = blocks.data
     sizes, axes = np.linalg.eigh(units[:, :, None] * by_body * units[:, None])
     roots = [unit[:, None] * axis[:, size > NO_MASS] / np.sqrt(size[size > NO_MASS]) for unit, size, axis in zip(units, sizes, axes)]
-    return csr_array(csr_array(model.phi_q(t, q)) @ R), block_diag([coo_array(root) for root in roots], format="csr")
+    B = csr_array(model.phi_q(t, q))
+    rows = B @ R
+    resolved = abs(rows) > NO_MASS * (abs(B) @ abs(R))  # rows that keep bodies rigid are round-off here, which must not count
+    return csr_array(rows.multiply(resolved)), block_diag([coo_array(root) for root in roots], format="csr")
 
 
 def _least_solution(A, b):
     """The least x with `A x = b`, A sparse, in the least-squares sense."""
-    if A.shape[0] > MANY:  # try the Gram matrix of independent rows, with one step of refinement
+    lengths = np.sqrt(A.multiply(A).sum(axis=1))
+    some = np.flatnonzero(lengths)  # other rows keep bodies rigid
+    A, b = A[some], b[some]
+    if len(some) > MANY:  # try the Gram matrix of independent rows, with one step of refinement
         from scipy.sparse.linalg import splu
 
-        lengths = np.sqrt(A.multiply(A).sum(axis=1))
-        some = np.flatnonzero(lengths > NO_MASS * lengths.max())  # other rows keep bodies rigid
-        rows, right = A[some] / lengths[some, None], b[some] / lengths[some]
+        rows, right = A / lengths[some, None], b / lengths[some]
         with suppress(RuntimeError):  # of a singular matrix
             gram = splu((rows @ rows.T).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             if gram.U.diagonal().min() > INDEPENDENT:
