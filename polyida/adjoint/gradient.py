@@ -33,14 +33,15 @@ from polyida.linear.saddle import KKT
 from polyida.modal.modes import Modes
 from polyida.model.guarded import guard
 from polyida.model.row_laws import require_no_laws
-from polyida.objective.objective import Objective, along_way, slopes_at
+from polyida.objective.objective import Objective, along_way, slopes_at, terms_of
 from polyida.objective.peak_stress import PeakStress, StrainEnergy
+from polyida.objective.structure import Frequency
 from polyida.progress import backward, require_progress
 from polyida.trajectory import Trajectory
 from polyida.validation import named_keywords, require_bytes
 
 OF_LAWS = "there is no adjoint of impacts and stick yet"
-ELASTIC = (PeakStress, StrainEnergy)
+ELASTIC = (Frequency, PeakStress, StrainEnergy)
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
 
@@ -157,7 +158,7 @@ def gradient(
         names_of = ", ".join(map(repr, relaxing))
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
-        for one in objectives:
+        for _, one in (term for each in objectives for term in terms_of(each)):
             if isinstance(one, ELASTIC):
                 raise InputError(f"gradient: {type(one).__name__} is of elastic bodies, and {names_of} viscoelastic")
     if progress is not None:

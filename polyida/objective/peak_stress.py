@@ -146,9 +146,9 @@ class CellStress:
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class StrainEnergy(TimeMean):
-    """Time mean of the strain energy, J, of all bodies or of one, as `run.energy.strain`.
+    """Time mean of the strain energy, J, of all bodies or of one, as `run.energy.strain` of elastic ones.
 
-    With factors of cells it is the energy of the scaled cells.
+    With factors of cells it is the energy of the scaled cells. The relaxation of viscoelastic plates is left out.
 
     Parameters
     ----------

@@ -48,5 +48,9 @@ def test_what_has_no_adjoint_is_refused(model):
     run = pi.solve(model, 0.01, pi.GeneralizedAlpha(h=2e-3))
     with pytest.raises(pi.InputError, match="PeakStress.*'arm', 'fore' viscoelastic"):
         pi.gradient(run, pi.objective.PeakStress())
+    energy, frequency = pi.objective.StrainEnergy(), pi.objective.Frequency(0)
+    for objective in (frequency, 2.0 * energy, pi.objective.Mass() + frequency, [pi.objective.Mass(), energy - frequency]):
+        with pytest.raises(pi.InputError, match="(Frequency|StrainEnergy) is of elastic bodies, and 'arm', 'fore' viscoelastic"):
+            pi.gradient(run, objective)
     with pytest.raises(pi.InputError, match="equilibria and modes of viscoelastic"):
         pi.gradient(pi.modes(model), pi.objective.Frequency(0))
