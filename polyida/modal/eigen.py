@@ -29,15 +29,16 @@ from polyida.model.row_laws import require_no_laws
 
 MOST = 2000  # coordinates of dense matrices
 SMALL = 400  # coordinates up to which matrices are made dense
-ROUND = 1e-14  # of |x|^T |K| |x|: round-off of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
+ROUND = (
+    1e-14  # of |x|^T |K| |x|: round-off of x^T K x, likewise of C; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
+)
 INDEPENDENT = 1e-12  # of the largest: smaller strains of places are round-off
-NOTHING = 1e-28  # of K's largest entry: round-off of a rigid motion that is one coordinate
+NOTHING = 1e-26  # of K's largest entry: round-off of a rigid motion that is one coordinate
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
 SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the modes of a fine mesh, above the round-off of K
 NEAR = 0.1  # shift of the damped form, of the slowest undamped vibration
 SPARE = 4  # undamped modes beyond the wanted ones, among which rigid motions are searched
-STILL = 1e-12  # of |C| |x|: round-off of C x
-LEAST = 1e-14  # of the largest of C and x: a smaller C x is round-off too, if a rigid motion has few coordinates
+STILL = 1e-12  # of the largest entry of A: smaller roots of models with first-order states are round-off
 RESTARTS = 100  # of Arnoldi's method
 GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
@@ -289,13 +290,13 @@ def _rigid(system, count):
     if not system.conservative:
         return 1.0, np.zeros((system.n, 0))
     values, X = undamped(system, min(count + SPARE, system.freedoms))
-    N, moving = X[:, values == 0.0], np.abs(values[values != 0.0])
+    N, slow = X[:, values == 0.0], np.abs(values[values != 0.0]).min(initial=np.inf)
     if system.C is not None and N.shape[1]:
-        drag = system.C @ N
-        felt = STILL * (abs(system.C) @ np.abs(N)) + LEAST * abs(system.C).max() * np.abs(N).max()
-        drag[np.abs(drag) <= felt] = 0.0
-        N = N @ null_space(N.T @ drag)
-    return float(moving.min(initial=np.inf)), N[:, :count]
+        drag, size = N.T @ (system.C @ N), np.abs(N)
+        rate = np.sqrt(slow) if np.isfinite(slow) else np.abs(drag).max()  # N contains round-off of vibrations, which C feels
+        drag[np.abs(drag) <= ROUND * (size.T @ (abs(system.C) @ size) + rate)] = 0.0
+        N = N @ null_space(drag)
+    return float(slow), N[:, :count]
 
 
 def _dense_damped(system, count, N, slow):

@@ -206,6 +206,21 @@ def test_a_viscous_bar_is_damped_by_half_its_viscosity_times_omega(cells, held):
     assert np.abs(np.abs(found.shapes[-1]) - np.abs(still.shapes[-1])).max() < 1e-6 * np.abs(still.shapes).max()
 
 
+def test_rigid_motions_beside_damped_vibrations_come_once_at_any_angle():
+    """A stiff viscous plate and a bar with a soft, damped spring between them; round-off of the vibrations is in the rigid motions."""
+    viscous, found = pi.Material(E=2e7, nu=0.3, rho=1100.0, viscosity=1e-3), []
+    for angle in np.linspace(0.0, 3.3, 12):
+        scene, end = pi.Scene(), (np.cos(angle), np.sin(angle))
+        plate = scene.add(pi.Reduced(pi.Plate(pi.mesh.quads(1.0, 0.1, 5, 2), viscous, 0.01, angle=angle, name="plate"), modes=3))
+        bar = scene.add(pi.RigidBody.bar(1.0, 0.7, end, angle, name="bar"))
+        scene.add(pi.Revolute(plate.section("right"), bar.at("left")))
+        scene.add(pi.TorsionSpring(plate.section("right"), bar.at("left"), 3.0, 0.1))
+        found.append(pi.modes(scene.build(), count=30, damped=True).roots)
+    for roots in found:
+        assert len(roots) == len(found[0]) and np.array_equal(roots[:3], np.zeros(3)) and roots[3].imag > 8.0
+        assert roots == pytest.approx(found[0], rel=1e-6)
+
+
 @pytest.mark.filterwarnings("ignore:modes")
 def test_a_force_without_potential_is_taken_with_damped_alone():
     """Ziegler's kind of flutter: two roots to the right of the axis that swing."""
