@@ -156,7 +156,7 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     """Compute linear modes about a state: `s^2 M x + K x + B^T mu = 0`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
     With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, and `s x = f_q q + f_v v + f_x x` of first-order states, which modes without
-    damping hold. Rigid motions have s = 0 twice, x and x t, and are returned once, as 0 Hz.
+    damping hold. Rigid motions have s = 0 twice, x and x t, and are returned once, as 0 Hz; with damping and first-order states twice.
     Growing modes are returned with a warning. Large models are solved by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
 
     Parameters
