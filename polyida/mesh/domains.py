@@ -215,14 +215,15 @@ class Domain:
         return candidates[one][(share > 0.0) & (np.abs(share - 0.5) > 0.01)]
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
-        """Return the (n,) mask of points on a wall with points of the domain nearby; coincident walls may have none."""
+        """Return the (n,) mask of points on a wall with points inside and outside nearby, which walls between two parts have not."""
         size = float(np.max(self.upper - self.lower))
         on = np.abs(self.distance(points)) < 1e-9 * size
         if self.convex:
             return on
         angle = (np.arange(8) + 0.3) * (np.pi / 4)
         ring = 1e-6 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        return on & np.any([self.distance(points + step) < 0.0 for step in ring], axis=0)
+        around = np.array([self.distance(points + step) for step in ring])
+        return on & (around < 0.0).any(axis=0) & (around > 0.0).any(axis=0)
 
     def __or__(self, other: "Domain") -> "Union":
         return Union(self, other)

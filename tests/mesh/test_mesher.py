@@ -126,3 +126,11 @@ def test_cells_that_are_far_too_few_are_told_by_their_number_and_the_narrowest_p
     with warnings.catch_warnings(action="error"), pytest.raises(InputError, match=told):
         polygonize(comb, 60, iterations=3)
     assert len(attempts) == 1
+
+
+@pytest.mark.parametrize("cells", [30, 200])
+def test_rectangles_that_share_a_whole_side_are_one(cells):
+    """The side between them is a wall of both, and no part of the boundary."""
+    mesh = polygonize(Union(Rectangle(1.0, 1.0), Rectangle(1.0, 1.0, (1.0, 0.0))), cells)
+    assert mesh.area == pytest.approx(2.0, rel=1e-12) and mesh.quality().pieces == 1
+    assert mesh.sections["right"].size and (mesh.points[mesh.sections["right"], 0] == 2.0).all()
