@@ -22,6 +22,9 @@ from polyida.validation import is_whole, named_keywords, positive, vector2
 SHIFTS = 1e-3, *[0.5] * 7  # of given seeds, over the size of cells there, in attempts until all parts of the boundary have cells
 BY_CHANCE = 12  # places where cells fail to follow the boundary, up to which other seeds are tried
 SAMPLES = 20_000  # points that estimate the area of a domain
+TANGENT = (
+    0.1  # of its length: middle of an edge from the boundary, and 1 less the cosine of its walls' normals, where one continues the other
+)
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
@@ -280,7 +283,7 @@ def _require_resolved(polygons, domain, corners, area):
     start, end = polygons.points[rim[:, 0]], polygons.points[rim[:, 1]]
     areas = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
     middle, places = 0.5 * (start + end), [corner for corner in corners if np.linalg.norm(start - corner, axis=1).min() >= 1e-9 * size]
-    along = np.zeros(len(rim), bool)
+    along, before, behind = np.zeros(len(rim), bool), np.zeros(start.shape), np.zeros(end.shape)  # normals at both ends
     for wall in domain.walls:  # no nodes are needed on a wall that is not part of the boundary
         samples = wall.samples(domain.lower, domain.upper)
         samples, count = samples[domain.on_boundary(samples)], len(samples)
@@ -289,7 +292,12 @@ def _require_resolved(polygons, domain, corners, area):
         if np.sum(begins) < needed:
             places.append(samples[len(samples) // 2])
         along |= begins & ends
-    cuts = ~(np.abs(domain.distance(middle)) < 0.35 * np.linalg.norm(end - start, axis=1))
+        before += begins[:, None] * wall.normal(start)
+        behind += ends[:, None] * wall.normal(end)
+    away = np.abs(domain.distance(middle)) / np.linalg.norm(end - start, axis=1)
+    smooth = np.einsum("nx,nx->n", before, behind) > (1.0 - TANGENT) * np.hypot(*before.T) * np.hypot(*behind.T)
+    along |= smooth & (away < TANGENT)  # from one wall to another that continues it; corners have nodes of their own
+    cuts = ~(away < 0.35)
     pinched = np.bincount(rim[:, 0], minlength=len(polygons.points))[rim[:, 0]] > 1
     tiny = polygons.points[polygons.nodes[polygons.offsets[:-1][~(areas > 1e-9 * areas.mean())]]]
     places = np.concatenate(

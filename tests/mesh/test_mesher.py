@@ -134,3 +134,12 @@ def test_rectangles_that_share_a_whole_side_are_one(cells):
     mesh = polygonize(Union(Rectangle(1.0, 1.0), Rectangle(1.0, 1.0, (1.0, 0.0))), cells)
     assert mesh.area == pytest.approx(2.0, rel=1e-12) and mesh.quality().pieces == 1
     assert mesh.sections["right"].size and (mesh.points[mesh.sections["right"], 0] == 2.0).all()
+
+
+def test_walls_that_continue_each_other_smoothly_need_no_corner():
+    """A rounded end: no node lies where the straight sides touch the circle. A cusp is refused still."""
+    rounded = Union(Rectangle(1.0, 1.0), Circle(0.5, (1.0, 0.5)))
+    lacks = [1.0 + np.pi / 8 - polygonize(rounded, cells).area for cells in (50, 200, 800)]
+    assert 0.0 < lacks[2] < 0.4 * lacks[1] < 0.16 * lacks[0] < 0.003
+    with pytest.raises(InputError, match="too few"):
+        polygonize(Rectangle(1.0, 1.0) - Circle(0.2, (0.5, 0.2)), 200)
