@@ -22,9 +22,8 @@ from polyida.validation import is_whole, named_keywords, positive, vector2
 SHIFTS = 1e-3, *[0.5] * 7  # of given seeds, over the size of cells there, in attempts until all parts of the boundary have cells
 BY_CHANCE = 12  # places where cells fail to follow the boundary, up to which other seeds are tried
 SAMPLES = 20_000  # points that estimate the area of a domain
-TANGENT = (
-    0.1  # of its length: middle of an edge from the boundary, and 1 less the cosine of its walls' normals, where one continues the other
-)
+# of an edge from one wall to another that continues it: distance of its middle from the boundary over its length; 1 - cosine of the normals
+TANGENT = 0.1
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 

@@ -29,9 +29,8 @@ from polyida.model.row_laws import require_no_laws
 
 MOST = 2000  # coordinates of dense matrices
 SMALL = 400  # coordinates up to which matrices are made dense
-ROUND = (
-    1e-14  # of |x|^T |K| |x|: round-off of x^T K x, likewise of C; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
-)
+# of |x|^T |K| |x|: round-off of x^T K x, and likewise of C; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
+ROUND = 1e-14
 INDEPENDENT = 1e-12  # of the largest: smaller strains of places are round-off
 NOTHING = 1e-26  # of K's largest entry: round-off of a rigid motion that is one coordinate
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
