@@ -63,11 +63,11 @@ drag = lambda bar: Drag(bar.section("right"), c=0.4, name="drag")  # noqa: E731
 
 model = scene(magnet, drag)
 assert max(pi.check_derivatives(model).values()) < 1e-6
-ends = [pi.solve(model, 0.4, integrator).position("tip")[-1] for integrator in (pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9))]
+ends = [pi.solve(model, 0.1, integrator).position("tip")[-1] for integrator in (pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9))]
 assert np.abs(ends[0] - ends[1]).max() < 5e-5, ends
 
 # a force with an energy conserves; the energy of the whole counts it
-run = pi.solve(scene(magnet), 0.4, pi.EnergyMomentum(h=5e-4))
+run = pi.solve(scene(magnet), 0.2, pi.EnergyMomentum(h=5e-4))
 assert run.success and np.abs(run.energy.total - run.energy.total[0]).max() < 1e-7 * np.abs(run.energy.total).max()
 
 # one without loses what its work takes; the work is counted under its name

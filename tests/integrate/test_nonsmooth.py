@@ -107,7 +107,7 @@ JAMMING = pytest.mark.parametrize(
 @JAMMING
 def test_a_guide_of_two_slots_jams_beyond_a_critical_offset(integrator):
     """A load F along the guide, at the distance e from it, presses its ends L apart with F e/L each: they hold any F where 2 mu e >= L."""
-    length, mu, mass, time = 0.4, 0.3, 2.0, 0.5
+    length, mu, mass, time = 0.4, 0.3, 2.0, 0.1
     for offset, load, speed in ((0.99, 1.0, 0.0), (0.99, 1e4, 0.0), (1.01, 1.0, 0.0), (1.01, 1e4, 0.0), (1.01, 1.0, 1.0)):
         scene = pi.Scene()
         points = {"left": (-length / 2, 0.0), "right": (length / 2, 0.0), "load": (0.0, offset * length / (2 * mu))}
@@ -124,7 +124,7 @@ def test_a_guide_of_two_slots_jams_beyond_a_critical_offset(integrator):
 @JAMMING
 def test_a_prismatic_joint_jams_beyond_the_angle_of_friction(integrator):
     """A force at the angle a to the guide moves its body where tan a < 1/mu; beyond, the body stays, however large the force is."""
-    mu, mass, time = 0.3, 2.0, 0.5
+    mu, mass, time = 0.3, 2.0, 0.1
     for share, load in ((0.98, 1.0), (0.98, 1e4), (1.02, 1.0), (1.02, 1e4)):
         angle, scene = np.arctan(share / mu), pi.Scene()
         slider = scene.add(pi.RigidBody(mass=mass, inertia=0.05, points={"c": (0.0, 0.0)}, name="slider"))
@@ -149,10 +149,10 @@ def disc_of(place, velocity, **contact):
     ids=lambda x: type(x).__name__,
 )
 def test_a_disc_that_slides_begins_to_roll_at_two_thirds_of_its_speed(integrator, error):
-    v, mu = 3.0, 0.2
-    run, rolls = pi.solve(disc_of((0.0, 0.1), (v, 0.0), friction=mu), 1.0, integrator), v / (3.0 * mu * G)
+    v, mu, t_end = 1.0, 0.2, 0.3
+    run, rolls = pi.solve(disc_of((0.0, 0.1), (v, 0.0), friction=mu), t_end, integrator), v / (3.0 * mu * G)
     assert run.success, run.message
-    way = v * rolls - 0.5 * mu * G * rolls**2 + 2.0 / 3.0 * v * (1.0 - rolls)
+    way = v * rolls - 0.5 * mu * G * rolls**2 + 2.0 / 3.0 * v * (t_end - rolls)
     assert abs(run.v[-1, 0] - 2.0 / 3.0 * v) < error and np.abs(run.q[-1, :2] - [way, 0.0]).max() < error
     assert abs(run.energy.total[-1] - run.energy.total[0] + run.energy.kinetic[0] / 3.0) < 10.0 * error
     if integrator in (RADAU, IDA):

@@ -40,8 +40,8 @@ def test_stick_and_slip_on_a_belt(integrator, error):
 
 
 def test_order_through_stick_and_slip():
-    errors = [pi.solve(Belt(), 5.0, pi.NonsmoothAlpha(h=h)).q[-1, 0] - 3.0 - np.sin(5.0 - Belt.slips) for h in 0.04 / 2.0 ** np.arange(4)]
-    order = -np.polyfit(np.arange(4), np.log2(np.abs(errors)), 1)[0]
+    errors = [pi.solve(Belt(), 5.0, pi.NonsmoothAlpha(h=h)).q[-1, 0] - 3.0 - np.sin(5.0 - Belt.slips) for h in 0.04 / 2.0 ** np.arange(3)]
+    order = -np.polyfit(np.arange(3), np.log2(np.abs(errors)), 1)[0]
     assert order >= 1.7
 
 
@@ -58,7 +58,7 @@ def slider(integrator):
     return run, run.position(scene.parts["slider"].at("c"))[-1, 0]
 
 
-@pytest.mark.parametrize("integrator, error", [(pi.RadauIIA(rtol=1e-6), 1e-6), (pi.GeneralizedAlpha(h=5e-4), 1e-3)], ids=name_of)
+@pytest.mark.parametrize("integrator, error", [(pi.RadauIIA(rtol=1e-6), 1e-6), (pi.GeneralizedAlpha(h=1e-3), 1e-3)], ids=name_of)
 def test_a_slider_crank_with_friction_in_its_guide(integrator, error, end_of_slider):
     """The slip reverses at dead points, where friction cannot hold the slider."""
     run, end = slider(integrator)
@@ -157,7 +157,7 @@ def test_the_point_of_painleve_is_located(integrator, speed, held):
     assert not len(run.events) and run.t[-1] < located(run) + 1e-9 and abs(located(run) - ends["singular"]) < error
 
 
-@pytest.mark.parametrize("integrator", [pi.RadauIIA(rtol=1e-9), *(pi.IDA(rtol=rtol) for rtol in (1e-8, 3e-9, 1e-9, 3e-10))], ids=short)
+@pytest.mark.parametrize("integrator", [pi.RadauIIA(rtol=1e-9), *(pi.IDA(rtol=rtol) for rtol in (1e-8, 3e-10))], ids=short)
 def test_a_point_of_painleve_beside_an_unstable_state(integrator):
     """At 30.96 degrees a sliding rod does not turn: 31 degrees from rest amplify errors of the angle by 207 s/rad, until 0.8145 s."""
     at = np.radians(31.0), 0.0, -30.0
