@@ -30,22 +30,16 @@ def total(row, x, factor):
 
 
 def test_each_call_of_a_kernel_finds_the_code_of_its_types():
-    x = np.arange(4.0)
+    """One argument after the other has another type; the calls come again when there is code for all of them."""
+    x, ones = np.arange(4.0), np.ones(4)
     fixed = x.copy()
     fixed.flags.writeable = False
-    for weights in (np.ones(4), np.ones(4, np.int64), np.arange(8.0)[::2]):
-        for values in (
-            x,
-            x.astype(np.float32),
-            x.astype(np.int64),
-            1j * x,
-            np.repeat(x, 2)[::2],
-            fixed,
-            np.repeat(x, 2).reshape(4, 2)[:, 0],
-        ):
-            for factor in (2, 2.0, np.float32(2.0), np.float64(2.0), True, 1j):
-                for _ in range(2):
-                    assert total(Row(weights), values, factor) == factor * (weights @ values)
+    calls = [(weights, x, 2.0) for weights in (ones, np.ones(4, np.int64), np.arange(8.0)[::2])]
+    calls += [(ones, values, 2.0) for values in (x.astype(np.float32), x.astype(np.int64), 1j * x, np.repeat(x, 2)[::2], fixed)]
+    calls += [(ones, np.repeat(x, 2).reshape(4, 2)[:, 0], 2.0)]
+    calls += [(ones, x, factor) for factor in (2, np.float32(2.0), np.float64(2.0), True, 1j)]
+    for weights, values, factor in calls + calls:
+        assert total(Row(weights), values, factor) == factor * (weights @ values)
 
 
 def compiled_functions():

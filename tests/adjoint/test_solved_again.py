@@ -111,9 +111,7 @@ def test_a_motor_whose_speed_jumps_beside_a_path_that_bends(integrator):
     near = np.zeros((len(run), 1))
     near[at - 1 : at + 2, 0] = 1.0, 3.0, 2.0  # frames at the jump and on both sides of it
     ways = {name: near * np.cos(np.arange(getattr(run, name).shape[1])) for name in ("v", "a", "lam")}
-    states = [
-        pi.objective.UserObjective(lambda run, n=n: float(np.sum(ways[n] * getattr(run, n))), lambda run, n=n: {n: ways[n]}) for n in ways
-    ]
-    for objective in (bent, pi.objective.PeakReaction("motor", p=8), *states):
+    states = pi.objective.UserObjective(lambda run: sum(float(np.sum(way * getattr(run, n))) for n, way in ways.items()), lambda run: ways)
+    for objective in (bent, pi.objective.PeakReaction("motor", p=8), states):
         errors = pi.check_gradient(run, objective, parameters=["motor.end", "motor.duration"])
         assert len(errors) == 2 and max(errors.values()) < 1e-6, errors

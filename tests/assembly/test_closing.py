@@ -74,7 +74,7 @@ def apart(scene):
 
 
 @pytest.mark.parametrize("make", [plate, bar, rigid])
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9), st.sampled_from([1e-6, 1e-3, 2e-2]))
 def test_a_four_bar_closes_and_its_links_move_by_as_little_as_they_were_off(make, errors, size):
     scene = four_bar(size * np.reshape(errors, (3, 3)), make)

@@ -104,13 +104,13 @@ def test_a_wrong_integrator_is_found(monkeypatch, change, found, axis):
     assert row["outcome"] == "wrong" and found in row["reason"]
 
 
-def taken(title):
-    """Two of an axis's ways."""
+def taken(number, title):
+    """Ways of an axis: two through contacts, alpha and Radau by turns through motions that are smooth."""
     names = AXES[title].integrators
-    return names[:2] if "nonsmooth" in names else ("alpha", "radau") if "radau" in names else ("alpha",)
+    return names[:2] if "nonsmooth" in names else ("radau",) if "radau" in names and number % 2 else ("alpha",)
 
 
-BENIGN = [(title, name) for title in AXES for name in taken(title) if title.split()[0] not in ("steps", "kills")]
+BENIGN = [(title, name) for k, title in enumerate(AXES) for name in taken(k, title) if title.split()[0] not in ("steps", "kills")]
 
 
 @pytest.mark.parametrize("axis, name", BENIGN)
