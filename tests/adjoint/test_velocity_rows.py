@@ -68,7 +68,7 @@ class Skate(pi.Model):
 @pytest.mark.parametrize("made", [disc, sleigh, lambda: (Skate(), ["pull", "tilt", "belt", "v0"])], ids=["disc", "sleigh", "own"])
 def test_gradients_of_few_steps(made, integrator):
     model, names = made()
-    run = pi.solve(model, 0.06, INTEGRATORS[integrator])
+    run = pi.solve(model, 0.04, INTEGRATORS[integrator])
     errors = pi.check_gradient(run, ALL, parameters=names)
     assert set(errors) == set(names)
     assert max(errors.values()) < 1e-6, errors

@@ -39,7 +39,7 @@ def test_products_are_those_of_the_matrices(model):
 
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=2e-3, tolerance=1e-12), pi.RadauIIA(h=5e-3, tolerance=1e-13)])
 def test_slopes_are_those_of_differences(model, integrator):
-    run = pi.solve(model, 0.05, integrator)
+    run = pi.solve(model, 0.02, integrator)
     errors = pi.check_gradient(run, pi.objective.Deviation("tip", lambda t: (0.8, 0.0)), parameters=NAMES)
     assert max(errors.values()) < 1e-6, errors
 

@@ -3,8 +3,6 @@
 import re
 from pathlib import Path
 
-import pytest
-
 from peers_table.cells import checks_of
 from peers_table.cells import run as looked_at
 from peers_table.rows import PEERS, ROWS
@@ -65,13 +63,12 @@ def test_a_cell_is_marked_as_seen_where_there_is_a_check():
     assert {place for place, mark in MARKS.items() if "✓" in mark} == checked
 
 
-@pytest.mark.parametrize("peer", PEERS)
-def test_the_checks_of_what_is_installed_say_the_same(peer):
+def test_the_checks_of_what_is_installed_say_the_same():
     with Worker() as worker:
-        for row in checks_of(peer):
+        for peer, row in [(peer, row) for peer in PEERS for row in checks_of(peer)]:
             said = worker.call(looked_at, {"peer": peer, "row": row}, 120.0)
             if said.get("found") == "not installed":
                 assert peer not in INSTALLED
-                pytest.skip(f"{peer} is not installed")
-            assert not said["error"] and said["says"] and said["version"], (row, said)
-            assert (said["found"] == "not seen") == (MARKS[row, peer][0] == "no"), (row, said)
+                continue
+            assert not said["error"] and said["says"] and said["version"], (peer, row, said)
+            assert (said["found"] == "not seen") == (MARKS[row, peer][0] == "no"), (peer, row, said)

@@ -199,10 +199,10 @@ import polyida as pi
 def case(k):
     return {"value": k}
 with pi.study.Isolated(limit=1.0) as own:
-    print(pi.study.sweep(case, [{"k": 1}, {"k": 2}], own).rows)
+    print(pi.study.sweep(case, [{"k": 1}], own).rows)
 """
-    ended = run_script(tmp_path, script=text, timeout=60.0)  # less than each case waited for its process
-    assert ended.stdout.count("crash: exit code 1, before the case began (is what starts processes in the script under `if __name__") == 2
+    ended = run_script(tmp_path, script=text, timeout=60.0)  # less than the case waited for its process
+    assert "crash: exit code 1, before the case began (is what starts processes in the script under `if __name__" in ended.stdout
 
 
 def test_a_scripts_own_function_gives_the_same_rows_here_in_processes_and_on_a_cluster(tmp_path):

@@ -32,8 +32,10 @@ CONTRAST = """(() => {
 def reports(tmp_path_factory):
     """{name: path of its report.html}."""
     folder = tmp_path_factory.mktemp("reports")
-    for name, arguments in REPORTS.items():
-        assert main([*arguments, "--out", str(folder / name)]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("polyida.show.figure_files.cores", lambda: 1)  # one process draws
+        for name, arguments in REPORTS.items():
+            assert main([*arguments, "--out", str(folder / name)]) == 0
     return {name: folder / name / "report.html" for name in REPORTS}
 
 
