@@ -85,7 +85,7 @@ INTEGRATORS = {  # with a tolerance
 )
 def test_a_skate_on_a_slope_draws_cycloids(kind, name):
     """Neimark and Fufaev (1972): x = g / (2 w^2) sin^2(w t), y = g / (2 w^2) (w t - sin(2 w t) / 2)."""
-    (integrator, tolerance), w, t = INTEGRATORS[name], 1.5, 1.0
+    (integrator, tolerance), w, t = INTEGRATORS[name], 1.5, 0.5
     run = pi.solve(kind(), t, integrator, v0=[0.0, 0.0, w])
     assert run.success, run.message
     expected = [np.sin(w * t) ** 2 / w**2, (w * t - np.sin(2 * w * t) / 2) / w**2, w * t]
@@ -97,10 +97,10 @@ def test_a_skate_on_a_slope_draws_cycloids(kind, name):
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_a_disc_on_a_belt(name):
     """The belt's acceleration a gives the disc a third of it."""
-    (integrator, tolerance) = INTEGRATORS[name]
-    run = pi.solve(Disc(), 1.0, integrator, q0=[0.0, 0.1, 0.0])
+    (integrator, tolerance), t = INTEGRATORS[name], 0.5
+    run = pi.solve(Disc(), t, integrator, q0=[0.0, 0.1, 0.0])
     assert run.success, run.message
-    assert np.abs(run.q[-1] - [0.1 * 0.5, 0.1, 0.2 / 0.1 * 0.5]).max() < tolerance
+    assert np.abs(run.q[-1] - [0.1 * 0.5 * t**2, 0.1, 0.2 / 0.1 * 0.5 * t**2]).max() < tolerance
     assert np.abs(run.lam[-1] - [-2.0 * 9.81, -2.0 * 0.1]).max() < 100 * tolerance
     assert run.drift.max() < 1e-7
 

@@ -74,17 +74,17 @@ def outcome(path, whole):
 
 def test_no_flipped_bit_changes_what_is_loaded(path, good, whole):
     draw, outcomes = random.Random(3), []
-    for _ in range(80):
+    for _ in range(40):
         flipped(path, good, draw.randrange(len(good)), draw.randrange(8))
         outcomes.append(outcome(path, whole))
-    assert set(outcomes) == {"refused", "before", "whole"} and outcomes.count("before") > 25
+    assert set(outcomes) == {"refused", "before", "whole"} and outcomes.count("before") > 12
 
 
 def test_the_structure_of_a_file_is_guarded_too(path, good, whole):
     """The scene, the settings and HDF5's own bookkeeping lie in the first part of the file."""
     draw = random.Random(4)
-    outcomes = [flipped(path, good, draw.randrange(30_000), draw.randrange(8)) or outcome(path, whole) for _ in range(60)]
-    assert outcomes.count("refused") > 10
+    outcomes = [flipped(path, good, draw.randrange(30_000), draw.randrange(8)) or outcome(path, whole) for _ in range(30)]
+    assert outcomes.count("refused") > 5
 
 
 @pytest.mark.parametrize("name", FRAMES)
@@ -126,17 +126,17 @@ class Wide(pi.Model):
 def test_a_coordinate_s_history_is_read_without_the_others(tmp_path):
     """A frame lies in three chunks; what one of them has lost is told when it is asked for."""
     path = tmp_path / "wide.h5"
-    whole = pi.solve(Wide(), 0.05, pi.GeneralizedAlpha(h=1e-3), out=path)
+    whole = pi.solve(Wide(), 0.033, pi.GeneralizedAlpha(h=1e-3), out=path)
     with h5py.File(path, "r") as file:
         assert file["q"].chunks == (16, 834)
         at = [file["q"].id.get_chunk_info_by_coord((16, first)).byte_offset for first in (0, 834, 1668)]
     flipped(path, path.read_bytes(), at[1] + 20)
     assert len(pi.load(path)) == 16
     run = pi.load(path, memory_limit=0, check=False)
-    assert run.status == "done" and len(run) == 51
+    assert run.status == "done" and len(run) == 34
     for columns in (0, 833, 1668, -1, slice(1668, None, 2), [2400, 2000], slice(7, 3)):
         assert np.array_equal(run.q[:, columns], whole.q[:, columns])
-        assert np.array_equal(run.q[40:10:-3, columns], whole.q[40:10:-3, columns])
+        assert np.array_equal(run.q[30:5:-3, columns], whole.q[30:5:-3, columns])
     for key in ((slice(None), 834), (slice(None), [2000, 5]), 17):
         with pytest.raises(pi.InputError, match="wide.h5: frames .* are damaged"):
             run.q[key]
