@@ -65,7 +65,7 @@ model = scene.build()
 integrators = {
     "alpha": pi.GeneralizedAlpha(h=5e-4),
     "Radau": pi.RadauIIA(rtol=1e-7),
-    "IDA": pi.IDA(rtol=1e-7),
+    "IDA": pi.IDA(rtol=1e-6),
     "energy": pi.EnergyMomentum(h=5e-4),
 }
 ends = {}

@@ -63,7 +63,7 @@ drag = lambda bar: Drag(bar.section("right"), c=0.4, name="drag")  # noqa: E731
 
 model = scene(magnet, drag)
 assert max(pi.check_derivatives(model).values()) < 1e-6
-ends = [pi.solve(model, 0.1, integrator).position("tip")[-1] for integrator in (pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9))]
+ends = [pi.solve(model, 0.1, integrator).position("tip")[-1] for integrator in (pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-6, atol=1e-8))]
 assert np.abs(ends[0] - ends[1]).max() < 5e-5, ends
 
 # a force with an energy conserves; the energy of the whole counts it
