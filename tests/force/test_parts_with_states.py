@@ -127,7 +127,7 @@ def test_gradients_in_gains(integrator):
     goal = pi.objective.Deviation("rim", lambda t: (np.cos(0.5), np.sin(0.5)))
 
     def run(**changes):
-        return pi.solve(rotor(pi.PID, target=0.5, filter=0.02, **(gains | changes)), END, integrator)
+        return pi.solve(rotor(pi.PID, target=0.5, filter=0.02, **(gains | changes)), 0.4, integrator)
 
     result = pi.gradient(run(), goal, parameters=names)
     for name, value in gains.items():

@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 
-KINK, END = 0.05, 0.1
+KINK, END = 0.05, 0.08
 FIXED = {
     "index3": dict(),
     "stabilised": dict(form="stabilised"),

@@ -114,7 +114,7 @@ def on_head(model):
     return down
 
 
-@pytest.mark.parametrize("lean", [0.01, 0.1, 0.3])
+@pytest.mark.parametrize("lean", [0.01, 0.3])
 def test_a_rigid_bar_that_leans_gives_way_at_its_closed_form(lean):
     """`P = k L (1 - sin a0 / sin a) cos a`, at most `k L (1 - sin^(2/3) a0)^(3/2)`: all stiffness of the bar is that of multipliers."""
     model = leaning(lean)

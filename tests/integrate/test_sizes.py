@@ -8,7 +8,7 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.state import State
 from polyida.study.references import explicit
 
-LADDER = np.array([1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
+LADDER = np.array([1e-3, 1e-5, 1e-7])
 
 
 def slope(errors, ladder=LADDER):

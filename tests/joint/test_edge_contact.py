@@ -268,7 +268,7 @@ def test_sections_of_a_rigid_plate_are_edges_of_a_body(of_plate_first):
         sides = side, low.edges("c", "d")
         scene.add(pi.Contact(*sides[:: 1 if of_plate_first else -1], friction=0.3, name="hit"))
         scene.add(pi.Clamp(low.at("a"), name="held"))
-        run = pi.solve(scene.build(), 0.15, pi.NonsmoothAlpha(h=1e-3))
+        run = pi.solve(scene.build(), 0.08, pi.NonsmoothAlpha(h=1e-3))
         assert run.success and {one.name for one in run.events} == {"hit"}, run.message
         ways.append(run.position(high.at("center")))
         rows = run.model.rows["hit"]

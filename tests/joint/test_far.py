@@ -48,7 +48,7 @@ def test_a_scene_far_away_moves_as_one_at_the_origin(kind, integrator, scenes, u
 
     def path(**options):
         model = scenes.jointed(kind, angle, bend=0.0, **options).build()
-        run = pi.solve(model, 0.05, integrator)
+        run = pi.solve(model, 0.03, integrator)
         assert run.success
         return run.position("tip")[-1]
 

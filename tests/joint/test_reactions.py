@@ -149,7 +149,7 @@ def test_slopes_of_reactions(kind, method):
     scene.add(joint)
     scene.add(pi.PointMass(bar.at("other"), 0.5, name="load"))
     scene.add(pi.PointLoad(bar.at("other"), (3.0, -2.0), pi.profile.sine(1.0, 2.0, 0.4), name="push"))
-    run = pi.solve(scene.build(), 0.1, INTEGRATORS[method])
+    run = pi.solve(scene.build(), 0.06, INTEGRATORS[method])
     for unit in {"fm": ("N", "N m"), "m": ("N m",)}.get(components, ("N",)):
         errors = pi.check_gradient(run, pi.objective.PeakReaction(joint, p=2, unit=unit))
         assert errors and max(errors.values()) < 1e-5, (unit, errors)
