@@ -188,6 +188,16 @@ def closed_figures():
 
 
 @pytest.fixture
+def pages_alone(monkeypatch):
+    """One process draws, and for reports' pages alone: the PNG and PDF files beside them are empty, which saves two thirds of the time."""
+    from polyida.show import figure_files
+
+    rendered = figure_files.rendered
+    monkeypatch.setattr(figure_files, "rendered", lambda figure, kind: rendered(figure, kind) if kind == "svg" else b"")
+    monkeypatch.setattr(figure_files, "cores", lambda: 1)
+
+
+@pytest.fixture
 def heeds_ctrl_c():
     """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -97,11 +97,10 @@ def build():
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    """An empty folder to stand in; one process draws, which is enough but for `compared`."""
+def folder(tmp_path, monkeypatch, pages_alone):
+    """An empty folder to stand in; pictures are those of pages, which is enough but for `compared`."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("polyida.show.figure_files.cores", lambda: 1)
     (tmp_path / "scene.py").write_text(SCENE)
     return tmp_path
 

@@ -35,11 +35,10 @@ if __name__ == "__main__":
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    """An empty folder to stand in; one process draws."""
+def folder(tmp_path, monkeypatch, pages_alone):
+    """An empty folder to stand in."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr("polyida.show.figure_files.cores", lambda: 1)
     return tmp_path
 
 

@@ -20,14 +20,20 @@ def rendered_here(monkeypatch):
 ALL_KINDS = {*KINDS, "csv"}
 
 
-def test_the_second_process_gives_the_same_files(two_cores, rendered_here, runs):
+def test_the_second_process_gives_the_same_files_and_its_errors_are_raised_here(two_cores, rendered_here, runs):
+    wrong = plots.energy(runs)
+    wrong.axes[0].set_title(r"$\nothing{$")
     with FigureWriter() as writer:
         writer.wait_until_ready()
         writer.add("drift", plots.drift(runs))
         assert set(writer.figures) == {"drift"}
         writer.futures["drift"].result()
         files = writer.files()
-    assert not rendered_here and set(files) == {"drift"} and set(files["drift"]) == ALL_KINDS
+        assert not rendered_here and set(files) == {"drift"} and set(files["drift"]) == ALL_KINDS
+        writer.add("wrong", wrong)
+        assert writer.futures["wrong"].exception()
+        with pytest.raises(ValueError, match="nothing"):
+            writer.files()
     figure = plots.drift(runs)
     assert files["drift"] == {kind: style.rendered(figure, kind) for kind in KINDS} | {"csv": csv(figure).encode()}
 
@@ -40,12 +46,3 @@ def test_with_one_core_this_process_renders(monkeypatch, rendered_here, runs):
         assert writer.pool is None
         assert set(writer.files()) == {"energy"}
     assert rendered_here == [*KINDS]
-
-
-def test_the_error_of_a_figure_is_raised_here(two_cores, runs):
-    figure = plots.energy(runs)
-    figure.axes[0].set_title(r"$\nothing{$")
-    with FigureWriter() as writer, pytest.raises(ValueError, match="nothing"):
-        writer.add("wrong", figure)
-        assert writer.futures["wrong"].exception()
-        writer.files()

@@ -166,9 +166,8 @@ def test_estimated_errors_stand_beside_the_measured_ones():
     assert "phase is lost" in found.estimates[0]
 
 
-def test_the_command_prints_and_reports_estimated_errors(tmp_path, capsys, monkeypatch):
+def test_the_command_prints_and_reports_estimated_errors(tmp_path, capsys, monkeypatch, pages_alone):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("polyida.show.figure_files.cores", lambda: 1)
     words = ["compare", "pendulum", "--time", "0.2", "--integrators", "alpha", "--errors", "--out", str(tmp_path / "report")]
     assert main(words) == 0
     assert "at the end, estimated" in capsys.readouterr().out

@@ -263,7 +263,7 @@ def command(study, rows, folder, monkeypatch):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
+def test_all_rows_failed(name, tmp_path, monkeypatch, capsys, pages_alone):
     study = STUDIES[name]
     rows = [task | BROKEN for task in study.tasks(True)]
     with pytest.raises(SystemExit, match="failed"):

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from polyida.cli.commands import main
+from polyida.show import figure_files
 
 REPORTS = {
     "double-plate": ["compare", "double-plate", "--cells", "8", "--time", "0.05"],
@@ -32,8 +33,10 @@ CONTRAST = """(() => {
 def reports(tmp_path_factory):
     """{name: path of its report.html}."""
     folder = tmp_path_factory.mktemp("reports")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("polyida.show.figure_files.cores", lambda: 1)  # one process draws
+    rendered = figure_files.rendered
+    with pytest.MonkeyPatch.context() as patch:  # one process draws, and what is in the page alone
+        patch.setattr(figure_files, "rendered", lambda figure, kind: rendered(figure, kind) if kind == "svg" else b"")
+        patch.setattr(figure_files, "cores", lambda: 1)
         for name, arguments in REPORTS.items():
             assert main([*arguments, "--out", str(folder / name)]) == 0
     return {name: folder / name / "report.html" for name in REPORTS}
