@@ -97,18 +97,6 @@ def test_stiff_plates_take_no_more_steps_than_soft_ones(E):
     assert np.abs(run.q[-1] - right.q[-1]).max() < 1e-3
 
 
-def test_steps_do_not_depend_on_the_unit_of_mass():
-    """Multipliers are not in the error estimate, however large they are."""
-
-    def steps(mass):
-        scene = pi.Scene(gravity=(0.0, -9.81))
-        bar = scene.add(pi.RigidBody.bar(1.0, mass))
-        scene.add(pi.Revolute(pi.ground, bar.at("left")))
-        return pi.solve(scene.build(), 0.5, IDA(rtol=1e-5)).counts.steps
-
-    assert steps(2.0**60) == steps(1.0)
-
-
 class Swung(Model):
     """A mass on a rod whose end is driven along x, with friction; its inertia changes on the way."""
 
@@ -200,14 +188,10 @@ def test_the_correction_is_that_of_the_slope_of_the_residual(name, form):
 @pytest.mark.parametrize(
     "name, form, tolerance, of_q, of_lam",
     [
-        ("pendulum", "ggl2", 1e-6, 2e-3, 2e-2),
-        ("pendulum", "ggl1", 1e-6, 1e-3, 2e-2),
         ("pendulum", "ggl2", 1e-8, 3e-5, 3e-4),
         ("pendulum", "ggl1", 1e-8, 2e-5, 3e-4),
         ("car-axis", "ggl2", 1e-8, 1e-6, 1e-7),
         ("car-axis", "ggl1", 1e-8, 2e-6, 1e-7),
-        ("andrews", "ggl2", 1e-6, 1.5e-3, 1e-1),
-        ("andrews", "ggl1", 1e-6, 1.5e-3, 1e-1),
         ("andrews", "ggl2", 1e-8, 2e-5, 2e-3),
         ("andrews", "ggl1", 1e-8, 2e-5, 2e-3),
     ],
@@ -247,15 +231,15 @@ def test_no_very_short_step_is_left_before_the_times_at_which_steps_end(speed):
     assert np.abs(run.reaction("motor")[:, 0] - 4.905 * np.cos(speed * run.t)).max() < 1e-2
 
 
-def test_a_heavy_scene_moves_in_the_same_steps():
-    """Of 1e15 kg the forces in the hinge are 1e16 N."""
+def test_steps_do_not_depend_on_the_unit_of_mass():
+    """Multipliers are not in the error estimate, however large they are: with 2^60 kg the forces in the hinge are 1e19 N."""
     runs = []
-    for mass in (1.0, 1e15):
+    for mass in (1.0, 2.0**60):
         scene = pi.Scene(gravity=(0.0, -9.81))
         bar = scene.add(pi.RigidBody.bar(1.0, mass))
         scene.add(pi.Revolute(pi.ground, bar.at("left")))
         runs.append(pi.solve(scene.build(), 1.0, pi.IDA(rtol=1e-6)))
-    assert abs(runs[0].steps - runs[1].steps) <= 2 and np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-8
+    assert runs[0].steps == runs[1].steps and np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-8
 
 
 @pytest.mark.parametrize(

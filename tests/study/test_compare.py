@@ -53,7 +53,7 @@ def test_published_digits_judge_every_run_of_a_problem_that_has_them():
 def test_energy_gained_is_the_work_of_the_motors():
     run = solve(plates.double_plate_motors(cells=8).build(), 1.0, GeneralizedAlpha(h=1e-3))
     gained = run.energy.total[-1] - run.energy.total[0]
-    assert motor_work(run)[-1] == pytest.approx(gained, rel=1e-3)
+    assert gained > 60.0 and motor_work(run)[-1] == pytest.approx(gained, rel=1e-3)
     assert abs(unbalanced(run)[-1]) < 1e-3 * gained
 
 
