@@ -1,5 +1,6 @@
 """Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
 
+import gc
 import math
 import os
 import signal
@@ -42,6 +43,11 @@ def pytest_sessionstart(session):
     if not hasattr(session.config, "workerinput"):
         started = [subprocess.Popen([sys.executable, Path(__file__).parent / "warm_up.py", name]) for name in ("alpha", "radau")]
         assert [process.wait() for process in started] == [0] * len(started)
+
+
+def pytest_sessionfinish():
+    """Keep pytest from looking for garbage at its end: among some millions of objects, most of them of the compiler, that takes seconds."""
+    gc.freeze()
 
 
 def mesh(cells=20):
