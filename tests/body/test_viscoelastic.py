@@ -86,7 +86,7 @@ def spinning(prony=TERMS, **changes):
 
 def test_energy_and_dissipated_work_in_the_energy_momentum_method():
     model = spinning().build()
-    run, h = pi.solve(model, 10.0, pi.EnergyMomentum(h=0.01)), 0.01
+    run, h = pi.solve(model, 4.0, pi.EnergyMomentum(h=0.01)), 0.01
     body, strains, dissipated = model.bodies[0], model.strains["plate"], 0.0
     operator, c1, nu = body.operator, model.arrays.plates.body_c1[0], model.arrays.plates.body_nu[0]
     for (q0, v0), (q1, v1) in pairwise(zip(np.asarray(run.q), np.asarray(run.v))):

@@ -98,7 +98,7 @@ def test_stiff_states_on_and_off_their_manifold(begin):
 
 def test_energy_and_dissipated_work_in_the_energy_momentum_method():
     model = on_rail(CompiledMaxwell).build()
-    run = pi.solve(model, 10.0, pi.EnergyMomentum(h=0.01))
+    run = pi.solve(model, 4.0, pi.EnergyMomentum(h=0.01))
     energy, dissipated = run.energy.total, 0.0
     element, x, s = model.parts["element"], run.position("c"), run.states("element")
     for k in range(len(run) - 1):  # in a step the state changes the energy at the mean place
