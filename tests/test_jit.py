@@ -34,10 +34,10 @@ def test_each_call_of_a_kernel_finds_the_code_of_its_types():
     x, ones = np.arange(4.0), np.ones(4)
     fixed = x.copy()
     fixed.flags.writeable = False
-    calls = [(weights, x, 2.0) for weights in (ones, np.ones(4, np.int64), np.arange(8.0)[::2])]
+    calls = [(ones, x, factor) for factor in (2, 2.5, np.float32(2.0), np.float64(2.0), True, 1j)]
+    calls += [(weights, x, 2.0) for weights in (ones, np.ones(4, np.int64), np.arange(8.0)[::2])]
     calls += [(ones, values, 2.0) for values in (x.astype(np.float32), x.astype(np.int64), 1j * x, np.repeat(x, 2)[::2], fixed)]
     calls += [(ones, np.repeat(x, 2).reshape(4, 2)[:, 0], 2.0)]
-    calls += [(ones, x, factor) for factor in (2, np.float32(2.0), np.float64(2.0), True, 1j)]
     for weights, values, factor in calls + calls:
         assert total(Row(weights), values, factor) == factor * (weights @ values)
 
