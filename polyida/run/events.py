@@ -207,7 +207,10 @@ class Happenings:
 
     def value(self, event, state):
         """The value of an event's function. Raises InputError unless it is a finite number."""
-        value = event.when(self._moment(state))
+        try:
+            value = event.when(self._moment(state))
+        except InputError as error:  # such as an unknown name
+            raise InputError(f"{event.name}: when: {error}") from error
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
         if not is_number(value):
             raise InputError(f"{event.name}: when gave {value!r:.60} at t = {state.t:.9g} s; it must give a finite number")
