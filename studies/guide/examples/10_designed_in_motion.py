@@ -100,7 +100,7 @@ print(f"mean square deviation on densities: {deviation[0]:.3g} -> {deviation[-1]
 
 solid = pi.design.threshold(mesh, densities(x, 16)[0], at=0.25, keep=["left"], hanging="leave out")
 fig, (shape, motion) = plt.subplots(2, 1, figsize=(6.4, 4.6), layout="constrained")
-solid.plot(axes=shape).set_title("designed in motion")
+solid.plot(axes=shape).set_title("designed in motion", loc="right")
 for name, plate in (("the whole plate, thinner", mesh), ("designed in motion", solid)):
     run = pi.solve(machine(plate, thickness=0.01 * VOLUME * mesh.area / plate.area), 0.5, pi.GeneralizedAlpha(h=1e-3))
     off = run.position("tip") - np.array([[np.cos(turn.at(t)[0]), np.sin(turn.at(t)[0])] for t in run.t])
