@@ -210,8 +210,8 @@ class Constraints(Model):
         """One of `named`. Raises InputError for another name."""
         named = self.named
         if name not in named:
-            has = "has no place of its own; give one of a body" if name in self.parts else "is no mass, load or joint"
-            raise InputError(f"{name!r} {has}; known: {', '.join(map(repr, named))}")
+            has = "has no single point; give an attachment of a body" if name in self.parts else "is the name of no mass, load or joint"
+            raise InputError(f"{name!r} {has}; known names: {', '.join(map(repr, named)) or 'none'}")
         return named[name]
 
     def pairs_and_weights(self, side, part="point"):

@@ -421,7 +421,7 @@ def test_wrong_inputs():
         (lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=lambda s: "x")]), "when gave 'x'"),
         (
             lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=lambda s: s.position("tipp")[0], name="catch")]),
-            "catch: when: 'tipp' is no mass, load or joint",
+            "catch: when: 'tipp' is the name of no mass, load or joint",
         ),
         (lambda: pi.solve(model, 1.0, method, events=[pi.Event(when=up, name="a"), pi.Event(when=up, name="a")]), "must differ"),
         (lambda: pi.solve(Ball(), 1.0, method, events=[pi.Event(when=up, then=pi.Remove("pin"))]), "is for scenes; Ball has no parts"),
