@@ -211,8 +211,7 @@ class Sampler:
         while self.next < len(self.output) and self.output[self.next] <= stretch.t[-1]:
             t = self.output[self.next]
             k = int(np.searchsorted(stretch.t, t))
-            state = between(stretch.state(k - 1) if k else before, stretch.state(k), t)
-            self.keep(state if self.model is None or stretch.t[k] == t else on_drives(self.model, state))
+            self.keep(within(self.model, stretch.state(k - 1) if k else before, stretch.state(k), t))
             self.next += 1
 
     def keep(self, state):
@@ -220,6 +219,12 @@ class Sampler:
         if state is not self.last_frame:
             self.store.extend(Stretch.of(state))
             self.last_frame = state
+
+
+def within(model, before, after, t):
+    """The State at t between two accepted ones, or one of these, on driven constraints of a model that is not None."""
+    state = between(before, after, t)
+    return state if model is None or t in (before.t, after.t) else on_drives(model, state)
 
 
 def leading(good):
@@ -241,10 +246,13 @@ def require_of_state(what, function, model):
 
 
 class Until:
-    """Detects a change of sign of f(t, q, v) from step to step. Raises InputError if f returns no finite number."""
+    """Detects a change of sign of f(t, q, v) from step to step. Raises InputError if f returns no finite number.
 
-    def __init__(self, model, function, state):
-        self.model, self.function = model, function
+    driven: the model whose driven constraints a state between two steps satisfies, as of Sampler.
+    """
+
+    def __init__(self, model, function, state, driven=None):
+        self.model, self.function, self.driven = model, function, driven
         self.sign = np.sign(self._value(state))
         self.quiet(Stretch.of(state))  # raises InputError if numba cannot compile it
 
@@ -263,8 +271,10 @@ class Until:
             return after
         from scipy.optimize import brentq
 
-        at = brentq(lambda t: self._value(between(before, after, t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps)
-        return between(before, after, at)
+        def at(t):
+            return within(self.driven, before, after, t)
+
+        return at(brentq(lambda t: self._value(at(t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps))
 
     def _value(self, state):
         t, *vectors = seen_by(self.function, self.model, state)

@@ -98,7 +98,7 @@ class Run:
 
         States of a part are looked at one by one only if `until` or a sensor must be.
         """
-        until = Until(self.known, self.until, state) if self.until else None
+        until = Until(self.known, self.until, state, self.sampler.model) if self.until else None
         needs = self.known.needs
         if self.happenings:
             stretches = self.happenings.stretches(state, self.plan["t_end"], self.counts)

@@ -92,8 +92,8 @@ def solve(
         Increasing times. The frames are then exactly those, interpolated within the accepted steps: q cubic from q and v, v its derivative,
         a and lam linear. Between steps of rigid bodies with driven constraints q and v are then put on these, with consistent a and lam.
     until : function f(t, q, v) or f(t, q, v, x) -> float, optional
-        The run stops, with status "stopped", where f changes sign; x (k,) are the first-order states. That time is located on the same
-        interpolation and is the last frame.
+        The run stops, with status "stopped", where f changes sign from one step to the next; x (k,) are the first-order states. That time
+        is located on the same interpolation, driven constraints included, and is the last frame.
     events : list of Event, optional
         They change the model or the velocities where a function of the state changes its sign; `run.events` has those that happened. Both
         sides of an event are frames of the same time, unless `output` is given. lam has a column for each row of phi that ever acts, 0

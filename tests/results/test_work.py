@@ -228,6 +228,19 @@ def test_between_long_steps_a_driven_motion_is_on_its_drive(integrator):
         assert one.energy.work["motor"][-1] == pytest.approx(0.5 * 9.81 * np.sin(2.0), rel=5e-4)
 
 
+@pytest.mark.parametrize("integrator", [pi.RadauIIA(rtol=1e-7), pi.IDA(rtol=1e-6)], ids=lambda one: type(one).__name__)
+def test_until_stops_a_driven_motion_on_its_drive(integrator):
+    """A point that is led along (t^2 / 2, a sin wt): the drives determine all, so the last frame and its time are exact."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    body = scene.add(pi.RigidBody(2.0, 0.1, {"c": (0.0, 0.0)}))
+    scene.add(pi.PrescribedPosition(body.at("c"), pi.profile.polynomial([0.0, 0.0, 0.5]), pi.profile.sine(0.1, 2.0), name="path"))
+    w = 4.0 * np.pi
+    for level, t in ((lambda t, q, v: q[0] - 0.05, np.sqrt(0.1)), (lambda t, q, v: q[1] - 0.05, np.arcsin(0.5) / w)):
+        run = pi.solve(scene.build(), 0.8, integrator, until=level)
+        assert run.status == "stopped" and abs(run.t[-1] - t) < 1e-12 and run.drift[-1] < 1e-12
+        assert np.allclose(run.reaction("path")[-1], [2.0, 2.0 * (9.81 - 0.1 * w * w * np.sin(w * t))], rtol=0.0, atol=1e-9)
+
+
 def test_energy_that_grows_in_impacts_is_told_in_the_summary():
     """A stiff plate that falls flat on the ground, in steps much longer than a wave needs through a cell."""
     scene, stiff = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=1e10, nu=0.3, rho=1000.0)
