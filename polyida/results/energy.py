@@ -1,8 +1,9 @@
 """Energies of a run over time, work of its parts and dissipation.
 
 Work is the time integral of powers over a motion that is known at its frames. Between two frames, and kinks of profiles there, powers
-are evaluated at the three Gauss points of the cubic Hermite motion through q and v, which is put on driven constraints. With an error e of that motion, which is zero at both ends, a
-force misses `int F . e' = -int F' . e`: fourth order in the time between frames, and nothing where F is constant.
+are evaluated at the three Gauss points of the cubic Hermite motion through q and v. If it leaves driven constraints, it is put on these, and parts of
+that time get points of their own. With an error e of that motion, which is zero at both ends, a force misses
+`int F . e' = -int F' . e`: fourth order in the time between frames, and nothing where F is constant.
 """
 
 from dataclasses import dataclass, field
@@ -22,6 +23,7 @@ from polyida.reprs import brief
 from polyida.results.motion import Motion
 
 GAUSS = tuple(zip(0.5 + 0.5 * np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0]), np.array([5.0, 8.0, 5.0]) / 18.0))  # (place, weight)
+FINE, HALVINGS = 1e-6, 8  # of works between two frames, of a motion that is put on its drives
 NEAR = 1e-3  # of the time between the frames beside them: two frames that are closer have one slope
 SAME = 1e-12  # of the times' size: a kink that is nearer to a frame is at it
 
@@ -57,10 +59,7 @@ def _works_of(motion, settled):
         h = t[k + 1] - t[k]
         if k in behind:
             v0, _, gained[k + 1] = behind[k]
-        for s, part in kinks.points(k):
-            q, v = cubic(q0, v0, q1, v1, h, s)
-            lam, _ = cubic(*multipliers[k], h, s)
-            gained[k + 1] += part * h * powers(t[k] + s * h, *settled(motion.model, t[k] + s * h, q, v, lam))
+        gained[k + 1] += _Interval(motion.model, powers, settled, t[k], h, (q0, v0, q1, v1), multipliers[k]).work(kinks.within(k))
     return dict(zip(powers.names, np.cumsum(gained, axis=0).T))
 
 
@@ -102,10 +101,48 @@ class _Kinks:
             self._within.setdefault(k - 1, []).append((time - t[k - 1]) / (t[k] - t[k - 1]))
         self.ends = sorted({0, len(t) - 1, *self.frames, *self._within, *(k + 1 for k in self._within)})
 
-    def points(self, k):
-        """(place, weight) of Gauss points between frame k and the next, in parts of the time between them."""
-        for first, last in pairwise((0.0, *self._within.get(k, ()), 1.0)):
-            yield from ((first + s * (last - first), weight * (last - first)) for s, weight in GAUSS)
+    def within(self, k):
+        """Places of kinks between frame k and the next, in parts of the time between them."""
+        return self._within.get(k, ())
+
+
+class _Interval:
+    """The motion between two frames.
+
+    ends: q and v at both; multipliers: lam and its slopes there. Where it leaves its drives, all of it is put on these, and its work is
+    computed over halves, quarters, ... of the time, until it changes by less than FINE of the powers' size, HALVINGS times at most.
+    """
+
+    def __init__(self, model, powers, settled, t, h, ends, multipliers):
+        self.model, self.powers, self.settled, self.t, self.h, self.ends, self.multipliers = model, powers, settled, t, h, ends, multipliers
+
+    def work(self, kinks):
+        """Works, J. kinks: their places, in parts of the time."""
+        return sum(self._work(*part) for part in pairwise((0.0, *kinks, 1.0)))
+
+    def _work(self, first, last):
+        works, _, leaves = self._gauss(first, last)
+        return self._halved(first, last, *self._gauss(first, last, gap=0.0)[:2], HALVINGS) if leaves else works
+
+    def _halved(self, first, last, works, size, halvings):
+        middle = 0.5 * (first + last)
+        halves = [(*part, *self._gauss(*part, gap=0.0)[:2]) for part in ((first, middle), (middle, last))]
+        both = halves[0][2] + halves[1][2]
+        if not halvings or (np.abs(both - works) <= FINE * size).all():
+            return both
+        return sum(self._halved(*half, halvings - 1) for half in halves)
+
+    def _gauss(self, first, last, **gap):
+        """Works and their sizes by three Gauss points, and True if the motion was put on its drives at one of them."""
+        works, size, leaves = 0.0, 0.0, False
+        for place, weight in GAUSS:
+            s, part = first + place * (last - first), weight * (last - first) * self.h
+            q, v = cubic(*self.ends, self.h, s)
+            lam, _ = cubic(*self.multipliers, self.h, s)
+            state = self.settled(self.model, self.t + s * self.h, q, v, lam, **gap)
+            power = part * self.powers(self.t + s * self.h, *state)
+            works, size, leaves = works + power, size + np.abs(power), leaves or state[0] is not q
+        return works, size, leaves
 
 
 def _behind(motion, powers, k):
@@ -148,7 +185,7 @@ class Energy:
     _events: Any = field(default=(), repr=False)  # Events
     _settled: Any = field(
         default=None, repr=False
-    )  # function (model, t, q, v, lam) -> (q, v, lam) of an interpolated state on its constraints
+    )  # function (model, t, q, v, lam, gap) -> (q, v, lam) of an interpolated state on its constraints
 
     __repr__ = brief
 
@@ -185,7 +222,8 @@ class Energy:
         `total - total[0] = sum of work - sum of dissipated` for the exact motion. It is the integral over the cubic Hermite motion through
         q and v of the frames, by three Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
         order in the time between frames: with `every=` or `output=` that is the time between the frames that are stored. Multipliers are
-        interpolated with slopes from their neighbours; those of driven rigid bodies are computed there. Vibrations between two frames are
+        interpolated with slopes from their neighbours. Driven rigid bodies are put on their drives between frames, with multipliers that are
+        computed there, at as many points as their work needs. Vibrations between two frames are
         missed. The impulse of a motor whose speed jumps is included if a frame is at that kink. A user's model needs `powers`.
         """
         return {name: work for name, work in self._works.items() if name not in self._dissipating}

@@ -228,6 +228,17 @@ def test_between_long_steps_a_driven_motion_is_on_its_drive(integrator):
         assert one.energy.work["motor"][-1] == pytest.approx(0.5 * 9.81 * np.sin(2.0), rel=5e-4)
 
 
+def test_the_work_of_a_drive_that_turns_back_between_two_frames():
+    """A point on (t^2 / 2, a sin wt) in six steps, the longest of which has most of a period: m (v^2 / 2 + g y) and its change."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    body = scene.add(pi.RigidBody(2.0, 0.1, {"c": (0.0, 0.0)}))
+    scene.add(pi.PrescribedPosition(body.at("c"), pi.profile.polynomial([0.0, 0.0, 0.5]), pi.profile.sine(0.1, 2.0), name="path"))
+    run = pi.solve(scene.build(), 0.8, pi.RadauIIA(rtol=1e-7))
+    w = 4.0 * np.pi
+    energy = run.t**2 + (0.1 * w * np.cos(w * run.t)) ** 2 + 2.0 * 9.81 * 0.1 * np.sin(w * run.t)
+    assert len(run) < 10 and np.abs(run.energy.work["path"] - (energy - energy[0])).max() < 1e-4
+
+
 @pytest.mark.parametrize("integrator", [pi.RadauIIA(rtol=1e-7), pi.IDA(rtol=1e-6)], ids=lambda one: type(one).__name__)
 def test_until_stops_a_driven_motion_on_its_drive(integrator):
     """A point that is led along (t^2 / 2, a sin wt): the drives determine all, so the last frame and its time are exact."""
