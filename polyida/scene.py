@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.assembly.build import attached_sides
+from polyida.assembly.build import attached_sides, own_sides
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body, points_of, sticks_between
@@ -17,7 +17,7 @@ from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element, sides_of
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.joint.attachment import Attachment, Ground, OwnPart
+from polyida.joint.attachment import Ground, OwnPart
 from polyida.joint.joint import Joint
 from polyida.profile import Profile, as_profile
 from polyida.reprs import counted, cut, settings, short, table
@@ -215,7 +215,7 @@ def _places_of(name, part):
         return np.array(
             [side.rest if side.at is None else side.at.point for side in sides_of(name, part) if side.at or side.part == "point"]
         )
-    sides = [side for side in (getattr(part, key, None) for key in ("a", "b", "at")) if isinstance(side, (Ground, Attachment))]
+    sides = own_sides(part)
     held = next((side for side in sides if side.body), None)
     return np.array([(side.facing(held) if isinstance(side, Ground) else side).point for side in sides] if held else np.zeros((0, 2)))
 

@@ -247,12 +247,14 @@ def of_kind(parts, *kinds):
     return {name: part for name, part in parts.items() if isinstance(part, kinds)}
 
 
+def own_sides(part):
+    """The attachments and places of the ground in the fields a, b and at of a part."""
+    return [side for side in (getattr(part, key, None) for key in ("a", "b", "at")) if isinstance(side, Attachment | Ground)]
+
+
 def attached_sides(name, part):
     """The attachments that a part holds on to."""
-    if isinstance(part, ForceElement):
-        sides = [side.at for side in sides_of(name, part)]
-    else:
-        sides = [getattr(part, key, None) for key in ("a", "b", "at")]
+    sides = [side.at for side in sides_of(name, part)] if isinstance(part, ForceElement) else own_sides(part)
     return [side for side in sides if isinstance(side, Attachment)]
 
 

@@ -37,7 +37,10 @@ def writes(part, base, function):
 
 
 def compiled_functions(part, base, *names):
-    """Return {name: Python function that numba will compile} of those that a class overrides; empty without `@pi.compiled`, or if one needs Python."""
+    """Return {name: function that numba will compile} of those that a class overrides.
+
+    Empty without `@pi.compiled`, or if one of them calls functions that need Python.
+    """
     from polyida.jit.owner_data import OwnData
 
     functions = {name: getattr(type(part), name) for name in names if writes(part, base, name)}
@@ -296,7 +299,7 @@ def points_of(body):
 
 
 def sticks_between(points):
-    """Segments (segments, 2, 2) between points (k, 2) in the order of their angles about the mean, by which a body without a mesh is drawn."""
+    """Segments (segments, 2, 2) that draw a body without a mesh: between its points (k, 2), in the order of their angles about the mean."""
     angles = np.arctan2(*(points - points.mean(axis=0)).T[::-1]) if len(points) else np.zeros(0)
     points = points[np.argsort(angles)]
     return np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None]

@@ -248,10 +248,10 @@ def _searched(solids, meshes, changes):
 
 
 def _step(edges, best, found, spoiled, share, trust, uppers, first):
-    """Choose the cells to remove or add by an integer linear programme: (a mask for each plate, predicted changes of the limits over their uppers).
+    """Choose the cells to remove or add by an integer linear programme.
 
-    None if no choice promises a gain. spoiled: cells that must stay as they are; share: largest changed area over the present one; trust: factor
-    of each limit's slopes; first: scale of the objective.
+    Returns (a mask for each plate, predicted changes of the limits over their uppers); None if no choice promises a gain. spoiled: cells that
+    must stay as they are; share: largest changed area over the present one; trust: factor of each limit's slopes; first: scale of the objective.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 

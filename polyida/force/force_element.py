@@ -28,8 +28,8 @@ class ForceElement(OwnPart, part=False):
     slope of the last rates in the algebraic states must be regular.
 
     Its fields (numbers, profiles, attachments) are its data; files store them. A side is a point, or the direction d of an attachment
-    (`at.d`) without unit; the force on a direction is the generalised one, J: a moment M is `M i d / |d|^2`, i d being d turned by +90 degrees. x and v, (sides, 2), are
-    read-only. Derivatives that a class does not define are computed by differences.
+    (`at.d`) without unit; the force on a direction is the generalised one, J: a moment M is `M i d / |d|^2`, where i d is d turned by
+    +90 degrees. x and v, (sides, 2), are read-only. Derivatives that a class does not define are computed by differences.
 
     `@polyida.compiled` above the class lets numba compile `forces` and `energy`. A force element in Python makes the integrators use
     their Python loops; run summaries say so. A force that acts only in a part of space needs a `gap`: without it a step may cross that

@@ -37,7 +37,7 @@ def block_matrix(blocks):
 
 
 def summed(entries, n, columns=None):
-    """The matrix (n, columns), CSC, of which `entries` are parts, (rows, columns, values) each; entries at one place are added. Default: (n, n)."""
+    """The matrix (n, columns), by default (n, n), CSC, of which `entries` are parts, (rows, columns, values) each; equal places are added."""
     from scipy.sparse import csc_array
 
     none = np.zeros(0, int), np.zeros(0, int), np.zeros(0)

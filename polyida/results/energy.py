@@ -1,8 +1,8 @@
 """Energies of a run over time, work of its parts and dissipation.
 
 Work is the time integral of powers over a motion that is known at its frames. Between two frames, and kinks of profiles there, powers
-are evaluated at the three Gauss points of the cubic Hermite motion through q and v. If it leaves driven constraints, it is put on these, and parts of
-that time get points of their own. With an error e of that motion, which is zero at both ends, a force misses
+are evaluated at the three Gauss points of the cubic Hermite motion through q and v. If it leaves driven constraints, it is put on these,
+and parts of that time get points of their own. With an error e of that motion, which is zero at both ends, a force misses
 `int F . e' = -int F' . e`: fourth order in the time between frames, and nothing where F is constant.
 """
 

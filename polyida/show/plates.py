@@ -113,9 +113,9 @@ def draw_mesh(axes, mesh, values=None, label="", symmetric=False, sections=None)
 
 
 def draw_scene(axes, bodies, connections):
-    """Draw bodies {name: (mesh and places of its nodes, or None and segments (k, 2, 2))} and connections [(name, kind of KINDS, points (k, 2))] to scale.
+    """Draw the parts of a scene to scale. A line joins the points of a connection that are apart.
 
-    A line joins the points of a connection that are apart.
+    bodies: {name: (mesh and places of its nodes, or None and segments (k, 2, 2))}; connections: [(name, kind of KINDS, points (k, 2))].
     """
     from matplotlib.collections import LineCollection, PolyCollection
 

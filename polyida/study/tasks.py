@@ -165,7 +165,8 @@ def _finished_rows(submit, waiting):
 class RowFolder:
     """Rows in a folder, one file each, with their case and `code`, the hash of what computes them. folder: None for none.
 
-    Rows with an error are missing if other code computed them, and always with retry_failed. Raises InputError if a row or the folder cannot be written.
+    Rows with an error are missing if other code computed them, and always with retry_failed. Raises InputError if a row or the folder
+    cannot be written.
     """
 
     folder: Path | None = None
