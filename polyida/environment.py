@@ -11,7 +11,6 @@ import platform
 import sys
 import threading
 import weakref
-from collections import defaultdict
 from contextlib import contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
@@ -119,11 +118,11 @@ HUGE = 1 << 21  # bytes of a large page
 LEAST = 1 << 17  # bytes: less is an ordinary array
 WIDE = 1 << 12  # bytes of a row from which on large pages pay
 LINE = 64  # bytes, between which arrays begin
-UNUSED = 2  # unused mappings of a size
+UNUSED = 4  # unused mappings, of any sizes: the system counts their pages as used until it needs them
 MOST = 1 << 44  # bytes, of addresses alone
 LAZY = hasattr(mmap, "MAP_PRIVATE") and hasattr(mmap, "MADV_FREE")  # True if untouched memory costs nothing
 
-_unused: defaultdict[int, list[mmap.mmap]] = defaultdict(list)
+_unused: list[mmap.mmap] = []  # the last one given back at the end
 
 
 def allocate(shapes, dtypes, limit):
@@ -157,8 +156,10 @@ def _piece(size, least):
 
 
 def _mapping(size, least):
-    with suppress(IndexError):
-        return _unused[size].pop()
+    for mapping in [one for one in _unused if len(one) == size]:
+        with suppress(ValueError):  # another thread took it
+            _unused.remove(mapping)
+            return mapping
     try:
         return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     except (OSError, OverflowError):
@@ -173,6 +174,5 @@ def _give_back(mapping):
         mapping.madvise(mmap.MADV_FREE)
     except OSError:  # the system does not support it
         return
-    unused = _unused[len(mapping)]
-    unused.append(mapping)
-    del unused[:-UNUSED]
+    _unused.append(mapping)
+    del _unused[:-UNUSED]

@@ -32,6 +32,19 @@ PLATE_MASS = RUBBER["rho"] * LENGTH * HEIGHT * THICKNESS
 _meshes = {}
 
 
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="run all tests, not only those of tests/core.txt")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    """Without a file, a folder or --all on the command line the tests of core.txt are run; pytest stops at a line that names no test."""
+    if config.args_source is config.ArgsSource.TESTPATHS and not config.option.all:
+        folder = Path(__file__).parent
+        lines = (folder / "core.txt").read_text().splitlines()
+        config.args = [str(folder / line) for line in lines if line and not line.startswith("#")]
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session):
     """Fill the kernels' cache in processes of their own, before there are workers.

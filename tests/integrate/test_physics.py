@@ -56,7 +56,12 @@ def require_balance(other, integrator, kind=""):
     assert np.abs(run.position("joint")[-1] - other.position("joint")[-1]).max() < 3e-5
 
 
-@pytest.mark.parametrize("level", ["full", "reduced", "rigid"])
+@pytest.mark.parametrize("integrator", EVERY_JOINT, indirect=True)
+def test_joints_hold_between_rigid_plates(by_alpha, kind, integrator):
+    require_balance(by_alpha(kind, "rigid"), integrator)
+
+
+@pytest.mark.parametrize("level", ["full", "reduced"])
 @pytest.mark.parametrize("integrator", EVERY_JOINT, indirect=True)
 def test_joints_hold_and_energy_balances(by_alpha, kind, level, integrator):
     require_balance(by_alpha(kind, level), integrator)

@@ -1,6 +1,5 @@
 """Frames in memory: written once, where they stay, and in memory that is used again."""
 
-from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +59,29 @@ def test_where_the_system_grants_nothing_there_is_no_memory(monkeypatch):
         raise OSError("no")
 
     monkeypatch.setattr(environment.mmap, "mmap", refused)
-    monkeypatch.setattr(environment, "_unused", defaultdict(list))
+    monkeypatch.setattr(environment, "_unused", [])
     with pytest.raises(MemoryError):
         environment.allocate([(1 << 20,)], [np.dtype(float)], 2**30)
+
+
+@pytest.mark.skipif(not environment.LAZY, reason="memory is the system's at once")
+def test_runs_of_many_lengths_leave_the_memory_of_few(monkeypatch):
+    """Frames of twelve runs, each twice as long as the one before, which nobody holds any more."""
+    made = []
+    monkeypatch.setattr(environment, "_unused", [])
+    monkeypatch.setattr(environment, "_mapping", lambda size, least, mapping=environment._mapping: made.append(mapping(size, least)) or made[-1])
+    for count in range(1, 13):
+        environment.allocate([(1000,)], [np.dtype(float)], 2 ** (20 + count))
+    kept = [len(mapping) for mapping in environment._unused]
+    assert len(made) == 12 and kept == [len(mapping) for mapping in made[-environment.UNUSED :]]
+
+
+@pytest.mark.skipif(not environment.LAZY, reason="memory is the system's at once")
+def test_a_run_takes_the_memory_of_one_as_long(monkeypatch):
+    monkeypatch.setattr(environment, "_unused", [])
+    places = []
+    for _ in range(3):
+        (frames,) = environment.allocate([(1000,)], [np.dtype(float)], 2**24)
+        places.append(frames.ctypes.data)
+        del frames
+    assert len(set(places)) == 1 and len(environment._unused) == 1
