@@ -69,7 +69,9 @@ def test_runs_of_many_lengths_leave_the_memory_of_few(monkeypatch):
     """Frames of twelve runs, each twice as long as the one before, which nobody holds any more."""
     made = []
     monkeypatch.setattr(environment, "_unused", [])
-    monkeypatch.setattr(environment, "_mapping", lambda size, least, mapping=environment._mapping: made.append(mapping(size, least)) or made[-1])
+    monkeypatch.setattr(
+        environment, "_mapping", lambda size, least, mapping=environment._mapping: made.append(mapping(size, least)) or made[-1]
+    )
     for count in range(1, 13):
         environment.allocate([(1000,)], [np.dtype(float)], 2 ** (20 + count))
     kept = [len(mapping) for mapping in environment._unused]
