@@ -10,7 +10,7 @@ import numpy as np
 
 from polyida.errors import InputError
 
-PLANE = re.compile(r"(?:CPS|CPEG|CPE|M3D|SFM3D|DC2D|AC2D|R3D|STRI|S)([34689])")  # with the number of nodes
+PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|M3D|SFM3D|DC2D|AC2D|R3D|STRI|S)([34689])")  # with the number of nodes
 AXISYMMETRIC = re.compile(r"CAX|CGAX|DCAX|DCCAX|ACAX|MAX|MGAX|SAX|SFMAX|SFMGAX|RAX|COHAX|GKAX|CINAX|FAX")
 LOWER = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D")  # lines and points
 BARS_OF_A_BOUNDARY = "T3D"  # Gmsh writes the curves of a plane mesh so
@@ -48,6 +48,7 @@ class Part:
         self.lower = set()  # the elements that are lines and points
         self.node_sets, self.element_sets = {}, {}  # {name in capitals: (name, {member: None})}
         self.turned = set()  # nodes whose supports and loads have directions of their own
+        self.by_meshio = False  # whose types, such as CAX4P of all quads, tell the shape alone
         self.system = None  # origin and axes of the coordinates in *NODE
         self.first = 0  # of the points among those of all instances
 
@@ -94,6 +95,9 @@ class Part:
         return {name: list(nodes) for name, nodes in (lines | self.node_sets).values() if nodes}
 
     # --- keywords
+
+    def take_heading(self, options, rows):
+        self.by_meshio = any("written by meshio" in text for row in rows for text in row)
 
     def take_system(self, options, rows):
         if not rows:
@@ -157,7 +161,7 @@ class Part:
     def take_element(self, options, rows):
         kind = options.get("TYPE", "").upper()
         plane = PLANE.match(kind)
-        if AXISYMMETRIC.match(kind):
+        if AXISYMMETRIC.match(kind) and not self.by_meshio:
             raise InputError(f"holds elements of type {kind}, which are axisymmetric; only plane triangles and quads can be used")
         if plane:
             self._add_cells(kind, int(plane[1]), rows)
@@ -165,7 +169,7 @@ class Part:
             for number, *nodes in rows:
                 self._add_element(int(number), [int(node) for node in nodes if node.isdecimal() and int(node) in self.places])
             self.lower.update(int(number) for number, *_ in rows)
-            if not kind.startswith(BARS_OF_A_BOUNDARY):
+            if not kind.startswith(BARS_OF_A_BOUNDARY) and not self.by_meshio:
                 self.notes.append(f"left out the elements of type {kind}")
         else:
             raise InputError(f"holds cells of type {kind or 'none'}; only plane triangles and quads can be used")
@@ -247,7 +251,7 @@ class Part:
         self.cells.append(np.array([self._corners(number) for number, *_ in table]))
         if count > CORNERS[count]:
             self.notes.append(f"{len(table)} {kind} became their corners, curved edges straight")
-        if not kind.startswith(("CPS", "CPE")):
+        if not kind.startswith(("CPS", "CPE")) and not self.by_meshio:
             self.notes.append(f"of elements of type {kind}, which are not plane stress or strain, only the shape is used")
 
     def _corners(self, number):

@@ -116,7 +116,17 @@ def runs(mesh):
 TYPES = {(0, 1): 15, (1, 2): 1, (2, 3): 2, (2, 4): 3}  # Gmsh's element types by (dimension, corners)
 BODY = "plate"  # name of the physical group of all cells
 
-read_gmsh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
+NOT_READ = {b"$PartitionedEntities": "it is divided among processes; let Gmsh write it whole, or as version 2.2: Mesh.MshFileVersion = 2.2"}
+_read_msh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
+
+
+def read_gmsh(path):
+    """Return the RawMesh of a .msh file."""
+    content = path.read_bytes()
+    for section, why in NOT_READ.items():
+        if section in content:
+            raise InputError(f"it cannot be read as gmsh: {why}")
+    return _read_msh(path)
 
 
 def write_gmsh_2(mesh, path):
