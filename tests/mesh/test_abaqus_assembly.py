@@ -165,6 +165,10 @@ def test_sets_of_lines_of_an_instance_are_its_sections(deck):
         (TWO + '*Nset, nset="A.Root", instance=A\n2\n', "", "the set 'A.Root' of the assembly is called like a set of an instance"),
         (TWO + "*Element, type=CPS3\n1, A.1, A.2, A.3\n", "", "elements of type CPS3 belong to the assembly"),
         ("", "", "its .ASSEMBLY has no .INSTANCE"),
+        (TWO.replace("*End Instance\n", "", 1), "", r"\*INSTANCE in line 15: it stands within .*'A', which must end before it"),
+        ("*Instance, name=A, part=Beam\n", "", "INSTANCE 'A' has no .END INSTANCE"),
+        (WEDGE, "", r"\*PART in line 14: it stands within .ASSEMBLY, which must end before it"),
+        ("*Assembly\n", "", "there are two; a file has one"),
     ],
 )
 def test_what_cannot_be_placed_is_refused_by_name(deck, inside, after, message):
@@ -177,6 +181,8 @@ def test_what_cannot_be_placed_is_refused_by_name(deck, inside, after, message):
     [
         (BEAM + WEDGE, "it has the parts 'Beam', 'Wedge' and no .ASSEMBLY that places them"),
         (BEAM + BEAM, "there are two parts 'Beam'"),
+        (BEAM.replace("*End Part\n", "") + WEDGE, r"\*PART in line 11: it stands within .*'Beam', which must end before it"),
+        (BEAM + "*Instance, name=A, part=Beam\n", "it stands outside of .ASSEMBLY"),
         (BEAM.replace("*Part, name=Beam\n", "").replace("*End Part\n", "") + WEDGE, "it has nodes outside of its parts"),
         ("*Node, input=nodes.txt\n", r"\*NODE in line 1: .*other files are not followed"),
         (BEAM.replace("1, 1, 2, 3, 4", "1, 1, 2, 3, 4\n1, 1, 2, 3, 4"), "element 1 is given twice"),
@@ -310,3 +316,82 @@ def test_generated_nodes_and_elements(deck):
 def test_wrong_generations_are_told(deck, old, new, message):
     with pytest.raises(InputError, match=message):
         deck(GRID.replace(old, new))
+
+
+CAE = """*Heading
+** Job name: Job-1 Model name: Model-1
+*Preprint, echo=NO, model=NO, history=NO, contact=NO
+**
+** PARTS
+**
+*Part, name=Part-1
+*Node
+      1,           0.,           0.
+      2,           2.,           0.
+      3,           2.,           1.
+      4,           0.,           1.
+*Element, type=CPS4R
+1, 1, 2, 3, 4
+*Nset, nset=Set-1, generate
+ 1,  4,  1
+*Elset, elset=Set-1
+ 1,
+** Section: Section-1
+*Solid Section, elset=Set-1, material=Steel
+,
+*End Part
+**
+** ASSEMBLY
+**
+*Assembly, name=Assembly
+**
+*Instance, name=Part-1-1, part=Part-1
+*End Instance
+**
+*Instance, name=Part-1-2, part=Part-1
+          4.,          0.,          0.
+          4.,          0.,          0.,          4.,          0.,          1.,  90.
+*End Instance
+**
+*Node
+      1,   9., 9., 0.
+*Nset, nset=Set-1, instance=Part-1-1
+ 1, 4
+*Nset, nset=_PickedSet5, internal, instance=Part-1-2, generate
+ 1,  4,  3
+*Elset, elset=_Surf-1_S2, internal, instance=Part-1-1
+ 1,
+*Surface, type=ELEMENT, name=Surf-1
+_Surf-1_S2, S2
+*Nset, nset=Point
+ 1,
+*End Assembly
+*Material, name=Steel
+*Elastic
+210000., 0.3
+**
+*Step, name=Step-1, nlgeom=NO
+*Static
+1., 1., 1e-05, 1.
+*Boundary
+Set-1, 1, 1
+Set-1, 2, 2
+*Boundary
+Point, 1, 1
+*Cload
+_PickedSet5, 2, -5.
+*Restart, write, frequency=0
+*Output, field, variable=PRESELECT
+*Node Output
+U,
+*End Step
+"""
+
+
+def test_a_file_as_abaqus_cae_writes_it(deck):
+    mesh = deck(CAE, "left out: support names the set 'Point'")
+    assert mesh.n_cells == 2 and mesh.area == pytest.approx(4.0, rel=1e-14)
+    second = np.array([[4, 0], [4, 2], [3, 2], [3, 0]])
+    assert same_places(at(mesh, "Part-1-1.Set-1"), CORNERS) and same_places(at(mesh, "Part-1-2.Set-1"), second)
+    assert same_places(at(mesh, "support"), [[0, 0], [0, 1]]) and same_places(at(mesh, "load"), second[[0, 3]])
+    assert same_places(at(mesh, "Set-1"), [[0, 0], [0, 1]])
