@@ -21,6 +21,9 @@ def reader(kind, advice=""):
     """Return a function read(path) -> RawMesh for one of meshio's formats; advice: for the message that a file cannot be read."""
 
     def read(path):
+        content = _quietly(path, lambda meshio: path.read_bytes(), f"read as {kind}")
+        if b"$PartitionedEntities" in content or content.count(b"<Piece") > 1:  # meshio fails, or loses all cells but the last piece's
+            raise InputError(f"it cannot be read as {kind}: it is divided among processes; write it as one piece")
         data = _quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice)
         plane, notes, foreign = [], [], set()
         for block in data.cells:
@@ -116,17 +119,7 @@ def runs(mesh):
 TYPES = {(0, 1): 15, (1, 2): 1, (2, 3): 2, (2, 4): 3}  # Gmsh's element types by (dimension, corners)
 BODY = "plate"  # name of the physical group of all cells
 
-NOT_READ = {b"$PartitionedEntities": "it is divided among processes; let Gmsh write it whole, or as version 2.2: Mesh.MshFileVersion = 2.2"}
-_read_msh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
-
-
-def read_gmsh(path):
-    """Return the RawMesh of a .msh file."""
-    content = path.read_bytes()
-    for section, why in NOT_READ.items():
-        if section in content:
-            raise InputError(f"it cannot be read as gmsh: {why}")
-    return _read_msh(path)
+read_gmsh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
 
 
 def write_gmsh_2(mesh, path):

@@ -138,10 +138,11 @@ class TestBadFiles:
         "name, content, message",
         [
             ("empty.msh", b"", "cannot be read"),
+            ("parts.vtu", b"<VTKFile><UnstructuredGrid><Piece></Piece><Piece></Piece>", "divided among processes; write it as one piece"),
             (
                 "parts.msh",
                 b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PartitionedEntities\n2\n",
-                "divided among processes; let Gmsh write it whole",
+                "divided among processes; write it as one piece",
             ),
             ("noise.msh", bytes(range(256)) * 8, "cannot be read"),
             ("noise.vtu", bytes(range(256)) * 8, "cannot be read"),
