@@ -93,6 +93,15 @@ def test_two_processes_that_compile_at_once_do_not_mix_up_signatures(tmp_path, m
 
 
 @faster
+def test_processors_have_code_of_their_own(chain):
+    """A folder that several kinds of machine share, or that a run for another processor fills, gives none of them another's code."""
+    _, say = chain
+    answers = [say(NUMBA_CPU_NAME=processor)[0] for processor in ("generic", "core2", "generic")]
+    assert [value for value, *_ in answers] == [4] * 3
+    assert [hits for _, hits, _ in answers] == [0, 0, 1] and len({folder for *_, folder in answers}) == 1
+
+
+@faster
 @pytest.mark.parametrize("damage", [b"", b"no pickle", None])
 def test_a_damaged_file_is_compiled_anew(tmp_path, monkeypatch, damage):
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)

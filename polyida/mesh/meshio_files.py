@@ -21,6 +21,9 @@ def reader(kind, advice=""):
     """Return a function read(path) -> RawMesh for one of meshio's formats; advice: for the message that a file cannot be read."""
 
     def read(path):
+        content = _quietly(path, lambda meshio: path.read_bytes(), f"read as {kind}")
+        if b"$PartitionedEntities" in content or content.count(b"<Piece") > 1:  # meshio fails, or loses all cells but the last piece's
+            raise InputError(f"it cannot be read as {kind}: it is divided among processes; write it as one piece")
         data = _quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice)
         plane, notes, foreign = [], [], set()
         for block in data.cells:

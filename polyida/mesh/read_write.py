@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.mesh import formats, meshio_files, sections
+from polyida.mesh import abaqus, meshio_files, polymesher, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, RawMesh, repaired, unit_note, unit_size
 from polyida.validation import flag, is_number, is_whole, named_keywords, reals
@@ -41,14 +41,14 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
-    ".mat": Format(formats.read_mat, formats.write_mat, forces=True),
+    ".mat": Format(polymesher.read_mat, polymesher.write_mat, forces=True),
     ".vtu": Format(meshio_files.reader("vtu"), meshio_files.writer("vtu")),
     ".vtk": Format(meshio_files.reader("vtk"), meshio_files.writer("vtk")),
     ".obj": Format(meshio_files.reader("obj"), meshio_files.writer("obj"), names=False),
     ".msh": Format(meshio_files.read_gmsh, meshio_files.write_gmsh_2, largest=4),
     ".msh2": Format(meshio_files.read_gmsh, meshio_files.write_gmsh_2, largest=4),
     ".msh4": Format(meshio_files.read_gmsh, meshio_files.write_gmsh_4, largest=4),
-    ".inp": Format(formats.read_inp, formats.write_inp, largest=4, forces=True),
+    ".inp": Format(abaqus.read_inp, abaqus.write_inp, largest=4, forces=True),
     ".mesh": Format(meshio_files.reader("medit"), meshio_files.writer("medit"), largest=4, names=False),
 }
 

@@ -1,5 +1,7 @@
 """Mesh files: round trips, repairs, sections, and every bad file as one message that names it."""
 
+import warnings
+
 import meshio
 import numpy as np
 import pytest
@@ -109,10 +111,13 @@ class TestRepair:
         assert "body" not in mesh.sections and "left" in mesh.sections
 
     def test_node_sets_of_abaqus(self, tmp_path):
-        meshio.Mesh(flat(SQUARES), [("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])], point_sets={"grip": np.array([0, 3])}).write(
-            tmp_path / "sets.inp"
-        )
-        mesh = read(tmp_path / "sets.inp")
+        """meshio writes quads as CAX4P, triangles as R3D3 and lines as B31H: its types tell the shape alone."""
+        cells = [("quad", [[0, 1, 4, 3]]), ("triangle", [[1, 2, 5], [1, 5, 4]]), ("line", [[0, 3]])]
+        meshio.Mesh(flat(SQUARES), cells, point_sets={"grip": np.array([0, 3])}).write(tmp_path / "sets.inp")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", MeshWarning)
+            mesh = read(tmp_path / "sets.inp")
+        assert mesh.n_cells == 3
         assert (mesh.points[mesh.sections["grip"], 0] == 0.0).all() and len(mesh.sections["grip"]) == 2
 
     @pytest.mark.parametrize("file_format, suffix", [("gmsh22", ".msh"), ("gmsh", ".msh"), ("vtu", ".vtu"), ("vtk", ".vtk")])
@@ -133,6 +138,12 @@ class TestBadFiles:
         "name, content, message",
         [
             ("empty.msh", b"", "cannot be read"),
+            ("parts.vtu", b"<VTKFile><UnstructuredGrid><Piece></Piece><Piece></Piece>", "divided among processes; write it as one piece"),
+            (
+                "parts.msh",
+                b"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PartitionedEntities\n2\n",
+                "divided among processes; write it as one piece",
+            ),
             ("noise.msh", bytes(range(256)) * 8, "cannot be read"),
             ("noise.vtu", bytes(range(256)) * 8, "cannot be read"),
             ("page.vtu", b"<html></html>", "cannot be read"),
