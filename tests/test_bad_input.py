@@ -489,3 +489,25 @@ def test_unreadable_mesh(tmp_path, content):
 
 def test_input_errors_are_value_errors():
     assert issubclass(pi.InputError, ValueError)
+
+
+NAMED = {  # function of a name
+    "points": lambda name: pi.RigidBody(1.0, 1.0, {name: (0.0, 0.0)}, name="crank"),
+    "name of a body": lambda name: pi.RigidBody.bar(1.0, 1.0, name=name),
+    "name of a plate": plate,
+    "name of a mass": lambda name: pi.PointMass(plate().section("left"), 1.0, name=name),
+    "name of a joint": lambda name: hinge(plate(), name),
+    "name of a force": lambda name: pi.Torque(plate().section("left"), 1.0, name=name),
+    "name of an event": lambda name: pi.Event(lambda s: s.t - 0.01, name=name),
+    "sensors": lambda name: swing(sensors={name: lambda t, q, v: t}),
+    "label of a study": lambda name: precision(integrators={name: [ALPHA]}),
+    "label of a comparison": lambda name: compare(load("double-plate", cells=8, time=0.01), integrators={name: IDA}),
+}
+
+
+@pytest.mark.parametrize("what", NAMED)
+@pytest.mark.parametrize("name", ["", 1], ids=repr)
+def test_a_name_is_a_text_that_is_not_empty(what, name):
+    with pytest.raises(pi.InputError) as refused:
+        NAMED[what](name)
+    assert repr(name) in str(refused.value)

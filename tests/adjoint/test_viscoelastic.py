@@ -54,3 +54,28 @@ def test_what_has_no_adjoint_is_refused(model):
             pi.gradient(run, objective)
     with pytest.raises(pi.InputError, match="equilibria and modes of viscoelastic"):
         pi.gradient(pi.modes(model), pi.objective.Frequency(0))
+
+
+def test_newton_leaves_round_off_in_the_error_of_a_run(model):
+    """Left over are the equations that the steps solve, without the strains among the unknowns."""
+    run = pi.solve(model, 0.02, pi.GeneralizedAlpha(h=2e-3, tolerance=1e-12))
+    bars = pi.error_of(run, pi.objective.Deviation("tip", lambda t: (0.8, 0.0)))
+    assert abs(bars.newton) < 1e-10 * abs(bars.time)
+
+
+def test_slopes_with_two_full_plates_of_different_meshes_elements_and_series():
+    scene, before = pi.Scene(gravity=(0.0, -9.81)), pi.ground.at((0.0, 0.0))
+    plates = (
+        ("near", "virtual", pi.mesh.quads(0.4, 0.1, 3, 1), [(0.4, 0.05)]),
+        ("far", "wachspress", pi.mesh.rectangle(0.4, 0.1, cells=6, seed=1), [(0.3, 0.1), (0.2, 0.02)]),
+    )
+    for k, (name, element, mesh, terms) in enumerate(plates):
+        material = pi.Material(E=2e6, nu=0.3, rho=1000.0, prony=terms)
+        plate = scene.add(pi.Plate(mesh, material, 0.01, origin=(0.4 * k, 0.0), element=element, name=name))
+        scene.add(pi.Revolute(before, plate.section("left"), name=f"pin of {name}"))
+        before = plate.section("right")
+    scene.add(pi.PointMass(before, 0.2, name="tip"))
+    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=2e-3, tolerance=1e-12))
+    names = [f"{name}.{key}" for name, *_ in plates for key in ("stiffness", "prony", "E")]
+    errors = pi.check_gradient(run, pi.objective.Deviation("tip", lambda t: (0.8, 0.0)), parameters=names)
+    assert max(errors.values()) < 1e-6, errors

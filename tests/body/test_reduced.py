@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 import polyida as pi
+from polyida.body.reduced import rows_of
 
 G = 9.81
 MESHES = {"wachspress": lambda: pi.mesh.rectangle(1.0, 0.1, cells=16, seed=2), "virtual": lambda: pi.mesh.quads(1.0, 0.1, 8, 2)}
@@ -176,3 +178,25 @@ def test_a_file_keeps_the_modes_that_its_run_had(tmp_path, monkeypatch):
     assert np.array_equal(loaded.stress(-1), run.stress(-1))
     loaded.save(tmp_path / "again.h5")
     assert np.array_equal(pi.load(tmp_path / "again.h5").position("tip"), run.position("tip"))
+
+
+def loaded(body):
+    """The model of a free plate with three loaded sections, whose static modes are more than the modes that are kept."""
+    scene = pi.Scene()
+    plate = scene.add(body(pi.Plate(pi.mesh.quads(1.0, 0.2, 6, 2), rubber(), 0.01, name="plate")))
+    for side in ("left", "right", "top"):
+        scene.add(pi.PointLoad(plate.section(side), (1.0, 0.0), pi.profile.constant(0.0), name=side))
+    return scene.build(), plate
+
+
+def test_fewer_modes_than_sections_are_the_lowest_of_the_span_of_static_modes():
+    """Their frequencies lie between those of the full plate and those that Ritz's method gives with the static modes of all sections."""
+    full, plate = loaded(FULL)
+    C = rows_of(full.n // 2, [plate.section(side) for side in ("left", "right", "top")])[0]
+    M, K, none = full.mass().toarray(), full.force_q(0.0, np.zeros(full.n), np.zeros(full.n)).toarray(), np.zeros((len(C),) * 2)
+    static = np.linalg.solve(np.block([[K, C.T], [C, none]]), np.eye(full.n + len(C))[:, full.n :])[: full.n]
+    above = np.sqrt(eigh(static.T @ K @ static, static.T @ M @ static, eigvals_only=True)[3:]) / (2 * np.pi)
+    below = pi.modes(full, count=7).frequencies[3:]
+    for count in (1, 2, 4):
+        found = pi.modes(loaded(lambda plate, count=count: pi.Reduced(plate, modes=count))[0], count=3 + count).frequencies[3:]
+        assert (found < above[:count] * (1 + 1e-6)).all() and (found > below[:count] * (1 - 1e-6)).all()

@@ -254,3 +254,24 @@ def test_strains_are_no_unknowns_of_compiled_steps(settings):
     for name, tolerance in (("q", 1e-10), ("x", 1e-9), ("v", 1e-8)):
         a, b = (np.asarray(getattr(run, name)) for run in (one, other))
         assert np.abs(a - b).max() < tolerance * np.abs(b).max()
+
+
+@pytest.mark.parametrize(
+    "mesh", [pi.mesh.rectangle(LENGTH, HEIGHT, cells=6, seed=1), pi.mesh.quads(LENGTH, HEIGHT, 3, 2)], ids=["polygons", "quads"]
+)
+@pytest.mark.parametrize("element", ["wachspress", "virtual"])
+def test_a_bar_almost_without_mass_is_strained_alike_in_every_cell(element, mesh):
+    """Polygons of any number of corners hold the closed form of one cell: a strain that is the same everywhere."""
+    load, material = 1e-3, pi.Material(E=E, nu=0.0, rho=1.0, prony=TERMS)
+    scene = pi.Scene()
+    plate = scene.add(pi.Plate(mesh, material, THICKNESS, element=element, name="bar"))
+    scene.add(pi.Clamp(plate.section("left"), pi.ground, name="foot"))
+    scene.add(pi.PointMass(plate.section("right"), MASS + RHO * THICKNESS * HEIGHT * LENGTH / 3.0, name="tip"))
+    scene.add(pi.PointLoad(plate.section("right"), (load, 0.0), name="load"))
+    run = pi.solve(scene.build(), END, pi.RadauIIA(h=END / 40))
+    place, relaxed = exact(END) * load / LOAD
+    strain = run.model.strains["bar"]
+    first = (strain.units * run.v[-1][strain.columns])[: len(strain.columns) // len(TERMS)]
+    assert run.success and run.position("tip")[-1, 0] - LENGTH == pytest.approx(place, rel=5e-4), run.message
+    along = first[np.abs(first) > 1e-2 * np.abs(first).max()]  # the others are across and shear, and places of no point
+    assert len(along) >= mesh.n_cells and along == pytest.approx(relaxed / LENGTH, rel=5e-4)

@@ -159,6 +159,8 @@ def test_a_run_that_goes_on_is_the_same_to_the_last_bit(integrator):
         ({"sample": pi.Controller.sample}, "gives no sample"),
         ({"sample": lambda self, t, x, v: [0.0]}, "sample: its arguments must be (self, t, x, v, s, u)"),
         ({"outputs": ()}, "outputs = ()"),
+        ({"outputs": ("",)}, "outputs = ('',)"),
+        ({"outputs": (1,)}, "outputs = (1,)"),
     ],
 )
 def test_wrong_controllers_are_refused_by_name(changes, words):

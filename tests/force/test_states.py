@@ -118,6 +118,8 @@ def test_strongly_damped_elements_take_as_many_steps_of_ida_as_with_the_exact_ma
     "changes, words",
     [
         ({"states": ("s", "s")}, "different names"),
+        ({"states": ("",)}, "states = ('',) must be a tuple of different names"),
+        ({"states": (1,)}, "states = (1,) must be a tuple of different names"),
         ({"states": ()}, "rates(), but no states"),
         ({"forces_x": lambda *_: None}, "forces_x() of an element with states is not used"),
         ({"rates": pi.ForceElement.rates}, "no rates"),

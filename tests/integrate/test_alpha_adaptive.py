@@ -101,3 +101,13 @@ def test_a_step_at_the_round_off_of_t_is_told():
     model = pi.problems.get("pendulum").model
     run = pi.solve(model, 1e12 + 1.0, pi.GeneralizedAlpha(h=0.1, atol=1e-9), t0=1e12, q0=[-1.0, 0.0])
     assert run.status == "step too small" and "round-off of t" in run.message
+
+
+def test_no_step_is_longer_than_an_eighth_of_the_longest_beside_a_fast_input():
+    """A hum of 50 Hz is too small to need short steps; steps are as long as its samples allow, and not longer."""
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(1.0, 1.0, {"c": (0.0, 0.0)}, name="body"))
+    hum = pi.profile.from_function(lambda t: 1e-3 * np.sin(100 * np.pi * t), shortest=0.02)
+    scene.add(pi.PointLoad(body.at("c"), (1.0, 0.0), hum, name="hum"))
+    run = pi.solve(scene.build(), 0.3, pi.GeneralizedAlpha(h=0.03, rtol=1e-3))
+    assert run.success and np.diff(run.t).max() == pytest.approx(0.03 / 8, rel=1e-9)

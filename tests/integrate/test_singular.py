@@ -134,3 +134,45 @@ def test_a_pendulum_has_no_singular_position_however_long_the_steps():
     scene.add(pi.Revolute(pi.ground, bar.at("left")))
     run = pi.solve(scene.build(), 1.0, pi.RadauIIA(h=1.0))
     assert run.steps == 1 and run.status == "done"
+
+
+class Links(pi.Model):
+    """One parallelogram whose lengths are numbers of the model."""
+
+    n, m = 4, 3
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+    def __init__(self, crank, rod):
+        self.crank, self.rod, self.foot = crank, rod, np.array([rod, 0.0])
+
+    def mass(self, q):
+        return np.eye(4)
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81, 0.0, 9.81])
+
+    def phi(self, t, q):
+        a, b = q[:2], q[2:] - self.foot
+        rod = q[2:] - q[:2]
+        return 0.5 * np.array([a @ a - self.crank**2, b @ b - self.crank**2, rod @ rod - self.rod**2])
+
+    def phi_q(self, t, q):
+        B, rod = np.zeros((3, 4)), q[2:] - q[:2]
+        B[0, :2], B[1, 2:] = q[:2], q[2:] - self.foot
+        B[2, :2], B[2, 2:] = -rod, rod
+        return B
+
+    def upright(self):
+        """q0 and v0: the cranks upright, turning clockwise with 1 rad/s."""
+        return {"q0": [0.0, self.crank, self.rod, self.crank], "v0": [self.crank, 0.0, self.crank, 0.0]}
+
+
+@pytest.mark.parametrize("name", ["alpha", "radau"])
+def test_compiled_functions_that_read_the_numbers_of_their_model_stop_at_a_dead_centre(name):
+    """The proof along the run calls phi_q with the data of this model, not of another one of the class."""
+    kind = pi.compiled(Links)
+    other, model = kind(2.0, 3.0), kind(1.0, 1.0)
+    run = pi.solve(model, 1.0, ALL[name], **model.upright())
+    assert run.status == "singular" and float(run.message.split("at t = ")[1].split()[0]) == pytest.approx(FLAT, abs=1e-3)
+    longer = pi.solve(other, 0.8, ALL[name], **other.upright())
+    assert longer.success, longer.message  # its cranks, of 2 m, lie flat at 0.9 s

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate.switches import Switches
 
 INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),
@@ -207,3 +208,13 @@ def test_a_summary_names_energy_that_comes_from_nowhere():
     faster = replace(run, v=np.where(run.t[:, None] > 0.6, 2.0 * run.v, run.v))
     assert "the energy grows" not in run.summary()
     assert "the energy grows by 1.5 J up to t = 0." in faster.summary()
+
+
+def test_steps_that_are_discarded_about_a_contact_are_counted(monkeypatch):
+    """Each crossing, and each step that is too long, discards one; EnergyMomentum itself discards none."""
+    discarded = []
+    for name in ("_to_switch", "_shorter"):
+        own = getattr(Switches, name)
+        monkeypatch.setattr(Switches, name, lambda self, *given, own=own: discarded.append(own) or own(self, *given))
+    run = pi.solve(thrown(Push), 0.6, pi.EnergyMomentum(h=0.02))
+    assert run.success and run.counts.rejected == len(discarded) > 1
