@@ -13,6 +13,7 @@ from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
 from polyida.force.controllers import PID, pid_torque
 from polyida.force.force_element import ForceElement
+from polyida.integrate.left_out import LeftOut
 from polyida.integrate.sizes import extent, memory_of_rest
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
@@ -198,6 +199,8 @@ class Loading:
         """Raise StepFailure if the model rejects q."""
         if objection := self.model.rejection_reason(self.t, q):
             raise StepFailure("objection", objection, self.t)
+        if reason := LeftOut(self.model).contradiction(self.t, q):
+            raise StepFailure("contradiction", reason, self.t)
 
     def equilibrium(self, q, lam, solve, definite=False, **parts):
         """The Equilibrium at (q, lam); solve: of the system factored there; definite: True if K is known to be positive definite."""
