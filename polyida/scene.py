@@ -165,7 +165,7 @@ class Scene:
             Treatment of dependent rows of joints, such as those of a second hinge on one axis. "refuse": runs do not start, and the message
             names the rows. "least-norm": they are left out, `model.redundant.labels` names them, and reactions are those of all rows with the
             least sum of squares; `run.unique(name)` is True for unique ones. Rows that are independent elsewhere, or contradict others, are
-            refused.
+            refused; a run ends, with their names, where they contradict others later.
 
         Returns
         -------

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from polyida.adjoint.alpha_errors import FAST, AlphaErrors
 from polyida.adjoint.gradient import adjoint_of
+from polyida.adjoint.other_runs import solved_again, time_again
 from polyida.adjoint.parameter import parts_with, with_part
 from polyida.adjoint.run import given_velocity, together
 from polyida.assembly.scene_model import SceneModel
@@ -19,17 +19,15 @@ from polyida.body.reduced import Reduced, missing_fields
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.state import Counts, State, declared
+from polyida.integrate.state import Counts, State
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.mesh import PolygonMesh
 from polyida.mesh.refinement import remeshed
-from polyida.model.guarded import guard, unguarded
+from polyida.model.guarded import guard
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import backward, require_progress
-from polyida.run.solve import solve
 from polyida.trajectory import Trajectory
-from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords, require_bytes
+from polyida.validation import is_flag, is_number, is_one_of, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,8 +35,7 @@ if TYPE_CHECKING:
 PARTS = ("time", "newton", "mesh", "modes")
 REMAINDER = 0.5  # of the error of a mesh: an estimate that second-order terms may change by more is not within a factor of two
 FIELDS = 3  # that a reduced plate is enriched by
-DEFAULT_RTOL = 1e-5  # of a run whose tolerance is unknown
-TENTH = 0.1  # of the tolerances, in a run that is compared with one of adaptive steps
+SAME = 0.5, 2.0  # ratio of two estimates that agree
 
 
 @named_keywords
@@ -59,11 +56,11 @@ class ErrorBars:
     modes : float or None
         Error of the modes of reduced plates, from a run with three more fields each; with `again=True`.
     again : float or None
-        Error of the time steps from another run; with `again=True`.
+        Error of the time steps from two other runs; with `again=True`. It is trusted if both agree.
     mesh_again : float or None
         Error of the meshes from a run with half the cells; with `again=True`. It misleads where errors of one mesh cancel.
     reasons : dict of str to tuple of str
-        {part: why its estimate is missing or not trusted}; "mesh_again" too.
+        {part: why its estimate is missing or not trusted}; "again" and "mesh_again" too.
     fast_share : float
         Largest relative change of `time` by another phase of the vibrations whose phase is lost with steps of this size; above 0.45 it is not trusted.
     t : (steps,) float, s
@@ -158,10 +155,12 @@ class ErrorBars:
                 lines.append(
                     f"  {part:7s}{_number(error):>11s}" + (f"  {'not trusted' if error is not None else 'none'}: {why}" if why else "")
                 )
-        for part, error in (("time", self.again), ("mesh", self.mesh_again)):
+        for part, name, error in (("time", "again", self.again), ("mesh", "mesh_again", self.mesh_again)):
             if error is not None:
-                lines.append(f"  {part:7s}{_number(error):>11s}  from another run")
-        lines += [f"  mesh             -  no run with half the cells: {why}" for why in self.reasons.get("mesh_again", ())]
+                why = "; ".join(self.reasons.get(name, ()))
+                lines.append(f"  {part:7s}{_number(error):>11s}  from other runs" + (f", not trusted: {why}" if why else ""))
+        if self.mesh_again is None:
+            lines += [f"  mesh             -  no run with half the cells: {why}" for why in self.reasons.get("mesh_again", ())]
         return "\n".join(lines)
 
     def plot_cells(self, name: str, mesh: PolygonMesh, axes: Axes | None = None) -> Axes:
@@ -220,8 +219,8 @@ def error_of(
     objective : Objective
         The quantity J, one of `pi.objective`.
     again : bool
-        True: solve the run again with 2 h (the difference over 2^order - 1), h / 2 (RadauIIA) or a tenth of the tolerances, with three more
-        fields in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
+        True: solve the run again with h / 2 and 2 h, h / 4 for orders above 2, or 1/10 and 1/100 of the tolerances, with three more fields in
+        each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -279,37 +278,23 @@ def error_of(
                 bars = _estimate(run, objective, memory_limit, tell)
         if not again:
             return bars
-        second, changes = _time_again(run, objective, bars.value), {}
+        second, changes = time_again(run, objective, bars.value), {}
+        bars = replace(bars, again=second.error, time=second.error if bars.time is None else bars.time, reasons=_verdicts(bars, second))
         if any(isinstance(model.parts[placed.name], Reduced) for placed in model.few):
             changes["modes"] = _modes_again(run, objective) - bars.value
         if model.is_scene and model.bodies:
             changes |= _mesh_again(run, objective, bars)
-        return replace(bars, again=second, time=second if bars.time is None else bars.time, **changes)
+        return replace(bars, **changes)
 
 
-def _time_again(run, objective, value):
-    """The error of time from a run with other steps."""
-    settings, one = run.integrator, declared(run.integrator)
-    if one.fixed_step() and is_whole(one.order):
-        finer = isinstance(settings, RadauIIA)  # its steps are long: those of 2 h may be too long
-        other = _solved(run, run.model, _changed(settings, h=settings.h * (0.5 if finer else 2.0)), objective)
-        return other - value if finer else (value - other) / (2.0**one.order - 1.0)
-    if one.fixed_step() or not hasattr(settings, "rtol"):
-        name = type(settings).__name__
-        raise InputError(f"error_of: the order of {name} is not known: the class needs the attribute `order`, a whole number of at least 1")
-    rtol, atol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL), getattr(settings, "atol", None)
-    finer = {"rtol": TENTH * rtol} | ({} if atol is None else {"atol": TENTH * np.asarray(atol, float)})
-    finer = {name: float(x) if np.ndim(x) == 0 else tuple(x.tolist()) for name, x in finer.items()}
-    return _solved(run, run.model, _changed(settings, **finer), objective) - value
-
-
-def _changed(settings, **values):
-    """An integrator with other settings; that of a user may be a plain class."""
-    if is_dataclass(settings):
-        return replace(settings, **values)
-    other = copy(settings)
-    vars(other).update(values)
-    return other
+def _verdicts(bars, second):
+    """Reasons of bars and of an Again: it is the estimate of time where there is no other, and contradicts an estimate if it is trusted itself."""
+    of_time = bars.reasons.get("time", ())
+    if bars.time is None:
+        of_time = second.reasons
+    elif not second.reasons and not SAME[0] <= second.error / (bars.time or np.nan) <= SAME[1]:
+        of_time += (f"runs with other steps, which agree with each other, say {_number(second.error)}",)
+    return bars.reasons | {"time": of_time, "again": second.reasons}
 
 
 def _modes_again(run, objective):
@@ -329,7 +314,7 @@ def _modes_again(run, objective):
     if len(moved) != old.n // 2:
         raise InputError("error_of: again=True cannot enrich reduced plates of a scene with first-order states")
     before, after = np.array(moved).T
-    return _solved(run, model, run.integrator, objective.named(old), (before, after))
+    return solved_again(run, model, run.integrator, objective.named(old), (before, after))
 
 
 def _mesh_again(run, objective, bars):
@@ -345,33 +330,9 @@ def _mesh_again(run, objective, bars):
             coarse = replace(parts[body.name], mesh=remeshed(body.mesh, max(1, body.mesh.n_cells // 2)))
             parts = parts_with(parts, body.name, coarse, lambda side, new: new.section(side.name))
         model = SceneModel(parts, old.gravity, old.treats_redundant)
-        return {"mesh_again": bars.value - _solved(run, model, run.integrator, objective.named(old), False)}
+        return {"mesh_again": bars.value - solved_again(run, model, run.integrator, objective.named(old), False)}
     except InputError as error:
         return {"reasons": bars.reasons | {"mesh_again": (str(error),)}}
-
-
-def _solved(run, model, settings, objective, places=None):
-    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin as drawn. Raises
-    InputError if it fails.
-    """
-    if run.plan.get("output") or run.status == "stopped":
-        raise InputError("error_of: again=True needs a run without `output` and `until`")
-    model = guard(model)
-    q, v = (np.asarray(x[0], float) for x in (run.q, run.v))
-    if places:
-        q, v = (_placed(x, model.n, *places) for x in (q, v))
-    start = {} if places is False else {"q0": q, "v0": v}
-    options = {"every": run.plan.get("every", 1), "t0": float(run.t[0]), **start}
-    other = solve(unguarded(model), float(run.t[-1]), settings, **options)
-    if not other.success:
-        raise InputError(f"error_of: the run with {settings!r:.100} failed: {other.message}")
-    return float(objective(other))
-
-
-def _placed(x, n, before, after):
-    result = np.zeros((n // 2, 2))
-    result[after] = x.reshape(-1, 2)[before]
-    return result.ravel()
 
 
 def _estimate(run, objective, memory_limit, progress):

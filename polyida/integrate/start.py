@@ -22,6 +22,8 @@ from numpy.typing import ArrayLike
 from polyida.assembly.independence import UnitRows
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.discontinuities import at_kink
+from polyida.integrate.left_out import LeftOut
+from polyida.integrate.row_sizes import rate_sizes, row_sizes
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
@@ -32,7 +34,7 @@ from polyida.model.guarded import guard, require_functions
 from polyida.validation import floats, is_number, named_keywords
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and the largest correction that is accepted if it no longer falls
-VIOLATION = 1e-6  # of the coordinates' size: a larger violation is a mistake, a smaller one is projected away
+VIOLATION = 1e-6  # of the model's size: a larger violation is a mistake, a smaller one is projected away
 MUCH_LONGER = 2.5  # times the step before; adaptive steps grow by less
 
 
@@ -102,16 +104,19 @@ def _consistent(model, t0, q0, v0, x0, q, v):
                 raise
         drawn = q0 is None and model.is_scene
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
-        require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)), remedy)
+        sizes = row_sizes(model, q, rows_at(model, t0, q))
+        require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), sizes, remedy)
         q = _project_position(model, t0, q)
+        if reason := LeftOut(model).contradiction(t0, q):
+            raise InputError(f"{'the drawing' if drawn else 'q0'}: {reason}")
     if objection := model.rejection_reason(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
     if v0 is None:
         v = velocities_of(model.initial_velocity(t0, q), x0, model, "initial_velocity")
     if model.m:
         rate = model.phi_rate(t0, q, v)
-        size = max(1.0, np.abs(v).max(initial=0)) if v0 is not None else np.inf
-        require_near(model, "v0", "phi_q v + phi_t", rate, size, "give a consistent v0, or leave it out to have it made")
+        sizes = rate_sizes(model, q, v, rows_at(model, t0, q)) if v0 is not None else np.inf
+        require_near(model, "v0", "phi_q v + phi_t", rate, sizes, "give a consistent v0, or leave it out to have it made")
         v = on_velocity(model, t0, q, v, rate)
     return State(float(t0), q, v, *consistent_acceleration(model, t0, q, v)).of(model)
 
@@ -132,12 +137,12 @@ def on_drives(model, state, gap=0.0):
     """An interpolated state, or in a driven model of rigid bodies the State there that satisfies the constraints, with consistent a and lam.
 
     Where drives determine the motion, an integrator takes long steps, between which its polynomial is off by more than its tolerance. With
-    flexible bodies steps are short, and consistent multipliers of an interpolated state are noise. gap: |phi| over the size of q below which
+    flexible bodies steps are short, and consistent multipliers of an interpolated state are noise. gap: |phi| over the model's size below which
     the interpolated state is returned; so it is where the constraints cannot be solved.
     """
     if model.flexible or not model.needs.driven or model.row_laws:
         return state
-    if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * max(1.0, np.abs(state.q).max(initial=0)):
+    if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * extent(model, state.q):
         return state
     try:
         return restarted(model, state)
@@ -249,12 +254,14 @@ def require_state(part, model, state):
     return State(float(state.t), **arrays, memory=dict(getattr(state, "memory", {})), restart=getattr(state, "restart", True))
 
 
-def require_near(model, name, what, violation, size, remedy):
-    """Raise InputError, in the name of a start, if its constraints are not finite or violated by VIOLATION of its size."""
-    worst = int(np.argmax(np.abs(violation)))
+def require_near(model, name, what, violation, sizes, remedy):
+    """Raise InputError, in the name of a start, if its constraints are not finite or violated by VIOLATION of their sizes."""
     if not np.isfinite(violation).all():
+        worst = int(np.argmin(np.isfinite(violation)))
         raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")
-    if abs(violation[worst]) > VIOLATION * size:
+    beyond = np.abs(violation) - VIOLATION * sizes
+    worst = int(np.argmax(beyond))
+    if beyond[worst] > 0:
         constraint = f"the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0"
         raise InputError(f"{name} violates {constraint}; {remedy}")
 

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from polyida.assembly.motion import rigid_motions
 from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
+from polyida.force.controllers import PID, pid_torque
+from polyida.force.force_element import ForceElement
+from polyida.integrate.left_out import LeftOut
 from polyida.integrate.sizes import extent, memory_of_rest
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
@@ -29,6 +32,7 @@ REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far ab
 SLOW = 0.3  # contraction above which a model's own step matrix is made anew
 HALVINGS = 10  # of a part of the load, in a row
 LOOSE = 1e-11  # smallest singular value, in units of K and phi_q, of the motions of a body that is held
+RESISTS = 1e-6  # of force times way: a force element that does less work does not resist a motion
 ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
 
 
@@ -184,7 +188,8 @@ class Loading:
         """Raise StepFailure for a Newton step that is a mechanism's."""
         moved = np.abs(dq).max()
         if not moved <= FAR * extent(self.model, q):
-            raise StepFailure("singular", FREE, self.t, iteration=iteration, **{"|dq|": float(moved)})
+            yielding = yielding_elements(self, q, dq) if self.model.is_scene and np.isfinite(moved) else ""
+            raise StepFailure("singular", FREE + yielding, self.t, iteration=iteration, **{"|dq|": float(moved)})
 
     def converged(self, q, dq):
         """True if a step is below the tolerance."""
@@ -194,6 +199,8 @@ class Loading:
         """Raise StepFailure if the model rejects q."""
         if objection := self.model.rejection_reason(self.t, q):
             raise StepFailure("objection", objection, self.t)
+        if reason := LeftOut(self.model).contradiction(self.t, q):
+            raise StepFailure("contradiction", reason, self.t)
 
     def equilibrium(self, q, lam, solve, definite=False, **parts):
         """The Equilibrium at (q, lam); solve: of the system factored there; definite: True if K is known to be positive definite."""
@@ -219,10 +226,36 @@ class Loading:
         return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True).of(model)
 
 
+def yielding_elements(loading, q, dq):
+    """Text that names the force elements which the motion dq of a mechanism moves and which do not resist it; empty if there are none."""
+    model, t = loading.model, loading.t
+    size, named = extent(model, q), []
+    dq = size / np.abs(dq).max() * dq
+    (place, v, _), (moved, change, _) = loading.at_rest(q), loading.at_rest(dq)
+    for own in model.own_forces:
+        if not isinstance(own.element, ForceElement):
+            continue
+        x, speeds, way = own.places(place), own.velocities(v), own.velocities(moved)
+        force = own.slopes(t, x, speeds, 0.0, 1.0) @ way.ravel() + own.slopes(t, x, speeds, 1.0, 0.0) @ own.velocities(change).ravel()
+        force, way = force.reshape(x.shape)[own.own_sides], way[own.own_sides]
+        small = RESISTS * np.linalg.norm(way) * max(np.linalg.norm(force), np.abs(loading.slope).max())
+        if np.abs(way / own.sizes[own.own_sides]).max() > RESISTS and abs(np.vdot(force, way)) <= small:
+            named.append(repr(own.name) + _limit(own, t, x, speeds))
+    return f"; this motion is not resisted by {', '.join(named)}" if named else ""
+
+
+def _limit(own, t, x, v):
+    """Text on a PID at its limit, else empty."""
+    if not isinstance(own.element, PID):
+        return ""
+    whole, torque, *_ = pid_torque(own.element, t, x[own.own_sides], v[own.own_sides], *own.all_states(t, x, v))
+    return f", which is at its limit of {own.element.limit:.6g} N m" if whole != torque else ""
+
+
 def naming_loose(failure, loading, q):
     """The failure of a structure that can move freely, with the bodies that can move while all others stand still."""
     model = loading.model
-    if not (model.is_scene and failure.reason == FREE):
+    if not (model.is_scene and failure.reason.startswith(FREE)):
         return failure
     K, B, motions = loading.stiffness(q, np.zeros(model.m)), model.phi_q(loading.t, q), rigid_motions(model, q).tocsc()
     loose = []
@@ -232,7 +265,7 @@ def naming_loose(failure, loading, q):
         if np.linalg.svd(np.concatenate([K @ own / (abs(K).max() or 1.0), B @ own]), compute_uv=False)[-1] < LOOSE:
             loose.append(body.name)
     names = ", ".join(map(repr, loose[:3])) + ", ..." * (len(loose) > 3)
-    return StepFailure(failure.status, f"{names}: {FREE}", failure.t, **failure.seen) if loose else failure
+    return StepFailure(failure.status, f"{names}: {failure.reason}", failure.t, **failure.seen) if loose else failure
 
 
 def whole_load(part, model, t, tolerance, max_iterations):

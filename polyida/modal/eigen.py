@@ -18,6 +18,7 @@ from scipy.linalg import eigh, null_space
 from scipy.sparse import csc_array
 
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.row_sizes import row_sizes
 from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
 from polyida.integrate.static import own_system
@@ -118,10 +119,27 @@ class LinearSystem:
         return values
 
     def round_off(self, X):
-        """Round-off of `x^T K x`, (k,): of its sums, and of derivatives by differences, estimated by the asymmetry of K."""
+        """Round-off of `x^T K x`, (k,): of its sums, and of derivatives by differences, estimated by the asymmetry of K.
+
+        In a scene both components of a place have the round-off of the larger one: the stiffness of an unstretched spring across its axis.
+        """
         size = np.abs(X)
         least = self._apart + NOTHING * float(abs(self.K).max())
-        return ROUND * np.einsum("ik,ik->k", size, abs(self.K) @ size) + least * np.einsum("ik,ik->k", size, size)
+        of_squares = least * np.einsum("ik,ik->k", size, size)
+        if self.model.is_scene:
+            size = size[0::2] + size[1::2]
+        return ROUND * np.einsum("ik,ik->k", size, self._sizes @ size) + of_squares
+
+    @cached_property
+    def _sizes(self):
+        """|K|, in a scene the largest entry of each block of two places, (n / 2, n / 2)."""
+        K = abs(self.K)
+        if not self.model.is_scene:
+            return K
+        blocks = [K[i::2][:, j::2] for i in range(2) for j in range(2)]
+        if isinstance(K, np.ndarray):
+            return np.max(blocks, axis=0)
+        return blocks[0].maximum(blocks[1]).maximum(blocks[2]).maximum(blocks[3])
 
     @cached_property
     def _apart(self):
@@ -149,7 +167,7 @@ def linear_system(part, model, state=None):
     if model.m:
         require_independent(model, B, q)
         remedy = "give one of this model, such as pi.static(model)"
-        require_near(model, f"{part}: the state", "phi", model.phi(t, q), max(1.0, np.abs(q).max()), remedy)
+        require_near(model, f"{part}: the state", "phi", model.phi(t, q), row_sizes(model, q, B), remedy)
     C = model.force_v(t, q, rest) if model.needs.velocity_forces else None
     M = model.mass(q)
     K = model.tangent(t, q, rest, zero, state.lam, 0.0, 0.0, 1.0)
@@ -240,7 +258,11 @@ def _with_states(system, count):
     s = np.where(np.abs(s) <= still, 0.0, s)
     order = [k for k in np.lexsort((-s.imag, np.abs(s))) if s[k].imag >= 0.0][:count]
     X = T @ Y[: T.shape[1], order] + S @ (Y[2 * T.shape[1] :, order] / np.where(s[order] == 0.0, 1.0, s[order]))
-    return s[order], X.astype(complex)
+    s, X = s[order], X.astype(complex)
+    # a rigid motion has s = 0 twice: of a double root round-off makes two of the size of its square root
+    mass = np.einsum("ik,ik->k", X.conj(), system.M @ X).real
+    rigid = (system.stiffness_of(X) == 0.0) & (np.abs(s) ** 2 * mass <= system.round_off(X))
+    return np.where(rigid, 0.0, s), X
 
 
 def _large(system, count):

@@ -13,6 +13,7 @@ from polyida.environment import machine_info
 from polyida.errors import StepFailure
 from polyida.event import Events, Happened
 from polyida.integrate.discontinuities import unseen
+from polyida.integrate.left_out import LeftOut
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, States, Stretch, declared, parted
 from polyida.integrate.switches import unresolved
@@ -106,13 +107,18 @@ class Run:
             stretches = accepted(self.method, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows)
             if self.known.m and not self.known.row_laws and (needs.phi_q_varies or needs.driven):
                 self.watch = Watch(self.known, state)
+        left_out = LeftOut(self.happenings.mode if self.happenings else self.known)
         for stretch in stretches:
             if isinstance(stretch, Change):
                 state = self._change(stretch)
                 if stretch.stops:
                     return "stopped", stretch.stops
+                left_out = LeftOut(self.happenings.mode)
                 continue
             sound, failure = self.watch.look(stretch) if self.watch else (len(stretch), None)
+            agreeing, contradiction = left_out.look(stretch)
+            if agreeing < sound:
+                sound, failure = agreeing, contradiction
             self.counts.steps -= len(stretch) - sound
             whole, done, quiet = stretch.part(0, sound), 0, 0  # quiet: states in front that need not be looked at one by one
             if self.progress is None:

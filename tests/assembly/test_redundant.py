@@ -140,3 +140,32 @@ def test_a_hinge_on_a_clamped_edge_takes_a_share_of_each_node(scenes):
 def test_constraints_that_depend_on_each_other_in_one_position_alone_are_refused():
     with pytest.raises(pi.InputError, match="follows from the other constraints in this position alone"):
         parallelogram(0.0, (0.0, 2.0)).build(redundant="least-norm")
+
+
+def driven_twice(turn):
+    """A bar that two motors turn, the second by `turn`."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    for name, whole in (("motor", 1.0), ("second", turn)):
+        scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.quintic(0.0, whole, duration=1.0), name=name))
+    return scene.build(redundant="least-norm")
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.02), pi.RadauIIA(), pi.IDA(rtol=1e-4), pi.EnergyMomentum(h=0.02)])
+def test_motors_that_contradict_each_other_later_end_the_run(integrator):
+    """Both are at rest at first: one of them is left out, and its row opens as they part."""
+    run = pi.solve(driven_twice(2.0), 0.5, integrator)
+    assert run.status == "contradiction" and run.message.startswith("second angle contradicts motor angle")
+    assert run.drift.max() < 1e-4
+    assert pi.solve(driven_twice(1.0), 0.5, integrator).success
+
+
+def test_statics_and_starts_refuse_motors_that_contradict_each_other():
+    assert pi.static(driven_twice(2.0)).q.max() < 1e-12
+    with pytest.raises(pi.StepFailure, match="contradicts"):
+        pi.static(driven_twice(2.0), t=0.3)
+    q = pi.static(driven_twice(1.0), t=0.3).q
+    pi.consistent_state(driven_twice(1.0), t0=0.3, q0=q)
+    with pytest.raises(pi.InputError, match="second angle contradicts motor angle"):
+        pi.consistent_state(driven_twice(2.0), t0=0.3, q0=q)

@@ -1,5 +1,7 @@
 """What a run starts from: constraints and equations of motion hold to round-off; what cannot start is refused."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -140,3 +142,49 @@ def test_a_drawing_off_its_path_is_named_with_what_helps():
 def test_a_start_without_q0_that_cannot_be_says_that_q0_is_zero():
     with pytest.raises(pi.InputError, match="q0 was not given and is zero"):
         pi.consistent_state(pi.problems.get("pendulum").model)
+
+
+class Pendulum(pi.Model):
+    """A mass on a rod of length L, in Cartesian coordinates."""
+
+    n, m = 2, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False)
+
+    def __init__(self, L):
+        self.L = L
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81])
+
+    def phi(self, t, q):
+        return np.array([0.5 * (q @ q - self.L**2)])
+
+    def phi_q(self, t, q):
+        return q[None, :].copy()
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_a_start_off_its_constraints_is_refused_in_any_unit_of_length(size):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(size, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    model, own = scene.build(), Pendulum(size)
+    moved = np.zeros(model.n)
+    moved[0::2] = 1.0
+    for share, refused in ((0.3, True), (1e-4, True), (1e-9, False)):
+        starts = (
+            lambda share=share: pi.consistent_state(model, q0=share * size * moved),
+            lambda share=share: pi.consistent_state(model, v0=share * np.sqrt(9.81 * size) * moved),
+            lambda share=share: pi.consistent_state(own, q0=[size * (1.0 + share), 0.0]),
+            lambda share=share: pi.consistent_state(own, q0=[size, 0.0], v0=[share * size, size]),
+            lambda share=share: pi.modes(model, dataclasses.replace(pi.consistent_state(model), q=share * size * moved), count=1),
+        )
+        for start in starts:
+            if refused:
+                with pytest.raises(pi.InputError, match="violates the constraint"):
+                    start()
+            else:
+                start()

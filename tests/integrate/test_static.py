@@ -236,3 +236,23 @@ def test_a_clamped_rigid_body_rests_where_it_is():
     state = pi.static(model)
     assert state.stable and not state.q.any()
     assert np.allclose(model.reactions("wall", state.q[None], state.lam[None, model.rows["wall"]]), [[0.0, -19.62, -9.81]])
+
+
+@pytest.mark.parametrize(
+    ("element", "told"),
+    [
+        (lambda bar: pi.PID(bar.at("left"), kp=50.0, ki=20.0, limit=2.0, name="control"), "'control', which is at its limit of 2 N m"),
+        (lambda bar: pi.DCMotor(bar.at("left"), volts=3.0, k=0.5, L=0.05, R=1.0, name="motor"), "'motor'"),
+    ],
+)
+def test_a_mechanism_names_the_element_that_does_not_hold_it(element, told):
+    """Both act on the bar, but their torque does not change with its angle: that of a PID beyond its limit, and that of a motor at rest."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.SpringDamper(pi.ground.at((1.0, 1.0)), bar.at("right"), damping=1.0, stiffness=0.0, name="damper"))
+    scene.add(element(bar))
+    with pytest.raises(StepFailure, match="move freely") as failure:
+        pi.static(scene.build())
+    assert told in str(failure.value)
+    assert "'damper'" in str(failure.value)

@@ -1,5 +1,6 @@
 """Linear modes: closed forms of beams, pendulums, chains and dampers, and what is refused."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -303,3 +304,16 @@ def test_where_it_is_drawn_and_where_it_moves(scenes):
     with pytest.warns(UserWarning, match="modes: the state moves"):
         found = pi.modes(model, State(0.0, np.zeros(model.n), v, v, np.zeros(model.m)), count=2)
     assert np.array_equal(found.frequencies, pi.modes(model, count=2).frequencies)
+
+
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e3])
+def test_a_free_body_on_an_unstretched_spring_along_an_axis_is_not_unstable(size, damped):
+    """Across its axis the spring's stiffness is the round-off of that along it; a body that may drift and turn has two rigid motions."""
+    scene = pi.Scene()
+    bar = scene.add(pi.RigidBody.bar(0.5 * size, 2.0, origin=(size, 0.0), name="bar"))
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, 0.0)), bar.at("left"), stiffness=50.0, name="spring"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        roots = pi.modes(scene.build(), damped=damped).roots
+    assert np.array_equal(roots[:2], [0.0, 0.0]) and roots[2] == pytest.approx(5j, rel=1e-9)
