@@ -135,7 +135,10 @@ def integrators_agree(case):
     if not case.stepped:
         case.require_near(places(case.made, case.run(pi.IDA(rtol=rtol))), expected, 2000 * rtol, "IDA")
     h = DURATION / STEPS
-    fixed = [*([] if case.stepped else [pi.GeneralizedAlpha, pi.EnergyMomentum]), *([pi.NonsmoothAlpha, pi.MoreauJean] if case.laws else [])]
+    fixed = [
+        *([] if case.stepped else [pi.GeneralizedAlpha, pi.EnergyMomentum]),
+        *([pi.NonsmoothAlpha, pi.MoreauJean] if case.laws else []),
+    ]
     for kind in fixed:
         try:
             coarse, fine = (places(case.made, case.run(kind(h=step))) for step in (h, 0.5 * h))
@@ -244,8 +247,6 @@ def files_keep_runs(case):
             again.known_model("position")
         except pi.InputError:
             return
-        if not np.array_equal(places(case.made, run), places(case.made, again)):
-            raise Finding("places of the file differ")
         for name in ("kinetic", "potential", "strain"):
             if not np.allclose(getattr(run.energy, name), getattr(again.energy, name), rtol=1e-12, atol=1e-12):
                 raise Finding(f"{name} energy of the file differs")

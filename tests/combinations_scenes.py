@@ -50,7 +50,7 @@ class World:
 
     def of(self, value, unit):
         """A number of a unit of SI in the units of the world."""
-        return value * float(np.prod([size ** -power for size, power in zip(self.units, UNITS[unit])]))
+        return value * float(np.prod([size**-power for size, power in zip(self.units, UNITS[unit])]))
 
     def vector(self, x, y, unit):
         """Components of a vector (x, y)."""
@@ -587,7 +587,9 @@ def _pid(made, random):
 def _linear(made, random):
     world = made.world
     rate, gain = world.of(random.uniform(5, 30), "1/s"), world.of(random.uniform(1, 5), "N m")
-    return [pi.LinearController(A=[[-rate]], B=[[rate]], C=[[gain]], D=[[0.2 * gain]], target=_turning(world, random), **_turned(made, random))]
+    return [
+        pi.LinearController(A=[[-rate]], B=[[rate]], C=[[gain]], D=[[0.2 * gain]], target=_turning(world, random), **_turned(made, random))
+    ]
 
 
 def _dc(made, random):
@@ -686,7 +688,9 @@ def _catch(made, random, name):
 
 
 def _impulse(made, random, name):
-    return pi.Event(_when(made, random), pi.Impulse(_end(made, random)[0], made.world.vector(*random.uniform(-0.5, 0.5, 2), "N s")), name=name)
+    return pi.Event(
+        _when(made, random), pi.Impulse(_end(made, random)[0], made.world.vector(*random.uniform(-0.5, 0.5, 2), "N s")), name=name
+    )
 
 
 def _impact(made, random, name):
