@@ -459,6 +459,7 @@ def test_a_driven_mechanism_bounces_off_nothing(integrator):
         scene.add(pi.Revolute(bar.at("right"), tail.at("left")))
         scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.sine(0.5, 1.0)))
         scene.add(pi.AngleMotor(bar.at("right"), tail.at("left"), pi.profile.sine(share, 2.0)))
-        wall = pi.Event(lambda s, end=tail.at("right"): s.position(end)[1] - 0.2, pi.Impact(0.6), name="wall")
+        end = tail.at("right")
+        wall = pi.Event(lambda s, end=end: s.position(end)[1] - 0.2, pi.Impact(0.6), name="wall")
         run = pi.solve(scene.build(), 0.1, integrator, events=[wall])
         assert run.status == "events" and "the joints do not let `when` change" in run.message and len(run.events) == 0
