@@ -147,7 +147,7 @@ class Loading:
         for iteration in range(self.max_iterations):
             r, phi = self.residuals(q, lam, factor)
             if own := own or own_system(self.model, self.t, q, lam):
-                with suppress(SingularSystem, StepFailure):
+                with suppress(SingularSystem, np.linalg.LinAlgError, StepFailure):  # the user's matrix may raise that of numpy
                     dq, dlam = own.step.saddle(self.t, q, lam, r, phi)
                     self.require_near(q, dq, iteration)
                     q, lam, regular, moved = q + dq, lam + dlam, True, np.abs(dq).max()

@@ -127,9 +127,9 @@ def from_data(description, arrays, drives=None):
     """
     reader = _Decoder(arrays, drives or (lambda key: None))
     try:
-        for entry in description["parts"]:
-            reader.parts[entry["name"]] = reader.part(entry)
-        return reader.parts, reader.value({"name": "gravity"}, "gravity", description["gravity"])
+        reader.waiting = {entry["name"]: entry for entry in description["parts"]}
+        parts = {name: reader.part_of(name) for name in [*reader.waiting]}
+        return parts, reader.value({"name": "gravity"}, "gravity", description["gravity"])
     except (InputError, UnknownPart):
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -147,10 +147,16 @@ def factors_from(description, arrays):
 
 
 class _Decoder:
-    """Makes parts from entries, one after the other; sides refer to earlier parts."""
+    """Makes parts from entries. waiting: {name: entry} of those not made yet; a joint makes its bodies, which may stand behind it."""
 
     def __init__(self, arrays, drives):
-        self.arrays, self.drives, self.parts, self.meshes = arrays, drives, {}, {}
+        self.arrays, self.drives, self.parts, self.meshes, self.waiting = arrays, drives, {}, {}, {}
+
+    def part_of(self, name):
+        """The part of that name, made when it is first asked for."""
+        if name not in self.parts:
+            self.parts[name] = self.part(self.waiting.pop(name))
+        return self.parts[name]
 
     def part(self, entry):
         """The part of an entry."""
@@ -198,7 +204,7 @@ class _Decoder:
 
     def _side(self, side):
         key, arrays = side["key"], self.arrays
-        nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
+        nodes, body = arrays[f"{key}/nodes"], self.part_of(side["body"])
         if "corners" in side:
             return body.edges(*map(str, side["corners"]))
         real = arrays[f"{key}/weights"].ndim == 1

@@ -32,6 +32,7 @@ NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(5) / 4)  # of a step, where functio
 COEFFICIENTS = np.linalg.inv(np.vander(NODES, increasing=True))
 OFFSET, ZERO = 1e-10, 1e-14  # of the largest |g| so far: g is on a side; |g| at the start of a run that is round-off
 STILL = 1e-9  # of the rate before an event: a smaller one is round-off
+FREE = 1e-7  # of dg/dq, which is found by differences: the share that joints leave; a smaller one is round-off
 AHEAD = 1e-2  # of the time in which a state changes by its size: differences for rates of events
 TOGETHER = 1e-9  # of a step: events that are not farther apart happen at one time
 SETTLING = 4  # corrections of the time of an event
@@ -356,7 +357,8 @@ class Happenings:
             for kind, w, value in pushes:
                 y, lam = equations.mass_system(t, after.q).solve(-w, none)
                 if kind == "impact":
-                    if not w @ y > 0:
+                    moved = mode.mass(after.q) @ y  # w without what the joints take; round-off where they hold all of it
+                    if not np.linalg.norm(moved) > FREE * np.linalg.norm(w):
                         raise StepFailure("events", f"{label}: Impact: the joints do not let `when` change", t)
                     push = -(1.0 + value) * self._gradient(event, replace(after, v=v))[1] / (w @ y)
                     impulses["impact"] = (float(push),)

@@ -38,7 +38,7 @@ def errors(model, run):
 def test_clean_at_1e_9(driven, moving, linear, form):
     run = pi.solve(driven, moving.t + 20e-9, pi.GeneralizedAlpha(h=1e-9, tolerance=1e-10, linear=linear, form=form), state=moving)
     a, lam = errors(driven, run)
-    assert run.success and a < 1e-7 and lam < 1e-10
+    assert run.success and a < 1e-7 and lam < 1e-9  # 1.1e-10 on one kind of processor
 
 
 @pytest.mark.parametrize("linear", ["auto", "kkt"])

@@ -289,9 +289,9 @@ def test_a_part_with_fields_that_is_no_dataclass_is_refused(kind):
         kind(pi.ground, pi.RigidBody(1.0, 1.0, {"rim": (0.5, 0.0)}).at("rim"), 2.0)
 
 
-@pytest.mark.parametrize(("length", "told"), [(None, "the points coincide: their distance is 6.*e-18 m"), (1e-15, "length is 1e-15 m")])
+@pytest.mark.parametrize(("length", "told"), [(None, "the points coincide: their distance is [4-8].*e-16 m"), (1e-15, "length is 1e-15 m")])
 def test_a_rod_whose_length_is_round_off_is_refused(length, told):
     bar = pi.RigidBody.bar(1.0, 1.0, name="bar")
-    assert 0.0 < np.abs(bar.at("left").point).max() < 1e-15
+    assert np.abs(bar.at("left").point).max() < 1e-16  # round-off, on some processors zero
     with pytest.raises(pi.InputError, match=f"^Distance 'rod': {told}, round-off beside coordinates of 0.5 m"):
-        pi.Distance(pi.ground.at((0.0, 0.0)), bar.at("left"), length=length, name="rod")
+        pi.Distance(pi.ground.at((6e-16, 0.0)), bar.at("left"), length=length, name="rod")

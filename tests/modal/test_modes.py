@@ -202,8 +202,9 @@ def test_a_viscous_bar_is_damped_by_half_its_viscosity_times_omega(cells, held):
     """C = viscosity K: Kelvin and Voigt's solid; frequencies are those without damping."""
     model, _ = beam(held, cells=cells, element="wachspress", viscosity=2e-4)
     found, still = pi.modes(model, count=6, damped=True), pi.modes(model, count=6)
-    assert found.frequencies == pytest.approx(still.frequencies, rel=1e-8, abs=1e-12)
-    assert found.damping == pytest.approx(2e-4 * np.pi * still.frequencies, rel=1e-8, abs=1e-12)
+    # round-off of K, eps of its largest eigenvalue, is 2.5e-8 of the least one on one kind of processor
+    assert found.frequencies == pytest.approx(still.frequencies, rel=2.5e-7, abs=1e-12)
+    assert found.damping == pytest.approx(2e-4 * np.pi * still.frequencies, rel=2.5e-7, abs=1e-12)
     assert np.abs(np.abs(found.shapes[-1]) - np.abs(still.shapes[-1])).max() < 1e-6 * np.abs(still.shapes).max()
 
 

@@ -41,7 +41,7 @@ def same(one, other):
 def test_they_see_what_frames_hold(whole):
     sensors = whole.sensors
     assert list(sensors) == ["energy", "a/tip", "first"] and np.array_equal(sensors.t, whole.t) and len(sensors) == 3
-    assert np.array_equal(sensors["a/tip"], whole.position("tip"))
+    assert np.allclose(sensors["a/tip"], whole.position("tip"), rtol=0.0, atol=1e-14)  # sums of one frame and of many differ in their order
     assert np.allclose(sensors["energy"], whole.energy.potential + whole.energy.strain, rtol=1e-13)
     assert sensors["first"].shape == (len(whole), 2, 4) and np.array_equal(sensors["first"][:, 1], whole.v[:, :4])
 
@@ -56,7 +56,8 @@ def test_ready_ones(model):
         "push": pi.sensor.state(lambda state: [state.a[0], state.lam[-1]]),
     }
     run = pi.solve(model, 0.02, ALPHA, sensors=ready)
-    assert np.array_equal(run.sensors["tip"], run.position("tip")) and np.allclose(run.sensors["end"], run.position("tip"), atol=1e-14)
+    assert np.allclose(run.sensors["tip"], run.position("tip"), rtol=0.0, atol=1e-14)
+    assert np.allclose(run.sensors["end"], run.position("tip"), atol=1e-14)
     assert np.allclose(run.sensors["shoulder"], run.reaction("shoulder"), rtol=1e-14)
     assert np.allclose(run.sensors["motor"], run.reaction("elbow motor"), rtol=1e-14)
     assert np.array_equal(run.sensors["push"], np.stack([run.a[:, 0], run.lam[:, -1]], axis=1))

@@ -446,3 +446,20 @@ def test_a_mechanism_crosses_once(integrator):
     run = pi.solve(scene.build(), 0.6, integrator, events=[push])
     assert len(run.events) == 1
     assert np.abs(run.position("end")[np.argmin(np.abs(run.t - run.events[0].t))][1] + 0.4) < 1e-10
+
+
+@pytest.mark.parametrize("integrator", [pi.EnergyMomentum(h=5e-3), pi.GeneralizedAlpha(h=5e-3)])
+def test_a_driven_mechanism_bounces_off_nothing(integrator):
+    """Motors hold all of it: what is left of dg/dq is round-off, of either sign, and no number to divide by."""
+    for share in (0.3, 0.5, 0.8):
+        scene = pi.Scene()
+        bar = scene.add(pi.RigidBody.bar(1.0, 1.0 + share, name="bar"))
+        tail = scene.add(pi.RigidBody.bar(0.7, 1.0, origin=(1.0, 0.0), name="tail"))
+        scene.add(pi.Revolute(pi.ground, bar.at("left")))
+        scene.add(pi.Revolute(bar.at("right"), tail.at("left")))
+        scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.sine(0.5, 1.0)))
+        scene.add(pi.AngleMotor(bar.at("right"), tail.at("left"), pi.profile.sine(share, 2.0)))
+        end = tail.at("right")
+        wall = pi.Event(lambda s, end=end: s.position(end)[1] - 0.2, pi.Impact(0.6), name="wall")
+        run = pi.solve(scene.build(), 0.1, integrator, events=[wall])
+        assert run.status == "events" and "the joints do not let `when` change" in run.message and len(run.events) == 0
