@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
@@ -36,8 +38,8 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         A run with plates.
     folder : str or Path
     overwrite : bool
-        Replace the frames of an earlier export. They are removed when the new ones are whole; until then the new ones have other names, with
-        a letter. Other files in the folder stay.
+        Replace the frames of an earlier export, when the new ones are whole: until then these have a letter in their names. Other files in the
+        folder stay.
     frames : int or (k,) int, optional
         Largest number of frames, evenly spread in time, or indices of frames. None: all frames.
 
@@ -89,6 +91,14 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         raise
     for name in old:
         (folder / name).unlink(missing_ok=True)
+    plain = _free_names(folder, len(indices))
+    if names[0] != plain[0] and plain[0] == f"frame-{0:05d}.vtu":  # the old ones had the plain names
+        with suppress(OSError):  # a file system without links
+            for name, new in zip(names, plain):
+                os.link(folder / name, folder / new)
+            _write_collection(folder / COLLECTION, plain, run.t[indices])
+            for name in names:
+                (folder / name).unlink()
     return folder / COLLECTION
 
 
