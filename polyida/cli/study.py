@@ -53,11 +53,8 @@ def main(study, arguments=None, command=None):
             other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", other)
         if other != study.name:
             raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
-        if options.fresh and tasks.is_dir():
-            for path in tasks.glob("*.json"):
-                path.unlink()
         with progress_display() as display:
-            rows = run_tasks(study, options.quick, tasks, TaskProgress(name, display))
+            rows = run_tasks(study, options.quick, tasks, TaskProgress(name, display), options.fresh)
         result = StudyResult(study, rows, options.quick)
         with FigureWriter() if len(result.report_pictures()) > FEW_PICTURES else nullcontext() as writer:
             data = result.write(out, command, writer)

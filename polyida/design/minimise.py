@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from polyida.design.problem import Case, Evaluation, Problem
 from polyida.design.variables import Densities, Sharpness, Size
 from polyida.errors import InputError
+from polyida.files import replacing
 from polyida.objective.objective import Limit, Objective
 from polyida.progress import teller
 from polyida.validation import is_number, library, named_keywords, whole
@@ -389,10 +389,8 @@ class _Store:
         if self.folder is None:
             return
         path = self.folder / NAME.format(len(self.known))
-        unfinished = path.with_suffix(".part")
-        with open(unfinished, "wb") as file:
+        with replacing(path) as part, open(part, "wb") as file:
             np.savez(file, x=x, sharp=self._key(x, sharp)[1], **vars(found))
-        os.replace(unfinished, path)
 
     def require_same(self, x, sharp, problem):
         """Raise InputError if the folder's evaluation of the start is not that of the problem."""

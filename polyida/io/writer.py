@@ -50,7 +50,11 @@ class Table:
         """Create the datasets in an open file."""
         for name, chunk in self.chunks.items():
             options = {"maxshape": (None, *self.shapes[name]), "chunks": chunk, "fletcher32": True}
-            self._datasets[name] = file.create_dataset(name, (0, *self.shapes[name]), self.dtypes[name], **options)
+            file.create_dataset(name, (0, *self.shapes[name]), self.dtypes[name], **options)
+
+    def open(self, file):
+        """Take the datasets of an open file, to append to them."""
+        self._datasets = {name: file[name] for name in self.chunks}
 
     def bytes(self, more=0):
         """Bytes of all chunks with `more` rows."""
@@ -72,6 +76,13 @@ class NotWritten(Exception):
         number = getattr(error, "errno", None)
         self.status = "disk full" if number in FULL else "not written"
         super().__init__(f"{path}: {os.strerror(number) if number else error}")
+
+
+def write_all(descriptor, data):
+    """Write all bytes at the present place of a descriptor."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(descriptor, left) :]
 
 
 @contextmanager
@@ -98,15 +109,19 @@ class Writer:
         self.frames, self.sensors = Table(shapes, dtypes_of(shapes, single)), Table({SENSORS: (width,)}, {SENSORS: np.dtype("f8")})
         self._tables = self.frames, self.sensors
         self._reserved, self._slots = 0, 2 * (sum(table.block_bytes for table in self._tables) + SLOT_CHUNK)
+        head = self._head(about, arrays)
+        self._start, self._file = len(head), None
         with writing(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
             with writing(shown):
                 lock(self.descriptor)
-                self._file = h5py.File(self.path, "w", libver="v110", locking=False)
-                self._make(about, arrays)
-                self._file.flush()
-                self._start = self._file.id.get_filesize()
+                write_all(self.descriptor, head)
+                self._reserve()
+                self._file = h5py.File(self.path, "r+", libver="v110", locking=False)
+                for table in self._tables:
+                    table.open(self._file)
+                self._file.swmr_mode = True
         except NotWritten:
             self._discard()
             raise
@@ -124,18 +139,22 @@ class Writer:
         except NotWritten as error:
             raise InputError(f"no file can be written there: {error}") from None
 
-    def _make(self, about, arrays):
-        for table in self._tables:
-            table.make(self._file)
-        self._file.attrs["format"] = FORMAT
-        text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
-        for key, values in {"about": text, **arrays}.items():
-            checked = {"chunks": values.shape, "fletcher32": True} if values.size else {}
-            self._file.create_dataset(key, data=values, **checked)
-        for slot in range(2):
-            self._file.create_dataset(f"slot {slot}", (0,), "u1", maxshape=(None,), chunks=(SLOT_CHUNK,))
-        self._file.flush()
-        self._file.swmr_mode = True
+    def _head(self, about, arrays):
+        """The bytes of a file without frames, made in memory: HDF5 crashes later if it cannot write what it has begun."""
+        import h5py
+
+        with h5py.File(self.path.name, "w", libver="v110", driver="core", backing_store=False) as file:
+            for table in self._tables:
+                table.make(file)
+            file.attrs["format"] = FORMAT
+            text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
+            for key, values in {"about": text, **arrays}.items():
+                checked = {"chunks": values.shape, "fletcher32": True} if values.size else {}
+                file.create_dataset(key, data=values, **checked)
+            for slot in range(2):
+                file.create_dataset(f"slot {slot}", (0,), "u1", maxshape=(None,), chunks=(SLOT_CHUNK,))
+            file.flush()
+            return file.id.get_file_image()
 
     @property
     def rows(self):
@@ -186,11 +205,19 @@ class Writer:
 
         HDF5 places chunks late, so the size is computed here: complete chunks, their checksums and index.
         """
+        size = os.fstat(self.descriptor).st_size
+        if size < self._reserved:
+            raise OSError(f"another program cut the file to {size} bytes")
         chunks = sum(table.bytes(rows if table is growing else 0) for table in self._tables)
         need = self._start + chunks + chunks // 32 + self._slots + ABOVE
-        if need > self._reserved and hasattr(os, "posix_fallocate"):
+        if need <= self._reserved:
+            return
+        if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self.descriptor, 0, need)
-            self._reserved = need
+        else:  # macOS, Windows
+            os.lseek(self.descriptor, 0, os.SEEK_END)
+            write_all(self.descriptor, bytes(max(0, need - size)))
+        self._reserved = need
 
     @contextmanager
     def publishing(self, overwrite):
@@ -233,6 +260,8 @@ class Writer:
         """Close the file with the committed frames. Its descriptor stays open for reading."""
         try:
             with writing(self.shown):
+                if self._file is None:
+                    return
                 self._file.close()
                 # release the reserved space beyond the end of the closed file (superblock 3: bytes 28 to 35)
                 os.lseek(self.descriptor, 0, os.SEEK_SET)

@@ -1,6 +1,5 @@
 """Meshes from files and from lists; the suffix selects the format from a dictionary that users can extend."""
 
-import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
+from polyida.files import replacing
 from polyida.mesh import abaqus, meshio_files, polymesher, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, RawMesh, repaired, unit_note, unit_size
@@ -172,14 +172,11 @@ def put(part, path, overwrite, write):
     flag(part, "overwrite", overwrite)
     if path.exists() and not overwrite:
         raise InputError(f"{part} exists; pass overwrite=True to replace it")
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        write(temporary)
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            write(temporary)
     except (OSError, InputError) as error:
         raise InputError(f"{part} cannot be written: {getattr(error, 'strerror', None) or error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _merge_tolerance(tolerance):

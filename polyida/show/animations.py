@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.files import replacing
 from polyida.show import plates
 from polyida.show.style import (
     INK,
@@ -88,7 +88,8 @@ def animation(
                 progress(done / len(indices))
 
     write = _write_gif if suffix == ".gif" else _write_mp4
-    write(path, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
+    with replacing(path) as part:
+        write(part, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
     return path
 
 
@@ -100,20 +101,16 @@ def _write_gif(path, sample, images, duration):
 
 
 def _write_mp4(path, sample, images, duration):
-    """Write H.264 with an even number of pixels, which every player accepts; the file has another name until it is complete."""
+    """Write H.264 with an even number of pixels, which every player accepts."""
     size = [length // 2 * 2 for length in sample.size]
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.part.mp4")
     options = {"fps": 1 / duration, "quality": 8, "macro_block_size": 2, "ffmpeg_log_level": "error"}
-    film = _ffmpeg().write_frames(str(partial), size, **options)
+    film = _ffmpeg().write_frames(str(path), size, **options)
     try:
         film.send(None)
         for image in images:
             film.send(image.crop((0, 0, *size)).tobytes())
-        film.close()
-        os.replace(partial, path)
     finally:
         film.close()
-        partial.unlink(missing_ok=True)
 
 
 def _ffmpeg():

@@ -10,6 +10,7 @@ from base64 import b64encode
 from csv import reader
 from dataclasses import dataclass, field
 from functools import cache
+from hashlib import sha256
 from numbers import Real
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ import numpy as np
 
 from polyida.environment import footer, machine_info
 from polyida.errors import InputError
+from polyida.files import write_file
 from polyida.show import plates
 from polyida.show.figure_files import figure_files
 from polyida.show.style import STICK, bounds, colour_limit
@@ -212,6 +214,20 @@ class Movie:
 TEMPLATES = Path(__file__).parent / "templates"
 
 
+def policy(script):
+    """The page's Content-Security-Policy: this script alone runs, and nothing is loaded from elsewhere."""
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    return (
+        f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    )
+
+
+def json_in_html(data):
+    """JSON for a script element, in which no text of the data can end the element or begin another."""
+    text = json.dumps(data, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
 @cache
 def _templates():
     """(template of a page, Markup)."""
@@ -220,7 +236,7 @@ def _templates():
 
     environment = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True)
     environment.filters["code"] = lambda text: Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
-    environment.filters["json"] = lambda data: Markup(json.dumps(data, separators=(",", ":")))
+    environment.filters["json"] = lambda data: Markup(json_in_html(data))
     return environment.get_template("report.html"), Markup
 
 
@@ -246,10 +262,11 @@ def write(folder, title, blocks, command, machine=None, lead="", writer=None):
     files = writer.files() if writer else {picture.name: figure_files(picture.figure) for picture in pictures}
     for name in names:
         for kind in ("png", "pdf", "csv"):
-            (folder / f"{name}.{kind}").write_bytes(files[name][kind])
+            write_file(folder / f"{name}.{kind}", files[name][kind])
     template, Markup = _templates()
     style, *scripts = (Markup((TEMPLATES / name).read_text(encoding="utf-8")) for name in ("page.css", "table.js", "movie.js"))
     text = {"title": title, "lead": lead, "command": command, "machine": footer(machine or machine_info())}
     path = folder / "report.html"
-    path.write_text(template.render(text, blocks=blocks, files=files, style=style, script=Markup("\n").join(scripts)), encoding="utf-8")
+    script = Markup("\n").join(scripts)
+    write_file(path, template.render(text, blocks=blocks, files=files, style=style, script=script, policy=policy(script)))
     return path

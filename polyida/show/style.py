@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from polyida.files import write_file
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -116,7 +118,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         The file; equal figures give equal files.
     """
     path = Path(path)
-    path.write_bytes(rendered(figure, path.suffix[1:]))
+    write_file(path, rendered(figure, path.suffix[1:]))
     return path
 
 

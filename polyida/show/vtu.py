@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+from contextlib import suppress
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
+from polyida.files import remove_left_over, replacing, write_file
 from polyida.show import plates
 from polyida.validation import is_whole, named_keywords
 
@@ -33,7 +38,8 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         A run with plates.
     folder : str or Path
     overwrite : bool
-        Replace the frames that the folder already has.
+        Replace the frames of an earlier export, when the new ones are whole: until then these have a letter in their names. Other files in the
+        folder stay.
     frames : int or (k,) int, optional
         Largest number of frames, evenly spread in time, or indices of frames. None: all frames.
 
@@ -68,20 +74,55 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
             raise InputError(f"export: frames = {frames!r} must be how many, or indices of the run's {len(run.t)} frames")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"export folder {folder} is a file")
-    old = [*folder.glob("frame-*.vtu"), *folder.glob(COLLECTION)] if folder.exists() else []
-    if old and not overwrite:
+    if (folder / COLLECTION).exists() and not overwrite:
         raise InputError(f"export folder {folder} holds frames already: choose another folder, or pass overwrite=True (--overwrite)")
+    old = _frames_of(folder / COLLECTION)
+    names = _free_names(folder, len(indices))
     folder.mkdir(parents=True, exist_ok=True)
-    for path in old:
-        path.unlink()
-    names = [f"frame-{i:05d}.vtu" for i in range(len(indices))]
-    for name, k in zip(names, indices):
-        cells.frame(run, int(k)).write(folder / name, file_format="vtu")
-    entries = "".join(f'    <DataSet timestep="{float(t)!r}" part="0" file="{name}"/>\n' for name, t in zip(names, run.t[indices]))
+    remove_left_over(folder)
+    try:
+        for name, k in zip(names, indices):
+            with replacing(folder / name) as part:
+                cells.frame(run, int(k)).write(part, file_format="vtu")
+        _write_collection(folder / COLLECTION, names, run.t[indices])
+    except BaseException:  # the old frames stay
+        for name in names:
+            (folder / name).unlink(missing_ok=True)
+        raise
+    for name in old:
+        (folder / name).unlink(missing_ok=True)
+    plain = _free_names(folder, len(indices))
+    if names[0] != plain[0] and plain[0] == f"frame-{0:05d}.vtu":  # the old ones had the plain names
+        with suppress(OSError):  # a file system without links
+            for name, new in zip(names, plain):
+                os.link(folder / name, folder / new)
+            _write_collection(folder / COLLECTION, plain, run.t[indices])
+            for name in names:
+                (folder / name).unlink()
+    return folder / COLLECTION
+
+
+def _free_names(folder, count):
+    """Names of frames that no file in the folder has: `frame-00000.vtu`, or with a letter where an earlier export or the user has these."""
+    for letter in ("", *ascii_lowercase):
+        names = [f"frame-{letter}{i:05d}.vtu" for i in range(count)]
+        if not any((folder / name).exists() for name in names):
+            return names
+    raise InputError(f"export folder {folder} holds frames of many names; choose another folder")
+
+
+def _frames_of(collection):
+    """The names of the frames that an earlier export wrote, in the folder of its collection; empty without one."""
+    if not collection.exists():
+        return set()
+    return set(re.findall(r'file="(frame-[a-z]?\d+\.vtu)"', collection.read_text(encoding="utf-8", errors="replace")))
+
+
+def _write_collection(path, names, times):
+    """Write the file that names all frames with their times, s. ParaView opens it."""
+    entries = "".join(f'    <DataSet timestep="{float(t)!r}" part="0" file="{name}"/>\n' for name, t in zip(names, times))
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n'
-    path = folder / COLLECTION
-    path.write_text(f"{head}{entries}  </Collection>\n</VTKFile>\n", encoding="utf-8")
-    return path
+    write_file(path, f"{head}{entries}  </Collection>\n</VTKFile>\n")
 
 
 class _CellBlocks:

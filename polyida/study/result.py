@@ -15,12 +15,12 @@ import numpy as np
 
 from polyida.environment import machine_info
 from polyida.errors import InputError
+from polyida.files import write_file
 from polyida.reprs import cut, table
 from polyida.results.motion import xarray
 from polyida.show import html
 from polyida.show.style import figure, settings
 from polyida.study.executors import to_json
-from polyida.study.tasks import write_atomically
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -132,7 +132,7 @@ class Result:
     def write(self, folder: Path, command: str, writer: Any = None) -> dict:
         """Write figures.json and the page into an existing folder; returns the data of figures.json. writer: a FigureWriter."""
         data = finite(json.loads(json.dumps(self.as_dict() | {"command": command}, default=to_json)))
-        write_atomically(folder / "figures.json", json.dumps(data, indent=1, allow_nan=False) + "\n")
+        write_file(folder / "figures.json", json.dumps(data, indent=1, allow_nan=False) + "\n", sync=True)
         html.write(folder, self.title, self.page(), command, data["machine"], self.lead, writer)
         return data
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import os
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Future, as_completed
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 
 from polyida.errors import InputError
+from polyida.files import remove_left_over, write_file
 from polyida.study.executors import Isolated, SerialExecutor, error_text, run_as_row, to_json
 
 
@@ -91,26 +91,14 @@ def package_hash(folder=None):
     return digest.hexdigest()[:16]
 
 
-def write_atomically(path, text):
-    """Write a text file that is complete or does not exist."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(partial, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-
-
-def run_tasks(study, quick, folder, progress=lambda done, total, task: None):
-    """The rows of all tasks of a study: rows with a complete file in `folder` are read, the other tasks run."""
+def run_tasks(study, quick, folder, progress=lambda done, total, task: None, fresh=False):
+    """The rows of all tasks of a study: rows with a complete file in `folder` are read unless fresh, the other tasks run."""
     tasks = study.tasks(quick)
     with Isolated(study.limit, study.fresh) if study.isolated else SerialExecutor() as executor:
         submit = partial(executor.submit, run_as_row, function=study.run)
-        return collect_rows(submit, tasks, [task_key(study, task) for task in tasks], RowFolder(folder, code_hash(study)), progress)[0]
+        return collect_rows(
+            submit, tasks, [task_key(study, task) for task in tasks], RowFolder(folder, code_hash(study), fresh=fresh), progress
+        )[0]
 
 
 def collect_rows(submit, tasks, keys, folder, progress=lambda done, total, task: None):
@@ -172,6 +160,7 @@ class RowFolder:
     folder: Path | None = None
     code: str = ""
     retry_failed: bool = False
+    fresh: bool = False
 
     def prepare(self):
         """Create the folder; remove incomplete files of processes that have ended."""
@@ -181,14 +170,11 @@ class RowFolder:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"the folder of rows {self.folder} cannot be made: {error.strerror}") from error
-        for path in self.folder.glob(".*.json.*.part"):
-            with suppress(OSError, ValueError):
-                if not process_exists(int(path.name.split(".")[-2])):
-                    path.unlink()
+        remove_left_over(self.folder)
 
     def read(self, key, case):
         """The row of a case, or None if there is no complete file or it belongs to another case."""
-        data = _read_file(self.folder / f"{key}.json") if self.folder else None
+        data = _read_file(self.folder / f"{key}.json") if self.folder and not self.fresh else None
         if data is None or data["row"].get("error") and (self.retry_failed or data["code"] != self.code):
             return None
         shown = {name: data["row"].get(name) for name in case} if self.retry_failed else case  # rows of a study may replace values
@@ -203,9 +189,9 @@ class RowFolder:
         if self.folder:
             path = self.folder / f"{key}.json"
             try:
-                write_atomically(path, text)
+                write_file(path, text, sync=True)
             except OSError as error:
-                count = len([path for path in self.folder.glob("*.json") if path.is_file()])
+                count = len([path for path in self.folder.glob("[!.]*.json") if path.is_file()])
                 reason = f"{path} cannot be written: {error.strerror or error}"
                 raise InputError(f"{reason}; {count} rows are kept in that folder, the same call goes on from them") from error
         return json.loads(text)["row"]
@@ -224,14 +210,3 @@ def _read_file(path):
     except (OSError, ValueError):
         return None
     return data if isinstance(data, dict) and isinstance(data.get("row"), dict) and "code" in data else None
-
-
-def process_exists(number):
-    """True if a process of this number exists, or if the system cannot say."""
-    try:
-        os.kill(number, 0) if os.name == "posix" else None
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
