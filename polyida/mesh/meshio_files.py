@@ -24,6 +24,8 @@ def reader(kind, advice=""):
         content = _quietly(path, lambda meshio: path.read_bytes(), f"read as {kind}")
         if b"$PartitionedEntities" in content or content.count(b"<Piece") > 1:  # meshio fails, or loses all cells but the last piece's
             raise InputError(f"it cannot be read as {kind}: it is divided among processes; write it as one piece")
+        if b"$ParametricNodes" in content:
+            raise InputError(f"it cannot be read as {kind}: its $ParametricNodes are not known; save with Mesh.SaveParametric = 0 in Gmsh")
         data = _quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice)
         plane, notes, foreign = [], [], set()
         for block in data.cells:

@@ -195,3 +195,13 @@ class TestBadFiles:
                     read(part)
                 except InputError as error:
                     assert part.name in str(error)
+
+
+def test_parametric_nodes_of_gmsh_are_refused_by_name(tmp_path):
+    nodes = "3\n1 0 0 0 2 1 0 0\n2 1 0 0 2 1 1 0\n3 0 1 0 2 1 0 1"
+    path = tmp_path / "plate.msh"
+    path.write_text(
+        f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$ParametricNodes\n{nodes}\n$EndParametricNodes\n$Elements\n1\n1 2 2 0 1 1 2 3\n$EndElements\n"
+    )
+    with pytest.raises(InputError, match=r"\$ParametricNodes are not known; save with Mesh.SaveParametric = 0"):
+        read(path)
