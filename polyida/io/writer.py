@@ -121,7 +121,9 @@ class Writer:
                 self._file = h5py.File(self.path, "r+", libver="v110", locking=False)
                 for table in self._tables:
                     table.open(self._file)
-                self._file.swmr_mode = True
+                self._file.swmr_mode = True  # cuts the file to what is in it
+                self._reserved = 0
+                self._reserve()
         except NotWritten:
             self._discard()
             raise
