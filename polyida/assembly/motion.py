@@ -80,6 +80,25 @@ def rigid_motions(model, q):
     return block_diag([coo_array(one) for one in columns], format="csr")
 
 
+def motions_as_a_whole(model, t, q):
+    """Velocities of q in the motions of a scene as one rigid body that its constraints permit, (n, 0 to 3)."""
+    z, T = complex_of_pairs(model.reference + q.reshape(-1, 2)), np.zeros(model.n // 2, complex)
+    placed = (*model.bodies, *model.few)
+    for one in placed:
+        T[one.pairs] = one.translation
+    moving = T != 0.0
+    for one in placed:
+        moving[one.pairs] = True
+    motions = np.stack([pairs_of(unit).ravel() for unit in (T, 1j * T, np.where(moving, 1j * z, 0.0))], axis=1)
+    if not model.m:
+        return motions
+    B = model.phi_q(t, q)
+    rows, largest = B @ motions, np.asarray(abs(B) @ abs(motions)).max(initial=0.0)
+    _, sizes, combinations = np.linalg.svd(rows, full_matrices=True)
+    sizes = np.append(sizes, np.zeros(3 - len(sizes)))
+    return motions @ combinations[sizes <= NO_MASS * largest].T
+
+
 def rows_of_motions(model, t, q, R):
     """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass; sparse."""
     from scipy.sparse import block_diag, coo_array, csr_array
