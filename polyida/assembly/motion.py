@@ -81,7 +81,7 @@ def rigid_motions(model, q):
 
 
 def motions_as_a_whole(model, t, q):
-    """Velocities of q in the motions of a scene as one rigid body that its constraints permit, (n, 0 to 3)."""
+    """Velocities of q in the three motions of a free scene as one rigid body, (n, 3); (n, 0) if its constraints prevent any of them."""
     z, T = complex_of_pairs(model.reference + q.reshape(-1, 2)), np.zeros(model.n // 2, complex)
     placed = (*model.bodies, *model.few)
     for one in placed:
@@ -93,10 +93,8 @@ def motions_as_a_whole(model, t, q):
     if not model.m:
         return motions
     B = model.phi_q(t, q)
-    rows, largest = B @ motions, np.asarray(abs(B) @ abs(motions)).max(initial=0.0)
-    _, sizes, combinations = np.linalg.svd(rows, full_matrices=True)
-    sizes = np.append(sizes, np.zeros(3 - len(sizes)))
-    return motions @ combinations[sizes <= NO_MASS * largest].T
+    held = np.abs(B @ motions).max() > NO_MASS * np.asarray(abs(B) @ abs(motions)).max()
+    return motions[:, :0] if held else motions
 
 
 def rows_of_motions(model, t, q, R):

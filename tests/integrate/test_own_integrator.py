@@ -267,7 +267,11 @@ class Wall(pi.Model):
         return q + 0.5
 
 
-START = {"own": (Euler(True), Euler(False)), "trusted": (TrustedEuler(True), TrustedEuler(False)), "heir": (HeirOfTrust(h=0.01), CarefulHeir(h=0.01))}
+START = {
+    "own": (Euler(True), Euler(False)),
+    "trusted": (TrustedEuler(True), TrustedEuler(False)),
+    "heir": (HeirOfTrust(h=0.01), CarefulHeir(h=0.01)),
+}
 
 
 @pytest.mark.parametrize("name", START)

@@ -5,7 +5,7 @@ opposite sign: the effect of a motor's jerk would alternate for ever, and appear
 along M^-1 phi_q^T; lam takes up what a step misses; a motor's energy was measured to be off by 4e-13 a step at 20 rad/s and 4 ms.
 If nothing is driven, there is an energy to conserve, and v_1, off its constraint by O(h^2), has it. So the next step begins from that v_1
 (memory "v_free"), which conserves energy and momenta; in the frame v_1 is projected and scaled to its kinetic energy, without the motion of
-the scene as a whole, whose momenta stay.
+a free scene as a whole, whose momenta stay.
 """
 
 import math
@@ -270,7 +270,7 @@ class Steps:
         return [np.array(velocities)]
 
     def _as_a_whole(self, t, q):
-        """Velocities of q in the motions of the model as one rigid body that its constraints permit, (n, 0 to 3)."""
+        """Velocities of q in the motions of a free scene as one rigid body, (n, 3), or (n, 0)."""
         return motions_as_a_whole(self.model, t, q) if self.model.is_scene else np.zeros((self.model.n, 0))
 
     def forces(self, t, q, v):
