@@ -80,6 +80,23 @@ def rigid_motions(model, q):
     return block_diag([coo_array(one) for one in columns], format="csr")
 
 
+def motions_as_a_whole(model, t, q):
+    """Velocities of q in the three motions of a free scene as one rigid body, (n, 3); (n, 0) if its constraints prevent any of them."""
+    z, T = complex_of_pairs(model.reference + q.reshape(-1, 2)), np.zeros(model.n // 2, complex)
+    placed = (*model.bodies, *model.few)
+    for one in placed:
+        T[one.pairs] = one.translation
+    moving = T != 0.0
+    for one in placed:
+        moving[one.pairs] = True
+    motions = np.stack([pairs_of(unit).ravel() for unit in (T, 1j * T, np.where(moving, 1j * z, 0.0))], axis=1)
+    if not model.m:
+        return motions
+    B = model.phi_q(t, q)
+    held = np.abs(B @ motions).max() > NO_MASS * np.asarray(abs(B) @ abs(motions)).max()
+    return motions[:, :0] if held else motions
+
+
 def rows_of_motions(model, t, q, R):
     """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass; sparse."""
     from scipy.sparse import block_diag, coo_array, csr_array

@@ -20,6 +20,8 @@ from polyida.validation import pairs_of
 NO_ENERGY = -1
 NOISE = 32 * 2.0**-52  # relative difference of energies that is round-off
 STEP = 1e-7  # relative step of central differences: small, because contact forces change over small distances
+ALONG = 2.0  # of the force: largest correction along the force itself
+RESOLVED = 1e-6  # of force times size: smaller work of the force has too much round-off to divide by
 NO_NUMBERS = np.zeros((0, 2))
 
 
@@ -36,6 +38,7 @@ class Laws(NamedTuple):
     rest: np.ndarray  # (sides, 2) places of the sides at rest, m
     sizes: np.ndarray  # (sides,) typical size of each side's coordinates
     energies: np.ndarray  # (laws,) address of the energy; 0 without, NO_ENERGY if it is not compiled
+    elements: int  # number of laws of force elements, which come first
     numbers: np.ndarray  # the time, then the words that the functions read as self
     driven: np.ndarray  # (values, 2) index among the numbers of a drive's value, and number of the drive
     clock: int  # number of the drive that is the time; -1 without laws
@@ -183,11 +186,11 @@ def energies_and_powers(laws, links, drives, u, v, step, out):
 
 @part
 def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
-    """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by the discrete gradient (Gonzalez 1996).
+    """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by a discrete gradient (Gonzalez 1996).
 
-    vz: velocities in the middle; half: half their change in the step. With `[V_1 - V_0 - V'] dx / (dx^T dx)` subtracted, the work of f from
+    vz: velocities in the middle; half: half their change in the step. With `[V_1 - V_0 - V'] d / (d^T dx)` subtracted, the work of f from
     x0 to x1 is that of the law's energy V. V' is the work of the forces at the middle at zero velocity. A bracket within round-off of V counts
-    as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0).
+    as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0). d: as of `is_along`.
     """
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
@@ -208,16 +211,30 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
             for i in range(own):
                 v[i, 0] = v[i, 1] = 0.0
             evaluate(laws, k, numbers, middle, v, s, static)
-            size, bracket = 0.0, last - first
+            size = work = most = 0.0
             for i in range(own):
-                dx, dy = x1[i, 0] - x0[i, 0], x1[i, 1] - x0[i, 1]
-                size += dx * dx + dy * dy
-                bracket += static[i, 0] * dx + static[i, 1] * dy
+                for j in range(2):
+                    dx = x1[i, j] - x0[i, j]
+                    size += dx * dx
+                    work += static[i, j] * dx
+                    most += abs(static[i, j] * middle[i, j])
+            bracket = last - first + work
             if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
+                along = k < laws.elements and is_along(bracket, work, most)
                 for i in range(own):
                     for j in range(2):
-                        f[i, j] -= bracket / size * (x1[i, j] - x0[i, j])
+                        f[i, j] -= bracket / work * static[i, j] if along else bracket / size * (x1[i, j] - x0[i, j])
         subtract_sides(laws, k, f, forces)
+
+
+@part
+def is_along(bracket, work, most):
+    """True if a force element's discrete force corrects the work of its force at the middle along this force, and not along dx.
+
+    Then it has the symmetries of that force: forces of a pair are opposite, on the line at the middle, and a contact has no force along its
+    line; so momenta are conserved. The bracket is of third order in dx. work: f . dx; most: that of a motion as large as the coordinates.
+    """
+    return abs(bracket) <= ALONG * abs(work) and abs(work) > RESOLVED * most
 
 
 @part
@@ -343,6 +360,7 @@ def laws_of(elements, states, elastic, points, drives, size):
         rest=np.array([side.rest for side in each], float).reshape(-1, 2),
         sizes=np.array([side.size(size) for side in each], float),
         energies=np.array([energy for _, energy, _ in addresses], np.int64),
+        elements=len(elements),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
         clock=drives.add(polynomial([0.0, 1.0]), "") if laws else -1,

@@ -135,7 +135,7 @@ class TorsionSpring(ForceElement):
     """A torsion spring and damper between two directions: moment `M = k (angle - angle0) + c angle'` on a, and -M on b.
 
     The angle is the rotation of b relative to a since the reference configuration. It is determined by the directions alone: beyond 0.95
-    half-turns the force is undefined, and the run stops with a message. Energy `k (angle - angle0)^2 / 2`, dissipation `c angle'^2`.
+    half-turns the force is undefined, and the run stops with a message, also if a step of up to half a turn passes these places. Energy `k (angle - angle0)^2 / 2`, dissipation `c angle'^2`.
 
     Parameters
     ----------

@@ -267,7 +267,8 @@ class Integrator:
         True if the error of a step in v is O(h^3). Steps that end at a switch of `gaps` may then be longer.
     trusted : bool
         True if every State has finite arrays of its own that are never written again. `solve` then uses them without copies and checks.
-        `steps` may also return States, whose stretches are taken as they are.
+        `steps` may also return States, whose stretches are taken as they are. It counts for the `steps` of the class that sets it, and is not
+        inherited by a class with other ones.
     writes_rows : bool
         True if `steps` takes the keyword `rows`, a function that returns the arrays of the next frames to write into. Needs `trusted`.
     iteration_matrix : function (model, state, h) -> (N, N) matrix, or None
@@ -335,6 +336,21 @@ class Integrator:
     def class_name(self) -> str:
         """The name of the class in messages."""
         return type(self).__name__
+
+
+def written_by_user(integrator: Integrator) -> Any:
+    """The object that gives `steps`: the user's own one of an integrator that `declared` made."""
+    return integrator.user if isinstance(integrator, _Adapter) else integrator
+
+
+def promises(integrator: Integrator, name: str) -> bool:
+    """Whether `trusted` or `writes_rows` is set for the integrator's own `steps`, not for those of a class from which it inherits."""
+    user = written_by_user(integrator)
+    if "steps" not in vars(user):
+        for kind in type(user).__mro__:
+            if name in vars(kind) or "steps" in vars(kind):
+                return name in vars(kind) and bool(getattr(integrator, name))
+    return bool(getattr(integrator, name))
 
 
 class _Adapter(Integrator):

@@ -225,6 +225,7 @@ class Switches:
         self.speeds = np.where(which, np.where(self.sides < 0, np.abs(here.rate), 0.0), self.speeds)
         self.offsets, self.flips, self.bound = np.where(which, np.abs(here.gap), self.offsets), np.zeros(len(which)), 0.0
         s = self._jump(state, which, here)
+        state.memory["switched"] = 1.0  # what Newton's method has measured does not hold for the forces of the far side
         return self._with_forces(state, *consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)) if s else state
 
     def _with_forces(self, state, a, lam):

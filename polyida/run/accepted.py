@@ -12,8 +12,9 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
+from polyida.force.springs import LARGEST, TorsionSpring, rotation
 from polyida.integrate.start import on_drives
-from polyida.integrate.state import Counts, State, States, Stretch, between, parted
+from polyida.integrate.state import Counts, State, States, Stretch, between, parted, promises, written_by_user
 from polyida.integrate.switches import Switches
 from polyida.jit.user_functions import over
 from polyida.model.guarded import blame
@@ -47,17 +48,19 @@ class AcceptedStates:
 
     Raises StepFailure, which names integrator and time, if a state is not a State, has a wrong shape, is not real or not finite, goes back
     in time, repeats it, passes t_end or hardly advances, if the last one is before t_end, and if counts are not whole numbers. The message
-    names the user's function that returned what is not finite. An integrator that is not `trusted` starts from a copy, and its states are
-    copied with their memory: it may fill one array again and again. States of a trusted one are only checked to be finite.
+    names the user's function that returned what is not finite. A user's integrator starts from a copy. States of one that is not `trusted`
+    are copied with their memory: it may fill one array again and again. States of a trusted one are only checked to be finite. A step that turns a
+    torsion spring past the half-turn, where its angle would jump, fails too.
     """
 
     def __init__(self, integrator, model, state, t_end, counts, rows=None):
         self.model, self.counts, self.known, self.before = model, counts, vars(counts).copy(), state
-        self.name, self.trusted, self.t_end, self.standing = integrator.class_name(), integrator.trusted, t_end, 0
+        self.name, self.trusted, self.t_end, self.standing = integrator.class_name(), promises(integrator, "trusted"), t_end, 0
         self.slack, self.parts = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end)), iter(())  # parts: of a stretch that is not finite
-        if not self.trusted:
+        self.coils = [own for own in getattr(model, "own_forces", ()) if isinstance(own.element, TorsionSpring)]
+        if type(written_by_user(integrator)).__module__.partition(".")[0] != "polyida":
             state = State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart).of(model)
-        places = {"rows": rows} if rows and self.trusted and integrator.writes_rows else {}
+        places = {"rows": rows} if rows and self.trusted and promises(integrator, "writes_rows") else {}
         states = integrator.steps(model, state, t_end, counts, **places)
         if not hasattr(states, "__iter__"):
             self.stop(f"its steps gave {type(states).__name__}, no states")
@@ -73,6 +76,10 @@ class AcceptedStates:
                 stretch = self._next_of_trusted() if self.trusted else self._next_copied()
             elif not stretch.finite():
                 self._require_finite(stretch.last)
+            if self.coils and stretch is not None and self._turned_over(stretch):
+                self.parts = parted(stretch, self.counts) if len(stretch) > 1 else self.parts
+                stretch = next(self.parts) if len(stretch) > 1 else stretch
+                self._require_turned_less(stretch)
         except StepFailure as failure:
             raise _naming_function(failure, self.model, self.before) from None
         if stretch is None:
@@ -132,6 +139,22 @@ class AcceptedStates:
             self._wrong_count()
             raise
         return Stretch.of(state)
+
+    def _turns(self, coil, stretch):
+        """Angles of a torsion spring in the accepted state before a stretch and in its states, rad."""
+        q = np.concatenate([self.before.q[None], stretch.q])[:, coil.columns]
+        return rotation(coil.element, coil.rest[:, :, None] + (coil.near @ q.T).reshape(*coil.rest.shape, len(q)))
+
+    def _turned_over(self, stretch):
+        """The first torsion spring that a step of a stretch turns past the half-turn, or None."""
+        return next((coil for coil in self.coils if (np.abs(np.diff(self._turns(coil, stretch))) > np.pi).any()), None)
+
+    def _require_turned_less(self, stretch):
+        """Raise StepFailure if the step of a stretch of one turns a torsion spring past the half-turn."""
+        if coil := self._turned_over(stretch):
+            before, after = self._turns(coil, stretch)
+            told = f"a step turns {coil.name!r} past the half-turn, from {before:.3g} to {after:.3g} rad, of which it holds {LARGEST:.3g}"
+            self.stop(told, "half-turn")
 
     def stop(self, reason, status="integrator"):
         """Raise StepFailure at the last valid state."""

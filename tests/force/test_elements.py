@@ -118,3 +118,17 @@ def test_the_centre_of_a_circle_leads_nowhere_and_is_named():
     scene.add(pi.PenaltyContact(ball.at("C"), pi.ground.at((0.0, 0.0)), 1e3, radius=0.5, name="hoop"))
     with pytest.raises(pi.InputError, match="hoop.*its point is at the centre of its circle"):
         pi.consistent_state(scene.build())
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=0.02), pi.IDA(rtol=1e-3)], ids=["alpha", "IDA"])
+def test_no_step_turns_a_torsion_spring_past_the_half_turn(method):
+    """Steps of half a radian jump over the angles at which its force is undefined; behind them it would turn the other way.
+
+    It reaches half a turn at 0.126 s.
+    """
+    scene = pi.Scene()
+    rotor = scene.add(pi.RigidBody(1.0, 1.0, {"O": (0.0, 0.0)}, spin=25.0, name="rotor"))
+    scene.add(pi.Revolute(pi.ground, rotor.at("O")))
+    scene.add(pi.TorsionSpring(pi.ground, rotor.at("O"), 1.0, name="coil"))
+    run = pi.solve(scene.build(), 0.5, method)
+    assert not run.success and "coil" in run.message and run.t[-1] < 0.2

@@ -25,3 +25,22 @@ def test_newton_s_share_of_the_error(scene, h, linear):
     left = np.abs(run.position("tip")[-1] - tight.position("tip")[-1]).max()
     assert left <= 0.01 * np.abs(run.position("tip")[-1] - exact).max()
     assert run.counts.newton_iterations < 0.75 * tight.counts.newton_iterations
+
+
+class Pulse(pi.Model):
+    """A mass of 1 kg under a force of 1 N that lasts 10 ms about t = 2 s: the changes of q'' before it are below 1e-80."""
+
+    n, m = 1, 0
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return np.array([-np.exp(-0.5 * ((t - 2.0) / 0.01) ** 2)])
+
+
+@pytest.mark.parametrize("h", [0.1, 0.2])
+def test_no_prediction_exceeds_what_the_last_steps_justify(h):
+    """The impulse that a step of h sees is at most the force times h, so the mass moves by h in a second."""
+    run = pi.solve(Pulse(), 3.0, pi.GeneralizedAlpha(h=h))
+    assert run.success and np.abs(run.v).max() < 1.5 * h

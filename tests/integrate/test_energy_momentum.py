@@ -181,3 +181,30 @@ def test_a_force_element_in_python_keeps_the_factor_and_its_energy():
     run = pi.solve(scene.build(), 0.5, pi.EnergyMomentum(h=1e-3))
     assert run.success and run.counts.factorizations < 10 and run.counts.residuals < 2.2 * run.counts.steps
     assert np.ptp(run.energy.total) < ENERGY * np.ptp(run.energy.kinetic)
+
+
+@pytest.mark.parametrize("name", ["spring", "torsion", "circle"])
+def test_forces_between_bodies_keep_momenta(name):
+    """Also in the frames, whose velocities are projected and scaled: the bound is Newton's tolerance, 1e-12, over 50 steps, with a factor of 100."""
+    between = {
+        "spring": lambda a, b: pi.SpringDamper(a.at("p"), b.at("p"), stiffness=200.0, damping=3.0),
+        "torsion": lambda a, b: pi.TorsionSpring(a.at("p"), b.at("p"), stiffness=5.0),
+        "circle": lambda a, b: pi.PenaltyContact(a.at("p"), b.at("p"), 1e3, radius=1.2),
+    }
+    scene = pi.Scene()
+    a = scene.add(pi.RigidBody(1.0, 0.1, {"p": (0.2, 0.1)}, velocity=(-1.2, 1.6), spin=1.0))
+    b = scene.add(pi.RigidBody(2.0, 0.3, {"p": (-0.2, 0.1)}, origin=(1.0, 0.2), spin=-2.0))
+    scene.add(between[name](a, b))
+    run = pi.solve(scene.build(), 0.5, pi.EnergyMomentum(h=0.02, tolerance=1e-12))
+    q, v = (x.reshape(len(run), -1, 2) + start for x, start in ((run.q, run.model.reference), (run.v, 0.0)))
+    masses = np.array([1.0, 1.0, 2.0, 2.0])  # of centre and direction of each body
+    momentum, angular = masses[::2] @ v[:, ::2], (q[..., 0] * v[..., 1] - q[..., 1] * v[..., 0]) @ masses
+    assert run.success and np.ptp(momentum, axis=0).max() < 1e-8 and np.ptp(angular) < 1e-8
+
+
+def test_a_level_contact_without_friction_leaves_the_speed_along_it():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    ball = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, origin=(0.0, 0.05), velocity=(1.0, 0.0)))
+    scene.add(pi.PenaltyContact(ball.at("c"), pi.ground.at((0.0, 0.0)), 1e4))
+    run = pi.solve(scene.build(), 0.25, pi.EnergyMomentum(h=5e-3))
+    assert run.v[:, 1].max() > 0.5 and np.abs(run.v[:, 0] - 1.0).max() < 1e-9

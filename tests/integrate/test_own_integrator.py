@@ -212,3 +212,70 @@ def test_states_of_a_trusted_one_are_taken_as_they_are():
     assert run.success and run.counts == plain.counts and np.array_equal(run.q, plain.q) and np.array_equal(run.t, plain.t)
     bad = solved(Trusted(lambda s: replace(s, q=s.q * np.nan)))
     assert bad.status == "not finite" and "Trusted" in bad.message and len(bad) == BAD + 1
+
+
+class Euler:
+    """Symplectic Euler; in_place: in the arrays of the state from which it starts."""
+
+    def __init__(self, in_place):
+        self.in_place = in_place
+
+    def steps(self, model, state, t_end, counts):
+        t, q, v = state.t, state.q, state.v
+        if not self.in_place:
+            q, v = q.copy(), v.copy()
+        count = max(1, round((t_end - t) / 0.01))
+        h = (t_end - t) / count
+        for k in range(count):
+            a = -model.force(t, q, v)
+            v += h * a
+            q += h * v
+            t = t_end if k == count - 1 else t + h
+            counts.steps += 1
+            yield pi.State(t, q.copy(), v.copy(), a, np.zeros(0))
+
+
+class TrustedEuler(Euler, pi.Integrator):
+    trusted = True
+
+
+class HeirOfTrust(pi.GeneralizedAlpha):
+    """It inherits what GeneralizedAlpha promises of its own steps."""
+
+    in_place = True
+
+    def steps(self, model, state, t_end, counts):
+        return Euler(self.in_place).steps(model, state, t_end, counts)
+
+
+class CarefulHeir(HeirOfTrust):
+    in_place = False
+
+
+class Wall(pi.Model):
+    """A mass on a spring that meets a stiffer one."""
+
+    n, m = 1, 0
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return 40.0 * q + 2e3 * np.minimum(q + 0.5, 0.0)
+
+    def gaps(self, t, q):
+        return q + 0.5
+
+
+START = {
+    "own": (Euler(True), Euler(False)),
+    "trusted": (TrustedEuler(True), TrustedEuler(False)),
+    "heir": (HeirOfTrust(h=0.01), CarefulHeir(h=0.01)),
+}
+
+
+@pytest.mark.parametrize("name", START)
+def test_the_start_is_an_integrators_own(name):
+    """Steps up to a switch are tried again from one state, which no trial may have changed."""
+    run, expected = (pi.solve(Wall(), 0.5, one, q0=[1.0], v0=[0.0]) for one in START[name])
+    assert run.counts.rejected and run.success and np.abs(run.q[-1] - expected.q[-1]).max() < 1e-12

@@ -23,6 +23,7 @@ EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
+LARGEST_FACTOR = 4.0  # of an earlier change in a prediction; a straight line needs 2
 # rows of Memory.past; the first three are those of Trial.now too
 Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES, PLACES = range(9)
 DD, R, DQ, DV, GGL = range(3, 8)  # further rows of Trial.now
@@ -216,11 +217,19 @@ def remember(p, y, w):
 
 @part
 def nearest(aa, ab, bb, ad, bd):
-    """(x, y) that minimise |x a + y b - d|, from the products of a, b and d; y = 0 if a and b are nearly parallel."""
+    """(x, y) that minimise |x a + y b - d|, from the products of a, b and d; y = 0 if a and b are nearly parallel.
+
+    Larger factors than LARGEST_FACTOR say that d has another cause than a and b, so they say nothing about the change after d: then y = 0, or
+    both are zero.
+    """
     rest = aa * bb - ab * ab
     if rest > 1e-8 * aa * bb:
-        return (ad * bb - bd * ab) / rest, (bd * aa - ad * ab) / rest
-    return (ad / aa if aa > 0.0 else 0.0), 0.0
+        x, y = (ad * bb - bd * ab) / rest, (bd * aa - ad * ab) / rest
+        if max(abs(x), abs(y)) <= LARGEST_FACTOR:
+            return x, y
+    if aa > 0.0 and abs(ad) <= LARGEST_FACTOR * aa:
+        return ad / aa, 0.0
+    return 0.0, 0.0
 
 
 @part

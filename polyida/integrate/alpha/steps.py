@@ -105,6 +105,8 @@ class Steps:
         if "weights" in memory:
             self._weigh(memory["weights"])
         self.memory.marks[:] = memory["marks"]
+        if "switched" in memory:  # the equations are others than those whose contraction was measured
+            self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
         if self.method.extent != memory["extent"]:
             self.method = self.method._replace(extent=float(memory["extent"]))
 

@@ -4,7 +4,8 @@
 opposite sign: the effect of a motor's jerk would alternate for ever, and appear in lam divided by h. So if phi is driven, v_1 is projected
 along M^-1 phi_q^T; lam takes up what a step misses; a motor's energy was measured to be off by 4e-13 a step at 20 rad/s and 4 ms.
 If nothing is driven, there is an energy to conserve, and v_1, off its constraint by O(h^2), has it. So the next step begins from that v_1
-(memory "v_free"), which conserves energy and momenta; in the frame v_1 is projected and scaled to its kinetic energy.
+(memory "v_free"), which conserves energy and momenta; in the frame v_1 is projected and scaled to its kinetic energy, without the motion of
+a free scene as a whole, whose momenta stay.
 """
 
 import math
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polyida.assembly.motion import motions_as_a_whole
 from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, InputError, StepFailure
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.energy import loop
@@ -29,6 +31,7 @@ from polyida.validation import is_number, is_whole, named_keywords
 
 SAME = 1e-9  # relative difference of what should be equal
 MUCH_SHORTER = 10.0  # the accelerations of a step shorter by that factor are not used
+SCALED = 0.1  # of a kinetic energy without the motion as a whole: more is not taken from it, or added
 HALVINGS = 6  # of a step that fails
 CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 
@@ -250,16 +253,25 @@ class Steps:
 
     def projected(self, t, q, v_free):
         """[v] at ends, projected onto their constraints and scaled to their kinetic energy, (k, n)."""
-        if self.table.complete:
+        if self.table.complete and not self._as_a_whole(self._side(t[0]), q[0]).any():
             v = v_free.copy()
             self._call(loop.project_frames, t, q, v, np.zeros(self.model.m))
             return [v]
         velocities = []
         for at, place, free in zip(map(self._side, t), q, v_free):
             v, M = on_velocity(self.model, at, place, free), self.model.mass(place)
-            energy = v @ (M @ v)
-            velocities.append(v * np.sqrt(free @ (M @ free) / energy) if energy > 0.0 else v)
+            whole, energy = self._as_a_whole(at, place), free @ (M @ free)
+            common = whole @ np.linalg.lstsq(whole.T @ (M @ whole), whole.T @ (M @ v))[0]
+            inner, rest = v - common, energy - common @ (M @ common)
+            if not abs(rest - inner @ (M @ inner)) < SCALED * (inner @ (M @ inner)):
+                common, inner, rest = 0.0, v, energy
+            energy = inner @ (M @ inner)
+            velocities.append(common + inner * np.sqrt(rest / energy) if energy > 0.0 else v)
         return [np.array(velocities)]
+
+    def _as_a_whole(self, t, q):
+        """Velocities of q in the motions of a free scene as one rigid body, (n, 3), or (n, 0)."""
+        return motions_as_a_whole(self.model, t, q) if self.model.is_scene else np.zeros((self.model.n, 0))
 
     def forces(self, t, q, v):
         """(a, lam) at ends: `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`."""

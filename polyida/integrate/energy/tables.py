@@ -18,7 +18,7 @@ from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
-from polyida.assembly.own_laws import NO_ENERGY, NOISE
+from polyida.assembly.own_laws import NO_ENERGY, NOISE, is_along
 from polyida.assembly.projection import constrain
 from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
@@ -115,17 +115,21 @@ def own_addresses():
     return {number: table_address(function, kind) for number, function in functions.items()}
 
 
-def discrete_derivative(potential, x0, x1, metric, slope=None):
+def discrete_derivative(potential, x0, x1, metric, slope=None, force=None):
     """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric = M dx; zero if it is round-off.
 
-    slope: grad V at the middle, in the shape of x; None: V' by differences, which are wrong at a kink of V near the middle.
+    slope: grad V at the middle, in the shape of x; None: V' by differences, which are wrong at a kink of V near the middle. force: at
+    the middle; the result is along it, not along M dx, if `is_along` says so.
     """
     dx, middle = x1 - x0, 0.5 * (x0 + x1)
     size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
     differences = (weight * (potential(middle + s * dx) - potential(middle - s * dx)) / (2.0 * s) for s, weight in POINTS)
-    bracket = last - first - (sum(differences) if slope is None else np.vdot(slope, dx))
+    work = sum(differences) if slope is None else np.vdot(slope, dx)
+    bracket = last - first - work
     if not size > 0.0 or abs(bracket) <= NOISE * max(abs(first), abs(last)):
         return np.zeros_like(dx)
+    if force is not None and is_along.py_func(bracket, np.vdot(force, dx), np.abs(force * middle).sum()):
+        return bracket / np.vdot(force, dx) * force
     return bracket / size * metric
 
 
@@ -135,15 +139,23 @@ def midpoint_force(own, t, x0, x1, v, half):
     force = own.forces(t, middle, v)
     if not np.isfinite(force).all():
         return force
-    conservative, dx, potential = own.conservative(t, middle), x1 - x0, own.energy
+    conservative, metric, potential = own.conservative(t, middle), x1 - x0, own.energy
     if own.placed:
-        dx[own.own_sides.stop :] = 0.0
+        metric[own.own_sides.stop :] = 0.0
 
         def potential(x):
             speeds = v - half if x is x0 else v + half if x is x1 else v
             return own.energy(x, speeds) - own.energy(middle, speeds)
 
-    return force - discrete_derivative(potential, x0, x1, dx, None if conservative is None else -conservative)
+    slope, along = (None, None) if conservative is None else (-conservative, conservative)
+    if own.strain:
+        along = None
+    elif along is None:
+        still = v.copy()
+        still[own.own_sides] = 0.0
+        along = own.forces(t, middle, still)
+        along[own.own_sides.stop :] = 0.0
+    return force - discrete_derivative(potential, x0, x1, metric, slope, along)
 
 
 class MiddleTable:

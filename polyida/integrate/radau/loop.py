@@ -161,13 +161,14 @@ def slot_of_step(slots, h):
 
 
 @part
-def mark_used(slots, slot):
-    """Mark a slot as the one used last."""
+def mark_used(slots, slot, marks):
+    """Mark a slot as the one used last. Newton's contraction was measured with the factor used before, so it is unknown for another one."""
     most = 0.0
     for other in range(SLOTS):
         most = max(most, slots.table[USED, other])
     if slots.table[USED, slot] < most or most == 0.0:
         slots.table[USED, slot] = most + 1.0
+        marks[step.CONTRACTION], marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
 
 
 @entry
@@ -181,7 +182,7 @@ def reserve_slot(slots, h, t, y):
                 slot = other
     n = y.past.shape[1]
     slots.table[H, slot], slots.table[PRICE, slot], slots.table[LEAST, slot], slots.table[READY, slot] = h, 0.0, NEVER, 1.0
-    mark_used(slots, slot)
+    mark_used(slots, slot, y.marks)
     state = slots.states[slot]
     state[0] = t
     put(1.0, y.past[step.Q], state[1:])
@@ -242,7 +243,7 @@ def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
         return MAKE, 0.0
     if slots.table[READY, slot] == 0.0:
         return RESTORE, 0.0
-    mark_used(slots, slot)
+    mark_used(slots, slot, y.marks)
     if f[SELECT]:
         call(f[SELECT], w, slot, address(select), 0, 0, 0, 0, 0)
     ended, iterations = step.solve_stages(f, w, first, p, t, h, y, x, z, newton_tolerance(p, h, y), counts)

@@ -74,7 +74,8 @@ class Steps:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
         table[:], self.state, self.factor_states = 0.0, None, None
-        self.memory.marks[[step.CONTRACTION, step.AGE]] = memory.get("newton", step.UNKNOWN)
+        measured = "newton" in memory and "switched" not in memory  # behind a switch the equations are others
+        self.memory.marks[[step.CONTRACTION, step.AGE]] = memory["newton"] if measured else step.UNKNOWN
         if "newton" in memory:
             for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
                 table[[loop.H, loop.PRICE, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
