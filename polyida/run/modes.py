@@ -266,7 +266,8 @@ class Modes(Happenings):
             self.fixed[sliding] = G.diagonal() <= FIXED * mobility
         if len(resting) and (len(resting) > 1 or not equal[resting[0]]):
             G, mobility, _ = contacts.mobilities(t, q, resting)
-            kept, held = _independent(G, np.isin(resting, kept), np.maximum(G.diagonal(), DEPENDENT * mobility))
+            size = np.where(G.diagonal() <= FIXED * mobility, np.inf, np.maximum(G.diagonal(), DEPENDENT * mobility))
+            kept, held = _independent(G, np.isin(resting, kept), size)
             kept, held = resting[kept], resting[held]
             self.watched = held[~self.fixed[held]]
             self.held[self.watched] = True
