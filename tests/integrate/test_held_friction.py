@@ -8,7 +8,7 @@ import polyida as pi
 G = 9.81
 EAST = pi.ground.at((0.0, 0.0), direction=(1.0, 0.0))
 LOCATED = [pi.RadauIIA(h=1e-2), pi.GeneralizedAlpha(h=4e-3), pi.IDA(rtol=1e-8), pi.EnergyMomentum(h=4e-3)]
-STEPPED = [pi.NonsmoothAlpha(h=2e-3), pi.MoreauJean(h=2e-3)]  # their errors, at begins and ends of a slip, are 1e-3 at h = 4e-3 and 1e-4 here
+STEPPED = [pi.NonsmoothAlpha(h=2e-3), pi.MoreauJean(h=2e-3)]  # errors where slip begins and ends: 1e-3 at h = 4e-3, 1e-4 here
 FORWARD, BACK = pi.profile.quintic(0.0, 0.1, 0.1, begin=0.05), pi.profile.quintic(0.0, 0.06, 0.1, begin=0.2)
 MOVE = pi.profile.difference(FORWARD, BACK)  # there and back, 0.16 m in all, with three dwells
 ALL = pytest.mark.parametrize("integrator", LOCATED + STEPPED, ids=lambda x: type(x).__name__)
