@@ -181,9 +181,9 @@ class Trajectory:
         return energy_of(pieces, self.events, _settled)
 
     def _without_impacts(self, model):
-        """lam without the friction of contacts in the steps in which they were hit."""
+        """lam without the friction that the energy lost in an impact contains, in the frames of such steps."""
         lam = np.array(self.lam, float)
-        for one in self.events:
+        for one in (one for one in self.events if self.t[one.frame] == one.t):
             lam[one.frame, [law.row for law in model.row_laws if law.name == one.name and not law.is_contact]] = 0.0
         return lam
 

@@ -140,12 +140,13 @@ def on_drives(model, state, gap=0.0):
     flexible bodies steps are short, and consistent multipliers of an interpolated state are noise. gap: |phi| over the model's size below which
     the interpolated state is returned; so it is where the constraints cannot be solved.
     """
-    if model.flexible or not model.needs.driven or model.row_laws:
+    if model.flexible or not model.needs.driven or (model.row_laws and not model.is_scene):
         return state
-    if np.abs(model.phi(state.t, state.q)).max(initial=0) < gap * extent(model, state.q):
+    contacts = model.once(_contacts) if model.row_laws else None
+    if np.abs((contacts.base if contacts else model).phi(state.t, state.q)).max(initial=0) < gap * extent(model, state.q):
         return state
     try:
-        return restarted(model, state)
+        return contacts.with_known_forces(restarted(contacts.base, state), state.lam) if contacts else restarted(model, state)
     except (InputError, StepFailure, SingularSystem, np.linalg.LinAlgError):  # constraints that depend on each other: the run decides
         return state
 

@@ -8,21 +8,27 @@ statuses.
 Closed and sticking rows may depend on each other, as those of a rigid block on two feet. Independent ones are the equations then. Their forces
 are shared by all of them: of the forces with the same accelerations those of least norm, rows measured in `sqrt(G_ii)`. A row that reaches its
 bound leaves the others to themselves, and has no function while they hold it.
+
+Rows at rest may depend on equations alone, as the friction of a guide along which a motor moves a body. They carry no force, and have no function.
+Where equations depend on time, they may begin to move such rows at any time: their rates, of velocities that satisfy the equations, are
+watched. Then friction slips, a contact opens, and others are hit. Where a motor dwells, friction that it moved is at rest again.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
 from polyida.event import Events, Happened
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
-from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
+from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts
+from polyida.integrate.start import on_velocity
 from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
-from polyida.run.events import Change, Happenings
+from polyida.run.events import NODES, Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
@@ -30,6 +36,7 @@ UNIQUE = 1e-7  # of `Slips.uniqueness`: below it forces are errors of the state,
 AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
+MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
 
@@ -55,7 +62,8 @@ class Modes(Happenings):
         self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
-        self.last, self.modes, self.mode, self.shared, self._forces = -np.inf, {}, self.whole, np.zeros(0, np.int64), (None, None)
+        self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
+        self.shared = self.watched = np.zeros(0, np.int64)
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -89,7 +97,8 @@ class Modes(Happenings):
         if self.held[number]:
             return 1.0
         if status in SIGNS:
-            return SIGNS[status] * float(self.whole.phi_rate(state.t, state.q, state.v)[law.row])
+            rates = self._held_rates(state) if self.fixed[number] else self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
+            return SIGNS[status] * float(rates[number])
         if status == STICKS:
             lam = self._all_forces(state)
             return float(law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) - abs(lam[law.row]))
@@ -125,6 +134,9 @@ class Modes(Happenings):
         # speeds that are round-off of the motion so far: at rest, and without gravity, a state gives no size for them
         self.contacts.speed = max(self.contacts.speed, float(np.abs(before.v).max(initial=0.0)))
         hit = super()._first(before, after)
+        watched = self._first_watched(before, after)
+        if watched and (hit is None or watched[0] <= hit[0]):
+            hit = watched
         ahead = self._singular(before, after) if isinstance(self.mode, Slips) else None
         if ahead and (ahead.t > after.t or (hit and hit[0] < ahead.t)):
             rows = hit[1] if hit else np.flatnonzero(self.status >= SLIPS_UP)
@@ -134,6 +146,41 @@ class Modes(Happenings):
             raise self.mode.singular()
         self.at, self.step = after, after.t - before.t
         return hit
+
+    def _first_watched(self, before, after):
+        """(time, numbers of the rows) at which equations begin to move rows at rest in a step, or no longer move rows of friction, or None."""
+        if not self.contacts.turning:
+            return None
+        still, times = self.contacts.still(after.v), before.t + NODES * (after.t - before.t)
+        dwelling = self._dwelling(before, after, RESTS * still)
+        if len(dwelling):
+            return before.t, dwelling
+
+        def moving(t):
+            return self.watched[np.abs(self._held_rates(between(before, after, t))[self.watched]) > MOVES * still]
+
+        for begin, end in pairwise([*times[:-1], after.t]) if len(self.watched) else ():
+            if len(moving(end)):
+                while begin < (middle := 0.5 * (begin + end)) < end:
+                    begin, end = (begin, middle) if len(moving(middle)) else (middle, end)
+                return end, moving(end)
+        return None
+
+    def _dwelling(self, before, after, least):
+        """Numbers of the rows of friction that slip and that equations alone hold, whose rates are below `least` in all of a step."""
+        rows = np.flatnonzero(self.fixed & (np.abs(self.values) < least)).tolist()
+        for s in NODES if rows else ():
+            state = between(before, after, before.t + s * (after.t - before.t))
+            rates = self._held_rates(state)
+            rows = [k for k in rows if abs(rates[k]) < least]
+        return rows
+
+    def _held_rates(self, state):
+        """Rates of the rows with laws at a state of a step, of velocities that satisfy the equations."""
+        if self._held[0] is not state:
+            v = on_velocity(self.equations, state.t, state.q, state.v)
+            self._held = state, self.whole.phi_rate(state.t, state.q, v)[self.contacts.rows]
+        return self._held[1]
 
     def _singular(self, before, after):
         """The State of a step, or shortly behind it, at which the friction has no unique force, or None.
@@ -209,14 +256,21 @@ class Modes(Happenings):
         rates, gaps, still = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q), contacts.still(v)
         equal = np.where(contacts.contact, status == CLOSED, status == STICKS)
         slips = [(law, SIGNS[s]) for law, s in zip(laws, status) if s in SIGNS and (law.mu or law.constant)]
-        resting = np.flatnonzero(
-            (np.abs(rates) <= still) & (gaps <= TOUCH * (self.whole.extent or 1.0)) & (contacts.contact | (status > 0))
-        )
+        pressed = contacts.contact | contacts.active(status == CLOSED)
+        resting = np.flatnonzero((np.abs(rates) <= still) & (gaps <= TOUCH * (self.whole.extent or 1.0)) & pressed)
         self.held, self.shared, kept = np.zeros(len(laws), bool), np.zeros(0, np.int64), np.flatnonzero(equal)
-        if len(resting) > 1 and len(kept):
+        self.watched, self.fixed = self.shared, np.zeros(len(laws), bool)
+        sliding = np.flatnonzero(status >= SLIPS_UP)
+        if len(sliding) and contacts.turning:
+            G, mobility, _ = contacts.mobilities(t, q, sliding)
+            self.fixed[sliding] = G.diagonal() <= FIXED * mobility
+        if len(resting) and (len(resting) > 1 or not equal[resting[0]]):
             G, mobility, _ = contacts.mobilities(t, q, resting)
-            kept, held = _independent(G, np.isin(resting, kept), np.maximum(G.diagonal(), DEPENDENT * mobility))
-            kept, self.held[resting[held]] = resting[kept], True
+            size = np.where(G.diagonal() <= FIXED * mobility, np.inf, np.maximum(G.diagonal(), DEPENDENT * mobility))
+            kept, held = _independent(G, np.isin(resting, kept), size)
+            kept, held = resting[kept], resting[held]
+            self.watched = held[~self.fixed[held]]
+            self.held[self.watched] = True
             pressing = {row for law, _ in slips for row in law.on}
             if (self.held & equal).any():
                 self.shared = np.array([k for k in resting if equal[k] and laws[k].row not in pressing], np.int64)
@@ -225,7 +279,8 @@ class Modes(Happenings):
         key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
         if key not in self.modes:
             self.modes[key] = Slips(self.whole, rows, slips) if slips else self.whole.with_rows(rows)
-        self.mode, self._forces = self.modes[key], (None, None)
+        self.mode, self._forces, self._held = self.modes[key], (None, None), (None, None)
+        self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
 
     def _settled(self, t, q, v, closed, begins=0.0):
         """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest."""
@@ -246,7 +301,8 @@ class Modes(Happenings):
         contacts, t, q = self.contacts, state.t, state.q
         rates, old, hit = self.whole.phi_rate(t, q, state.v)[contacts.rows], self.status.copy(), self._hit(state)
         size, still = TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
-        closed, v, happened = (old == CLOSED) | hit | contacts.at_rest(t, q, state.v), state.v, []
+        closed = ((old == CLOSED) & (rates <= still)) | hit | contacts.at_rest(t, q, state.v)
+        v, happened = state.v, []
         if hit.any():
             none = np.zeros(len(contacts.rows))
             v, P, _, _ = contacts.impact(
@@ -255,14 +311,17 @@ class Modes(Happenings):
             after = self.whole.phi_rate(t, q, v)[contacts.rows]
             lost = -0.5 * P * (rates + after)
             closed &= after <= still
-            listed = (hit & (P > 0.0)) | ((P != 0.0) & (np.abs(rates + after) > still))  # friction elsewhere may lose energy, too
+            listed = (hit & (P > 0.0) & (old != CLOSED)) | (
+                (P != 0.0) & (np.abs(rates + after) > still)
+            )  # friction elsewhere may lose energy, too
             for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(listed)):
                 of_part = np.array([other == name for other in contacts.names])
                 happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
-        behind = self._settled(t, q, v, closed, self._begins(state, closed, fired) if not hit.any() else 0.0)
+        behind = self._settled(t, q, v, closed, self._begins(state, rates, closed, fired) if not hit.any() else 0.0)
         changed = np.flatnonzero(self.status != old)
         for k in changed if not happened else ():
-            word = WORDS.get(int(self.status[k]), "opens" if contacts.contact[k] else "is free")
+            free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"
+            word = WORDS.get(int(self.status[k]), free)
             happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
         self._require_progress(t, np.union1d(changed, np.flatnonzero(hit)) if len(changed) or hit.any() else fired)
         self.happened.happened += happened
@@ -282,12 +341,14 @@ class Modes(Happenings):
         """True for the contacts that have closed and approach."""
         contacts, still, size = self.contacts, self.contacts.still(state.v), TOUCH * (self.whole.extent or 1.0)
         rates = self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
-        return contacts.contact & (self.status != CLOSED) & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)
+        return contacts.contact & (contacts.gaps(state.t, state.q) <= size) & (rates < -still)
 
-    def _begins(self, state, closed, fired):
+    def _begins(self, state, rates, closed, fired):
         """Directions in which rows that reached their bounds slip; opens the contacts without pressure. At a bound the laws allow both statuses."""
         begins, lam = np.zeros(len(self.events)), self._all_forces(state)
         for k in fired:
+            if k in self.watched and abs(rates[k]) > self.contacts.still(state.v):  # equations move it
+                continue
             if self.value(self.events[k], state) > AT_BOUND * max(np.abs(lam).max(initial=0.0), self.sizes[k]):
                 continue
             if self.contacts.contact[k]:

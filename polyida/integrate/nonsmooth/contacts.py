@@ -21,6 +21,7 @@ KEPT = 8  # sets of rows whose slopes, columns by the masses and cone problems a
 FIXED = 1e-13  # of the mobility: a row that the equations hold
 DEPENDENT = 1e-10  # of G_ii: a row that others determine
 MOVES = 1e-9  # of the accelerations: round-off of that of a row
+WITHIN = 0.999  # of the bound of friction: an interpolated force below it is of a row that sticks
 GAINED = 1e-9  # of the work of an impact: round-off of the energy it adds
 HALVINGS = 40  # of the share of restitution that keeps the energy
 
@@ -232,6 +233,14 @@ class Contacts:
             a, lam, p, _ = self.accelerations(t, q, v, closed)
         return State(t, q, v, a, self.all(lam, p), {"closed": closed, "p": p, "a_alg": a})
 
+    def with_known_forces(self, state, lam):
+        """The State with consistent forces, from one of the equations; lam: forces nearby, of which contacts press and friction sticks or slips."""
+        p = -lam[self.rows]
+        bounds = np.array([law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) for law in self.model.row_laws])
+        status = np.where(~self.contact & (np.abs(p) < WITHIN * bounds), STICKS, OPEN)
+        a, lam, p, _ = self.accelerations(state.t, state.q, state.v, self.contact & (p > 0.0), p, status=status)
+        return State(state.t, state.q, state.v, a, self.all(lam, p))
+
     def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None):
         """(a, lam of the equations, p, status): consistent accelerations and forces.
 
@@ -250,7 +259,8 @@ class Contacts:
         slip = np.where(slip == 0.0, np.broadcast_to(begins, len(self.rows))[rows], slip)
         B, start = self.slopes(t, q, rows), np.zeros(len(rows)) if p is None else p[rows]
         (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[group.of_model]
-        passes = group.friction & (np.abs(now) > MOVES * np.abs(B) @ np.abs(a))  # a dead point, where friction cannot hold the row
+        size = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
+        passes = group.friction & (np.abs(now) > MOVES * size)  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
         p, status = self.solve(t, group, G, now, start, lam, Y, mobility, slip, slips=True)
         return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)

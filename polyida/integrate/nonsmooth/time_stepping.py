@@ -33,6 +33,7 @@ from polyida.validation import is_number, is_whole, named_keywords
 SLOW, MANY = 0.3, 6  # contraction of Newton's method beyond which columns are made again, iterations beyond which S is factored again
 PRICE = 5  # solves that an iteration costs
 TURNED = 0.05  # change of the rows with laws beyond which their columns are made again
+JUMPED = 1e-2  # of the force of friction in the step before: a larger change is that of an impact
 EXACT = 1e-13  # of |q| and the model's extent: change of q that is round-off
 
 
@@ -312,7 +313,7 @@ class _Steps:
         if wanted is not None:
             v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
             rate, still = contacts.remaining(t, q, v, touching, status)
-        impacts = _impacts(contacts, touching & ~closed, P, free, rate)
+        impacts = _impacts(contacts, touching & ~closed, P, free, rate, h * state.lam[contacts.rows])
         lam, p, memory = lam + change / h, P / h, {"a_alg": a_alg, "closed": still, "p": p, "status": status} | impacts
         total = contacts.all(lam, p)
         if (still != closed).any() or (status != state.memory.get("status", status))[~contacts.contact].any():
@@ -332,7 +333,8 @@ class _Steps:
         start = q0 + h * v0, v0, np.zeros(model.n), lam, p
         q, v, a, lam, p = self._newton(t, h, start, active, (to_v * to_v, to_v, to_v / h), residual, size, back, 1.0 / theta)
         p, approaching = theta * p, closed & (before < -contacts.still(v0))
-        impacts = _impacts(contacts, approaching, h * p, before, model.phi_rate(t, q, v)[contacts.rows])
+        after, last = model.phi_rate(t, q, v)[contacts.rows], h * state.lam[contacts.rows]
+        impacts = _impacts(contacts, approaching, h * p, before, after, last)
         return self._accepted(t, q, v, a, contacts.all(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
 
     def _accepted(self, t, q, v, a, lam, memory):
@@ -341,8 +343,17 @@ class _Steps:
         return State(t, q, v, a, lam, memory)
 
 
-def _impacts(contacts, rows, P, before, after):
-    """{"impacts": (k, 3)}: number of the law, impulse, and energy lost with its friction, of the contacts in `rows` that were hit; or {}."""
-    hit, lost = np.flatnonzero(rows & (P > 0.0)), -0.5 * P * (before + after)
-    rubbed = np.bincount(contacts.on_laws[:, 1], lost[contacts.on_laws[:, 0]], len(lost))
-    return {"impacts": np.stack([hit, P[hit], (lost + rubbed)[hit]], axis=1)} if len(hit) else {}
+def _impacts(contacts, rows, P, before, after, last):
+    """{"impacts": (k, 3)}: number of the law, impulse, and energy lost, of the contacts in `rows` that were hit with their friction; or {}.
+
+    So are rows of friction elsewhere whose force jumped in that step. last: their lam of the step before, times h.
+    """
+    hit, lost = rows & (P > 0.0), -0.5 * P * (before + after)
+    if not hit.any():
+        return {}
+    of_contact, pressing = contacts.on_laws[contacts.contact[contacts.on_laws[:, 1]]].T
+    lost += np.bincount(pressing, lost[of_contact], len(lost))
+    elsewhere = ~contacts.contact & (np.abs(P + last) > JUMPED * np.abs(last))
+    elsewhere[of_contact[hit[pressing]]] = False
+    listed = np.flatnonzero(hit | elsewhere)
+    return {"impacts": np.stack([listed, np.abs(P[listed]), lost[listed]], axis=1)}
