@@ -94,7 +94,7 @@ class Totals:
     """
 
     def __init__(self, model, names=None, with_v0=False):
-        own = {one.name: one for one in names or () if isinstance(one, Parameter)}
+        self.own = own = {one.name: one for one in names or () if isinstance(one, Parameter)}
         self.known = known = parameters_of(model) | own
         self.parts = model.parts if model.is_scene else {}
         names = names and [getattr(one, "name", one) for one in names]
