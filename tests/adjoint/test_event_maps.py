@@ -143,3 +143,17 @@ def test_every_event(when, then):
     assert len(run.events) == 1
     found = pi.gradient(run, J, parameters=["tip.mass"])["tip.mass"]
     assert found == pytest.approx(difference(lambda s: J(solved(s))), rel=1e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["spring", "contact"])
+def test_check_gradient_of_a_run_with_events(kind):
+    scene, one = body(x=1.0, speed=-1.5)
+    if kind == "spring":
+        events = pi.Event(**HALF, then=spring_of(one))
+    else:
+        events = []
+        scene.add(pi.Contact(one.at("c"), pi.ground.at((0.6, 0.0), direction=(0.0, 1.0)), restitution=0.7, name="stop"))
+    run = pi.solve(scene.build(), 1.0, ALPHA, events=events)
+    assert len(run.events) == 1
+    errors = pi.check_gradient(run, last(), parameters=["v0"] + ["spring.stiffness"] * (kind == "spring"))
+    assert max(errors.values()) < 1e-3
