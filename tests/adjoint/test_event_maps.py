@@ -137,7 +137,7 @@ def arm(mass, when, then):
 def test_every_event(when, then):
     def solved(change=0.0):
         model, event = arm(0.3 + change, when, then)
-        return pi.solve(model, 0.6, RADAU, events=event)
+        return pi.solve(model, 0.6, pi.RadauIIA(h=0.01, tolerance=1e-14), events=event)
 
     run, J = solved(), last(1)
     assert len(run.events) == 1
