@@ -374,6 +374,8 @@ def _through(jump, bars, by_time, backward, modes):
         rates = rate_behind(jump.resets, state)
         q_bar, v_bar, entries = pulled_through(jump.resets, state, all_bars)
     rate = jump.function.rate(state)
+    if not abs(rate) > 0.0:
+        raise InputError(f"gradient: the function of the event at t = {before.t:.9g} s is at rest there, so that its time has no slope")
     c = -(np.concatenate(all_bars) @ rates - bars[0] @ after.v - bars[1] @ after.a + by_time) / rate
     of_q, of_v, *more = jump.function.back(before, c)
     for mode, of_mode in (*entries, more):

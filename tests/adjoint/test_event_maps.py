@@ -29,7 +29,9 @@ def difference(f, d=1e-3):
 
 def body(x=0.0, speed=0.0):
     scene = pi.Scene()
-    return scene, scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(x, 0.0), velocity=(speed, 0.0), name="body"))
+    return scene, scene.add(
+        pi.RigidBody(mass=1.0, inertia=0.1, points={"c": (0.0, 0.0)}, origin=(x, 0.0), velocity=(speed, 0.0), name="body")
+    )
 
 
 def spring_of(one):
@@ -129,7 +131,7 @@ def arm(mass, when, then):
     scene.add(pi.Revolute(pi.ground, rod.at("A"), name="pin"))
     scene.add(pi.PointMass(rod.at("B"), mass, name="tip"))
     scene.add(pi.SpringDamper(pi.ground.at((1.0, 1.0)), rod.at("B"), stiffness=3.0, name="spring"))
-    return scene.build(), pi.Event(when=WHEN[when], then=THEN[then](scene, rod), name="event", most=1)
+    return scene.build(), pi.Event(when=WHEN[when], then=THEN[then](scene, rod), name="event")
 
 
 @pytest.mark.parametrize("then", THEN)
@@ -137,12 +139,12 @@ def arm(mass, when, then):
 def test_every_event(when, then):
     def solved(change=0.0):
         model, event = arm(0.3 + change, when, then)
-        return pi.solve(model, 0.6, pi.RadauIIA(h=0.01, tolerance=1e-14), events=event)
+        return pi.solve(model, 0.6, pi.RadauIIA(h=0.004, tolerance=1e-14), events=event)
 
     run, J = solved(), last(1)
-    assert len(run.events) == 1
+    assert run.success and run.events
     found = pi.gradient(run, J, parameters=["tip.mass"])["tip.mass"]
-    assert found == pytest.approx(difference(lambda s: J(solved(s))), rel=1e-6, abs=1e-7)
+    assert found == pytest.approx(difference(lambda s: J(solved(s))), rel=2e-6, abs=1e-8)
 
 
 @pytest.mark.parametrize("kind", ["spring", "contact"])
