@@ -167,6 +167,8 @@ class Happenings:
     run has all columns; integrators get those of the mode.
     """
 
+    of_forces: Any = frozenset()  # names of the events whose functions read accelerations or multipliers
+
     def __init__(self, model, events, method, happened=None):
         self.whole, self.events, self.method = guard(model), events, method
         models = [] if self.whole.is_scene else [model, *(one for event in events for one in event.then if isinstance(one, Model))]
@@ -179,7 +181,7 @@ class Happenings:
             raise InputError("events: a function of an event made the model that acts, which no file holds; name it in `then`")
         self.mode = guard(self.happened.modes(self.whole)[-1])
         self.sides, self.sizes = np.zeros((2, len(events)))
-        self.of_forces: set[str] = set()  # names of the events whose functions read accelerations or multipliers
+        self.of_forces = set()
 
     def _own(self, model):
         """A user's model, guarded. Raises InputError unless its sizes fit."""
