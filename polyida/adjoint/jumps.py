@@ -30,7 +30,7 @@ from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_UP, STICKS
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import Counts, State, declared
 from polyida.model.differences import along, jacobian
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import Slips
 from polyida.objective.objective import Slopes, slopes_at
 from polyida.run.events import Change, Happenings
@@ -84,6 +84,13 @@ class _Motions:
                     f"gradient: an event happens at the end of the run, t = {end:.9g} s, which has no slope; choose another end"
                 )
         self.ends = [*(jump.before.t for jump in self.jumps), end]
+
+    @property
+    def changes_model(self):
+        """True if events change the parts of the scene or the model of the user."""
+        if self.whole.is_scene:
+            return any(mode.absent or (mode.whole is not None and mode.since) for mode in self.modes)
+        return len({id(unguarded(mode)) for mode in self.modes}) > 1
 
     def _begin(self, mode, state):
         if isinstance(mode, Slips) and any(law.mu for law, _ in mode.slips):
@@ -290,7 +297,8 @@ def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
     for name, parameter in list(totals.parameters.items()):
         if parameter.kinks(float(run.t[0]), float(run.t[-1])):
             totals.leave_out(name, "it moves kinks of a run with events, for which there is no adjoint")
-    modes = TotalsOfModes(totals, motions.modes, m, isinstance(motions.happenings, Modes))
+    modes = TotalsOfModes(totals, motions, m)
+    modes.exclude_at_start(motions.modes[0], motions.starts[0], not with_v0)
     each = [_Backward(objective, totals.empty(), whole, runs, firsts, motions.modes) for objective in objectives]
     for k in reversed(range(len(runs))):
         mode, one = motions.modes[k], replace(runs[k], plan=runs[k].plan | {"began": "start"})
@@ -368,11 +376,13 @@ def _through(jump, bars, by_time, backward, modes):
     state = replace(before, a=consistent_acceleration(jump.modes[0], before.t, before.q, before.v)[0])
     rates, all_bars, (q_bar, v_bar), entries = np.concatenate([state.v, state.a]), list(bars), bars, []
     if jump.resets:
-        for reset in jump.resets:
-            if reset.held:
-                all_bars.append(sum((backward.held.pop((name, before.t), 0.0) for name in reset.held), np.zeros(len(state.q))))
+        holding = [[(name, before.t) for name in reset.held] for reset in jump.resets if reset.held]
+        none, entries = np.zeros(len(state.q)), []
+        for _ in range(len(holding) + 1):  # the resets depend on the places of those before
+            held = {key: backward.held.get(key, none) + slope for key, slope in modes.in_places(entries, backward.held).items()}
+            all_bars = [*bars, *(sum((held[key] for key in keys if key in held), none) for keys in holding)]
+            q_bar, v_bar, entries = pulled_through(jump.resets, state, all_bars)
         rates = rate_behind(jump.resets, state)
-        q_bar, v_bar, entries = pulled_through(jump.resets, state, all_bars)
     rate = jump.function.rate(state)
     if not abs(rate) > 0.0:
         raise InputError(f"gradient: the function of the event at t = {before.t:.9g} s is at rest there, so that its time has no slope")
@@ -381,4 +391,6 @@ def _through(jump, bars, by_time, backward, modes):
     for mode, of_mode in (*entries, more):
         if of_mode:
             modes.of(mode, backward.totals, backward.held).add(stacked(of_mode))
+    for key in [key for key in backward.held if key[1] == before.t]:  # in the bars of q and v now
+        del backward.held[key]
     return q_bar + of_q, v_bar + of_v

@@ -6,8 +6,10 @@ state at the event.
 
 import numpy as np
 
-from polyida.adjoint.parameter import total
+from polyida.adjoint.parameter import stacked, total
 from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.run import constraints_at, exclude_moving
+from polyida.integrate.sizes import extent
 from polyida.model.differences import central
 from polyida.model.guarded import unguarded
 from polyida.model.row_laws import Slips
@@ -16,23 +18,47 @@ RANK = 1e-10  # of the largest singular value: directions of a position that pla
 
 
 class TotalsOfModes:
-    """Totals for each mode of a run. m: number of columns of the run's lam; laws: True if the modes are those of rows with laws.
+    """Totals for each mode of a run. motions: the run's modes and jumps; m: number of columns of its lam.
 
-    Raises InputError for requested parameters that models of users have with different values.
+    laws: True if the modes are those of rows with laws. Raises InputError for requested parameters that models of users have with different
+    values, and for parameters of one's own that events do not know.
     """
 
-    def __init__(self, totals, modes, m, laws):
-        self.parameters, self.own, self.m, self.laws, self._known = totals.parameters, totals.own, m, laws, {}
-        for known in [parameters_of(unguarded(mode)) for mode in modes if not (laws or mode.is_scene)]:
+    def __init__(self, totals, motions, m):
+        self.totals, self.parameters, self.own, self.m, self._known = totals, totals.parameters, totals.own, m, {}
+        self.laws = bool(motions.whole.row_laws)
+        if self.laws:
+            return
+        for known in [parameters_of(unguarded(mode)) for mode in motions.modes if not mode.is_scene]:
             for name, parameter in list(totals.parameters.items()):
                 if name in known and not np.array_equal(known[name].value, parameter.value):
                     totals.leave_out(name, "models of the run have different values of it")
+        for name, parameter in list(self.own.items()):
+            if motions.changes_model:
+                totals.leave_out(name, "it is one of the whole model, and events change the model; use differences of runs")
+            elif parameter.changes_coordinates and motions.jumps:
+                totals.leave_out(name, "it may move the places that events read or push; use differences of runs")
+
+    def exclude_at_start(self, mode, state, given):
+        """Exclude parameters that move the constraints of the mode at the start of the run. given: True if it begins with a given state."""
+        slopes = self.totals.empty()
+        self.of(mode, slopes, {}).add(constraints_at(mode, state))
+        moving = {name: slopes.sums[name] for name, one in self.parameters.items() if given or one.changes_coordinates}
+        exclude_moving(self.totals, moving, extent(mode, state.q))
 
     def of(self, mode, totals, held):
         """What adds the slopes of AdjointMultipliers of a mode to the totals of an objective. held: of `_ModeTotals`."""
         if self.laws:
             return _LawTotals(totals, mode, self.m)
         return _ModeTotals(totals, held, *self.known(mode))
+
+    def in_places(self, entries, held):
+        """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry has one."""
+        result = dict.fromkeys(held, 0.0)
+        for mode, of_mode in entries:
+            for hold in self.known(mode)[1] if of_mode else ():
+                result[hold.key] = result.get(hold.key, 0.0) + hold.slope(stacked(of_mode))
+        return result
 
     def known(self, mode):
         """({name: Parameter} of those that act in a mode, the Holds of its joints that events added)."""

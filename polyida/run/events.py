@@ -273,7 +273,10 @@ class Happenings:
             t = start.t - g / rate if rate else before.t
             if abs(g) <= 0.1 * OFFSET * self.sizes[k] or not before.t < t < after.t:
                 break
-            start = self._consistent(self.mode, between(before, after, t), "the state")
+            nearer = self._consistent(self.mode, between(before, after, t), "the state")
+            if abs(self.value(self.events[k], nearer)) >= abs(g):
+                break
+            start = nearer
         return start
 
     def value(self, event, state):
