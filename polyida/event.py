@@ -36,11 +36,22 @@ class Moment:
     """
 
     def __init__(self, model: Any, state: State, mode: Any) -> None:
-        self._model, self._mode, self.t, self._lam = model, mode, state.t, state.lam
-        self.q, self.v, self.a, self.lam = (read_only(x) for x in (state.q, state.v, state.a, state.lam))
-        if model.k and not model.is_scene:
-            self.q, self.v, self.a = (x[: model.n - model.k] for x in (self.q, self.v, self.a))
-        self._all = state
+        self._model, self._mode, self._all, self.t = model, mode, state, state.t
+        self._own = slice(model.n - model.k if model.k and not model.is_scene else None)
+        self.q, self.v = (read_only(x)[self._own] for x in (state.q, state.v))
+        self._reads_forces = False  # True once accelerations or multipliers were read
+
+    @property
+    def a(self) -> NDArray:
+        """Accelerations, (n,)."""
+        self._reads_forces = True
+        return read_only(self._all.a)[self._own]
+
+    @property
+    def lam(self) -> NDArray:
+        """Multipliers, (m,)."""
+        self._reads_forces = True
+        return read_only(self._all.lam)
 
     @property
     def x(self) -> NDArray:
@@ -59,7 +70,7 @@ class Moment:
 
     def reaction(self, name: str) -> NDArray:
         """Return the reaction of a joint, as `run.reaction`; 0 while it does not act."""
-        lam = self._all.lam[None][:, self._mode.columns]
+        lam = self.lam[None][:, self._mode.columns]
         return reaction_of(self._mode, name, np.array([self.t]), self._all.q[None], lam)[0]
 
 

@@ -15,15 +15,17 @@ from polyida.adjoint.radau import exact_steps, step_start_state
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.errors import InputError
+from polyida.event import Impact, Impulse, Remove
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import Grid, edges, time_limits
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.start import VIOLATION, restarted, started
-from polyida.integrate.state import Counts
+from polyida.integrate.start import VIOLATION, on_velocity, restarted, started
+from polyida.integrate.state import Counts, State
 from polyida.integrate.static import Equilibrium, static
 from polyida.modal.modes import Modes, modes
 from polyida.model.differences import EVERYWHERE, along, central
 from polyida.model.guarded import guard
+from polyida.run.solve import solve
 from polyida.trajectory import Trajectory
 from polyida.validation import is_whole, named_keywords
 
@@ -72,6 +74,9 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of the differences if the motion is strongly
     nonlinear (1e-4 in a soft plate with large motions).
 
+    A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that of the
+    steps over 1e-3.
+
     A parameter that is zero and must not be negative is changed upwards only. Parameters are left out if they move a kink into or out of the
     run (a motor that ends with it), or if they change the constraints at the start.
     """
@@ -79,6 +84,7 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
         raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")
     slopes, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
     of_run = ReplayedRadauRun if isinstance(run, Trajectory) and isinstance(run.integrator, RadauIIA) else ReplayedRun
+    of_run = RunWithEvents if isinstance(run, Trajectory) and run.events.given else of_run
     replayed: Any
     objective, replayed = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
     random, errors = np.random.default_rng(seed), {}
@@ -164,6 +170,55 @@ class ReplayedRun:
     def _edges(self, model):
         """Sorted times that bound the segments of the run: start, kinks and samples of `model`, end."""
         return list(edges(model, float(self.run.t[0]), float(self.run.t[-1])))
+
+
+class RunWithEvents:
+    """A run with located events that is solved again; its events take the parts of the other model."""
+
+    def __init__(self, run):
+        first = self._equations(run, run.model)
+        self.run, self.state = run, State(float(run.t[0]), run.q[0], run.v[0], run.a[0], run.lam[0])
+        self.given_v, self.by_bodies = given_velocity(first, self.state)
+
+    @staticmethod
+    def _equations(run, model):
+        """The equations of a model that hold at the start of the run."""
+        first = guard(run.events.modes(guard(model), 0)[0])
+        laws = [law.row for law in first.row_laws]
+        return first.with_rows(np.setdiff1d(np.arange(first.m), laws)) if laws else first
+
+    def frames(self, model, change=0.0):
+        """The run of another model; change: added to its initial velocities."""
+        run, state, first = self.run, self.state, self._equations(self.run, model)
+        events = [with_parts_of(event, run.model, model) for event in run.events.causes or ()]
+        if run.plan.get("began") == "state":
+            return solve(model, run.plan["t_end"], run.integrator, events=events, state=state)
+        v0 = first.initial_velocity(state.t, state.q) if self.by_bodies else self.given_v
+        v0 = on_velocity(first, state.t, state.q, v0 + change)
+        return solve(model, run.plan["t_end"], run.integrator, events=events, t0=state.t, q0=state.q, v0=v0)
+
+    def can_start(self, model):
+        """True if a run of another model can start from the same state."""
+        return _fits(self._equations(self.run, model), self.state)
+
+
+def with_parts_of(event, old, new):
+    """An event with the parts of another model of the same names."""
+    if not old.is_scene:
+        return event
+    names = {id(part): name for name, part in old.parts.items()}
+
+    def moved(part):
+        return new.parts[names[id(part)]] if id(part) in names else part
+
+    def other(one):
+        if isinstance(one, Remove):
+            return Remove(*(names.get(id(part), part) for part in one.parts))
+        if isinstance(one, Impulse):
+            return replace(one, at=one.at.on(moved(one.at.body)))
+        return replace(one, rest=tuple(map(moved, one.rest))) if isinstance(one, Impact) else moved(one)
+
+    return replace(event, then=tuple(map(other, event.then)))
 
 
 class ReplayedRadauRun(ReplayedRun):

@@ -12,24 +12,25 @@ The states of a motion stretch evenly between two events, as those between kinks
 Leine, Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems (2004), chapter 7.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from polyida.adjoint.history import stored_state
+from polyida.adjoint.mode_totals import TotalsOfModes, wide
 from polyida.adjoint.parameter import stacked
+from polyida.adjoint.resets import moved_along, pulled_through, rate_behind, span_of
 from polyida.adjoint.run import Gradient, Totals, together
-from polyida.adjoint.taped import Tape, TapedModel, add_to, pulled_back
+from polyida.adjoint.taped import Tape, TapedModel, pulled_back
 from polyida.errors import InputError
-from polyida.event import Events, Impact, Remove
+from polyida.event import Events
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_UP, STICKS
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import Counts, State, declared
-from polyida.joint.joint import Joint
 from polyida.model.differences import along, jacobian
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import Slips
 from polyida.objective.objective import Slopes, slopes_at
 from polyida.run.events import Change, Happenings
@@ -40,18 +41,17 @@ TIME_STEPPING = "time steps pass impacts without locating them, so that slopes o
 
 
 class Jump(NamedTuple):
-    """An event: the mode before it and behind it, State of each, names, and what locates it and what it does.
+    """An event, with those that it causes at its time.
 
-    function: of (model, t, q, v), maybe on a tape, that gives the event's function and its weights (see `_Function`). reset: of (model,
-    t, q, v) that gives v behind; model: that of the reset.
+    modes: before it and behind it; before, after: State of each. function: what locates it (`_RowFunction`, `_UserFunction`). resets: Reset of
+    each, in order.
     """
 
     modes: tuple
     before: State
     after: State
     function: Any
-    model: Any
-    reset: Any
+    resets: list
 
 
 class _Motions:
@@ -71,9 +71,10 @@ class _Motions:
                 )
             self.happenings = Happenings(run.model, run.events.causes, declared(run.integrator))
             first = replace(first, lam=first.lam[self.happenings.mode.columns])
-        self.jumps, self.starts, self.modes = [], [], []
-        change = self.happenings._change
+        self.jumps, self.starts, self.modes, self.resets = [], [], [], []
+        change, apply = self.happenings._change, self.happenings._apply
         self.happenings._change = lambda state, fired: self._changed(change, state, fired)
+        self.happenings._apply = lambda event, state: self._applied(apply(event, state))
         state = self.happenings.start(first)
         self._begin(self.happenings.mode, state)
         counts, end = Counts(), float(run.t[-1])
@@ -83,6 +84,13 @@ class _Motions:
                     f"gradient: an event happens at the end of the run, t = {end:.9g} s, which has no slope; choose another end"
                 )
         self.ends = [*(jump.before.t for jump in self.jumps), end]
+
+    @property
+    def changes_model(self):
+        """True if events change the parts of the scene or the model of the user."""
+        if self.whole.is_scene:
+            return any(mode.absent or (mode.whole is not None and mode.since) for mode in self.modes)
+        return len({id(unguarded(mode)) for mode in self.modes}) > 1
 
     def _begin(self, mode, state):
         if isinstance(mode, Slips) and any(law.mu for law, _ in mode.slips):
@@ -97,8 +105,12 @@ class _Motions:
         self.impact = impact(*arguments), arguments
         return self.impact[0]
 
+    def _applied(self, result):
+        self.resets.append(self.happenings.reset)
+        return result
+
     def _changed(self, change, state, fired):
-        one, self.impact = self.happenings, None
+        one, self.impact, self.resets = self.happenings, None, []
         before, status = one.mode, getattr(one, "status", None)
         if not fired:
             why = f"a contact is hit at the start of the run, t = {state.t:.9g} s, for which there is no adjoint"
@@ -112,18 +124,16 @@ class _Motions:
             raise InputError(f"gradient: {names} happen at one time, t = {state.t:.9g} s, where the motion has no slopes")
         if isinstance(one, Modes):
             function = _RowFunction(self.whole, before, law.law, status[law.law])
-            model, reset = self._impact_reset() if self.impact else (None, None)
+            resets = [self._impact_reset(before)] if self.impact else []
         else:
-            function = _UserFunction(one, law, before, state)
-            model, reset = one.mode, self._event_reset(law, state, function)
+            function, resets = _UserFunction(one, law, before, state), self.resets
         self._begin(one.mode, after)
-        ends = before, one.mode
         behind = State(after.t, after.q, after.v, after.a, after.lam[one.mode.columns])
-        self.jumps.append(Jump(ends, state, behind, function, model, reset))
+        self.jumps.append(Jump((before, one.mode), state, behind, function, resets))
         return after, happened, stops
 
-    def _impact_reset(self):
-        """(model, reset) of an impact of contacts: rates of the rows that carry impulses become -e times those before."""
+    def _impact_reset(self, mode):
+        """The reset of an impact of contacts: rates of the rows that carry impulses become -e times those before."""
         (_, P, _, status), (_, _, _, rates, *_) = self.impact
         contacts = self.happenings.contacts
         hit = contacts.contact & (P > 0.0)
@@ -137,38 +147,25 @@ class _Motions:
         rows = np.sort(np.concatenate([contacts.equations, contacts.rows[hit | sticks]]))
         factors = np.zeros(self.whole.m)
         factors[contacts.rows] = back
-        factors = 1.0 + factors[rows]
-        return self.whole.with_rows(rows), lambda model, t, q, v: v + _solved(model, t, q, model.phi_rate(t, q, v) * factors)
-
-    def _event_reset(self, event, state, function):
-        """The reset of an event of the user: velocities on the rows behind it, and its impact."""
-        for one in event.then:
-            if not isinstance(one, (Remove, Impact, Joint)) and one != "stop" and not hasattr(one, "compiled_functions"):
-                raise InputError(
-                    f"gradient: event {event.name!r}: then = {one!r:.60} has no adjoint; joints, forces, Remove and Impact have"
-                )
-        impacts = [one for one in event.then if isinstance(one, Impact)]
-        rate = float(function.q @ state.v)
-        if any(abs(rate) < one.least_speed and one.rest for one in impacts):
-            impacts = []
-
-        def reset(model, t, q, v):
-            v = v + _solved(model, t, q, model.phi_rate(t, q, v)) if model.m else v
-            for one in impacts:
-                e = 0.0 if abs(rate) < one.least_speed else one.restitution
-                v = v + function.push(model, t, q, v, 1.0 + e)
-            return v
-
-        return reset
+        return _RowReset(mode, self.whole.with_rows(rows), 1.0 + factors[rows])
 
 
-def _solved(model, t, q, rate):
-    """The change of velocities by which the rates of a model change by -rate."""
-    return model.mass_system(t, q).solve(np.zeros(model.n), rate)[0]
+@dataclass(frozen=True, eq=False)
+class _RowReset:
+    """The Reset of an impact of rows, whose rates change by `-factors` of them."""
+
+    mode: Any
+    equations: Any
+    factors: Any
+    given: Any = None
+    held: tuple = ()
+
+    def __call__(self, model, t, q, v):
+        return q, v + model.mass_system(t, q).solve(np.zeros(model.n), model.phi_rate(t, q, v) * self.factors)[0]
 
 
 class _RowFunction:
-    """The function of a row with a law before its event: `back(c)` gives (c g_q, c g_v) and entries for parameters; rate: g'."""
+    """The function of a row with a law before its event: `back(c)` gives c g_q, c g_v, a model and its entries for parameters; rate: g'."""
 
     def __init__(self, whole, mode, number, status):
         self.whole, self.mode, self.law, self.status = whole, mode, whole.row_laws[number], status
@@ -199,7 +196,7 @@ class _RowFunction:
         return weights
 
     def back(self, state, c):
-        t, unit, columns = state.t, np.zeros(self.whole.m), slice(None)
+        t, unit = state.t, np.zeros(self.whole.m)
         unit[self.law.row] = c
         if self.gap:
             taped = TapedModel(self.whole, Tape())
@@ -208,84 +205,44 @@ class _RowFunction:
         elif self.of_rate:
             of_q, of_v, entries = pulled_back(self.whole, state, lambda model, q, v: (model.phi_rate(t, q, v),), (unit,))
         else:
-            columns = self.mode.columns
-            bars = None, c * self._weights(state)[columns]
+            bars = None, c * self._weights(state)[self.mode.columns]
             of_q, of_v, entries = pulled_back(self.mode, state, lambda model, q, v: consistent_acceleration(model, t, q, v), bars)
-        return of_q, of_v, spread(entries, columns, self.whole.m)
+        return of_q, of_v, self.whole if self.gap or self.of_rate else self.mode, entries
 
 
 class _UserFunction:
-    """The function of a user's event, by differences; it does not depend on parameters."""
+    """The function of a user's event, by differences; it does not depend on parameters but by accelerations and multipliers."""
 
     def __init__(self, happenings, event, mode, state):
-        self.happenings, self.event, self.mode, self.state = happenings, event, mode, state
-        n, at = len(state.q), self._at
-        after, happenings.mode = happenings.mode, mode
-        self.q = jacobian(lambda q: at(state.t, q, state.v), state.q, 1)[0]
-        self.v = jacobian(lambda v: at(state.t, state.q, v), state.v, 1)[0]
-        self.of_time = float(along(lambda s: at(state.t + s, state.q, state.v))[0])
-        slope = lambda q: jacobian(lambda x: at(state.t, x, state.v), q, 1)[0]  # noqa: E731
-        self.q_q = jacobian(slope, state.q, n)
-        happenings.mode = after
+        self.happenings, self.event, self.mode = happenings, event, mode
+        self.of_forces = event.name in happenings.of_forces
+        now = state.q, state.v, state.a, state.lam
+        with happenings.in_mode(mode):
+            self.slopes = [
+                jacobian(lambda x, k=k: self._at(state.t, *now[:k], x, *now[k + 1 :]), now[k], 1)[0] if k < 2 or self.of_forces else None
+                for k in range(4)
+            ]
 
-    def _at(self, t, q, v):
-        return np.array([self.happenings.value(self.event, replace(self.state, t=t, q=q, v=v))])
+    def _at(self, t, q, v, a, lam):
+        return np.array([self.happenings.value(self.event, State(t, q, v, a, lam))])
 
     def rate(self, state):
-        return float(self.q @ state.v + self.v @ state.a) + self.of_time
+        """dg/dt along the motion, whose accelerations are consistent."""
+
+        def moved(s):
+            now = moved_along(state, s)
+            return self._at(*now, *(consistent_acceleration(self.mode, *now) if self.of_forces else (state.a, state.lam)))
+
+        with self.happenings.in_mode(self.mode):
+            return float(along(moved, span_of(state))[0])
 
     def back(self, state, c):
-        return c * self.q, c * self.v, []
-
-    def push(self, model, t, q, v, factor):
-        """The jump `-factor (g_q v + g_t)/(g_q y) y` of velocities, `y = M^-1 g_q^T` with the rows closed; maybe on a tape."""
-        slope = self.q
-        if isinstance(model, TapedModel):
-            slope = model.tape.record([self.q], lambda bar: add_to(q, self.q_q.T @ bar))[0]
-        y = model.mass_system(t, q).solve(-1.0 * slope, np.zeros(model.m))[0]
-        if not isinstance(model, TapedModel):
-            return -factor * (self.q @ v + self.of_time) / (self.q @ y) * y
-        rate, size = float(self.q @ v.value) + self.of_time, float(self.q @ y.value)
-
-        def back(bar):
-            along_y = float(bar @ y.value)
-            add_to(v, -factor * along_y / size * self.q)
-            add_to(slope, -factor * along_y / size * (v.value - rate / size * y.value))
-            add_to(y, -factor * rate / size * (bar - along_y / size * self.q))
-
-        return model.tape.record([-factor * rate / size * y.value], back)[0]
-
-
-def spread(entries, columns, m):
-    """AdjointMultipliers with multipliers of all m rows, from those of some."""
-    return [one._replace(**{name: _wide(getattr(one, name), columns, m) for name in ("lam", "mu", "kappa", "nu")}) for one in entries]
-
-
-def _wide(x, columns, m):
-    if x is None:
-        return None
-    wide = np.zeros((*np.shape(x)[:-1], m))
-    wide[..., columns] = x
-    return wide
-
-
-class _ModeTotals:
-    """The Totals of the whole model, for the sweep over one of its modes."""
-
-    def __init__(self, totals, mode, m):
-        self.totals, self.mode, self.m = totals, mode, m
-
-    def prepare(self, works):
-        """Nothing: `add` gives the whole model others."""
-
-    def add(self, multipliers):
-        wide = spread([multipliers], self.mode.columns, self.m)[0]
-        if isinstance(self.mode, Slips):
-            wide = wide._replace(lam=np.array([self.mode.spread(lam, self.m) for lam in multipliers.lam]))
-        self.totals.add(wide)
-
-    def add_own(self, own):
-        self.totals.add_own(own)
+        of_q, of_v, entries = c * self.slopes[0], c * self.slopes[1], []
+        if self.of_forces:
+            bars = [c * slope for slope in self.slopes[2:]]
+            q, v, entries = pulled_back(self.mode, state, lambda model, q, v: consistent_acceleration(model, state.t, q, v), bars)
+            of_q, of_v = of_q + q, of_v + v
+        return of_q, of_v, self.mode, entries
 
 
 class _Part:
@@ -318,7 +275,7 @@ class _Part:
         change = [run.v, run.a, *(np.gradient(x, times, axis=0) if len(times) > 1 else np.zeros_like(x) for x in (run.a, run.lam))]
         for slope, rate in zip((own.q, own.v, own.a, own.lam), change):
             if slope is not None:
-                rate = rate if slope is not own.lam else _wide(rate, self.columns, slope.shape[1])
+                rate = rate if slope is not own.lam else wide(rate, self.columns, slope.shape[1])
                 total += np.sum(slope * rate, axis=1)
         return total
 
@@ -340,6 +297,8 @@ def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
     for name, parameter in list(totals.parameters.items()):
         if parameter.kinks(float(run.t[0]), float(run.t[-1])):
             totals.leave_out(name, "it moves kinks of a run with events, for which there is no adjoint")
+    modes = TotalsOfModes(totals, motions, m)
+    modes.exclude_at_start(motions.modes[0], motions.starts[0], not with_v0)
     each = [_Backward(objective, totals.empty(), whole, runs, firsts, motions.modes) for objective in objectives]
     for k in reversed(range(len(runs))):
         mode, one = motions.modes[k], replace(runs[k], plan=runs[k].plan | {"began": "start"})
@@ -347,13 +306,13 @@ def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
         sweeps = kind(one, parts[0], [], memory_limit).with_others(one, parts[1:])
         for backward, sweep in zip(each, sweeps):
             sweep.counts = counts
-            sweep.totals = sweep.objective_slopes.totals = _ModeTotals(backward.totals, mode, m)
+            sweep.totals = sweep.objective_slopes.totals = modes.of(mode, backward.totals, backward.held)
         state = stored_state(sweeps[0].history, 0)
         for backward, sweep, ends in zip(each, sweeps, together(sweeps, progress)):
             ends = sweep.start_bars(ends)
             if k:
                 before, by_time = _start_bars(mode, state, ends, sweep.totals), _time_slope(backward.by_times, runs, k)
-                backward.bars = _through(motions.jumps[k - 1], before, by_time, backward.totals, m)
+                backward.bars = _through(motions.jumps[k - 1], before, by_time, backward, modes)
             elif with_v0:
                 v0, entries = sweep._start(state, ends)
                 if entries:
@@ -363,12 +322,15 @@ def gradients_of_events(kind, run, objectives, names, memory_limit, progress):
 
 
 class _Backward:
-    """An objective on its way back through the motions. bars: of the last state of the motion that is next, None for the last motion."""
+    """An objective on its way back through the motions.
+
+    bars: of the last state of the motion that is next, None for the last motion. held: of TotalsOfModes.
+    """
 
     def __init__(self, objective, totals, whole, runs, firsts, modes):
         slopes = objective.slopes(whole)
         self.value = float(slopes.value if hasattr(slopes, "value") else objective(whole))
-        self.totals, self.bars = totals, None
+        self.totals, self.bars, self.held = totals, None, {}
         checked = partial(slopes_at, objective, slopes, whole)
         self.parts = [_Part(checked, first, len(one), mode.columns) for first, one, mode in zip(firsts, runs, modes)]
         self.by_times = [part.by_time(one) for part, one in zip(self.parts, runs)]
@@ -408,20 +370,27 @@ def _time_slope(by_times, runs, k):
     return result
 
 
-def _through(jump, bars, by_time, totals, m):
+def _through(jump, bars, by_time, backward, modes):
     """Bars of q and v before a jump from those behind it."""
-    before, after, (q_bar, v_bar), R_t = jump.before, jump.after, bars, 0.0
-    if jump.reset is not None:
-        results = lambda model, q, v: (q, jump.reset(model, before.t, q, v))  # noqa: E731
-        q_bar, v_bar, entries = pulled_back(jump.model, before, results, bars)
-        if entries:
-            totals.add(stacked(spread(entries, jump.model.columns, m)))
-        if jump.model.needs.driven:
-            R_t = along(lambda s: jump.reset(jump.model, before.t + s, before.q, before.v)) @ bars[1]
-    f = consistent_acceleration(jump.modes[0], before.t, before.q, before.v)[0]
-    along_motion = q_bar @ before.v + v_bar @ f + R_t - bars[0] @ after.v - bars[1] @ after.a
-    c = -(along_motion + by_time) / jump.function.rate(replace(before, a=f))
-    of_q, of_v, entries = jump.function.back(before, c)
-    if entries:
-        totals.add(stacked(entries))
+    before, after = jump.before, jump.after
+    state = replace(before, a=consistent_acceleration(jump.modes[0], before.t, before.q, before.v)[0])
+    rates, all_bars, (q_bar, v_bar), entries = np.concatenate([state.v, state.a]), list(bars), bars, []
+    if jump.resets:
+        holding = [[(name, before.t) for name in reset.held] for reset in jump.resets if reset.held]
+        none, entries = np.zeros(len(state.q)), []
+        for _ in range(len(holding) + 1):  # the resets depend on the places of those before
+            held = {key: backward.held.get(key, none) + slope for key, slope in modes.in_places(entries, backward.held).items()}
+            all_bars = [*bars, *(sum((held[key] for key in keys if key in held), none) for keys in holding)]
+            q_bar, v_bar, entries = pulled_through(jump.resets, state, all_bars)
+        rates = rate_behind(jump.resets, state)
+    rate = jump.function.rate(state)
+    if not abs(rate) > 0.0:
+        raise InputError(f"gradient: the function of the event at t = {before.t:.9g} s is at rest there, so that its time has no slope")
+    c = -(np.concatenate(all_bars) @ rates - bars[0] @ after.v - bars[1] @ after.a + by_time) / rate
+    of_q, of_v, *more = jump.function.back(before, c)
+    for mode, of_mode in (*entries, more):
+        if of_mode:
+            modes.of(mode, backward.totals, backward.held).add(stacked(of_mode))
+    for key in [key for key in backward.held if key[1] == before.t]:  # in the bars of q and v now
+        del backward.held[key]
     return q_bar + of_q, v_bar + of_v

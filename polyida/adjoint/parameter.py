@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from functools import wraps
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -174,8 +175,18 @@ def select_entries(work, which):
 
 def with_parts(model, parts, gravity=None):
     """A copy of the model with other parts of the same names and the same factors of cells."""
-    new = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
+    new = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant, late=model.late)
     return new.with_factors(**model.factors) if model.factors else new
+
+
+def of_all_parts(change):
+    """The function `change(model, ...)` that gives a copy of a model of all its parts, also for a mode of it that events made."""
+
+    @wraps(change)
+    def of_mode(model, *arguments):
+        return change(model, *arguments) if model.whole is None else change(model.whole, *arguments).mode_like(model)
+
+    return of_mode
 
 
 def with_field(part, path, value):
@@ -184,6 +195,7 @@ def with_field(part, path, value):
     return replace(part, **{key: with_field(getattr(part, key), inner, value) if inner else value})
 
 
+@of_all_parts
 def with_part(model, name, new):
     """A copy of the model with one part replaced; attachments to a replaced body move to the new one."""
     return with_parts(model, parts_with(model.parts, name, new, lambda attachment, body: attachment.on(body)))
@@ -196,6 +208,7 @@ def parts_with(parts, name, new, move):
     return {known: new if part is old else _with_values(part, on_new) for known, part in parts.items()}
 
 
+@of_all_parts
 def with_profile(model, old, new):
     """A copy of the model with a profile replaced wherever it occurs."""
     parts = {name: part_with_profile(part, old, new) for name, part in model.parts.items()}

@@ -94,7 +94,7 @@ class Totals:
     """
 
     def __init__(self, model, names=None, with_v0=False):
-        own = {one.name: one for one in names or () if isinstance(one, Parameter)}
+        self.own = own = {one.name: one for one in names or () if isinstance(one, Parameter)}
         self.known = known = parameters_of(model) | own
         self.parts = model.parts if model.is_scene else {}
         names = names and [getattr(one, "name", one) for one in names]
@@ -330,20 +330,31 @@ class RunAdjoint:
         """Exclude parameters that move the constraints at a given initial state or change the meaning of coordinates: no run of another value
         starts there. Raises InputError if they were requested by name.
         """
-        totals, model, state = self.totals, self.model, stored_state(self.history, 0)
-        if not model.m:
-            return
-        zero, none = np.zeros((1, model.n)), np.zeros((1, model.m))
-        mu = np.random.default_rng(0).uniform(1.0, 2.0, none.shape)
-        phi = AdjointMultipliers(np.array([state.t]), state.q[None], zero, zero, none, zero, mu)
-        for name, parameter in list(totals.parameters.items()):
-            if not (self.start_is_given or parameter.changes_coordinates):
-                continue
-            size = float(np.abs(parameter.value).max(initial=0.0)) or 1.0
-            if size * np.abs(parameter.slope(phi)).max(initial=0.0) > MOVES * extent(model, state.q):
-                why = "it moves the constraints of the state that the run begins with, so that no run of another value begins there"
-                totals.leave_out(name, why, "; draw the scene where the run begins")
-                self.events.speeds.pop(name, None)
+        state, parameters = stored_state(self.history, 0), self.totals.parameters
+        phi = constraints_at(self.model, state)
+        slopes = {name: one.slope(phi) for name, one in parameters.items() if self.start_is_given or one.changes_coordinates}
+        for name in exclude_moving(self.totals, slopes, extent(self.model, state.q)):
+            self.events.speeds.pop(name, None)
+
+
+def constraints_at(model, state):
+    """AdjointMultipliers of a sum of the constraints of a state with random factors."""
+    zero, none = np.zeros((1, model.n)), np.zeros((1, model.m))
+    mu = np.random.default_rng(0).uniform(1.0, 2.0, none.shape)
+    return AdjointMultipliers(np.array([state.t]), state.q[None], zero, zero, none, zero, mu)
+
+
+def exclude_moving(totals, slopes, size):
+    """Exclude parameters with a slope of `constraints_at` the start, by {name: slope}; size: of the model. Return their names.
+
+    Raises InputError if they were requested by name.
+    """
+    why = "it moves the constraints of the state that the run begins with, so that no run of another value begins there"
+    values = {name: float(np.abs(totals.parameters[name].value).max(initial=0.0)) or 1.0 for name in slopes}
+    moving = [name for name, slope in slopes.items() if values[name] * np.abs(slope).max(initial=0.0) > MOVES * size]
+    for name in moving:
+        totals.leave_out(name, why, "; draw the scene where the run begins")
+    return moving
 
 
 def together(sweeps, progress):

@@ -7,7 +7,7 @@ multipliers of r, phi, its rate and its bias in each state (AdjointMultipliers).
 import numpy as np
 
 from polyida.adjoint.parameter import AdjointMultipliers
-from polyida.integrate.start import resolution, start_values, velocity_rate
+from polyida.integrate.start import on_position, resolution, start_values, velocity_rate
 from polyida.integrate.state import Counts
 from polyida.linear.saddle import ExactSaddle
 from polyida.model.differences import along, central
@@ -70,10 +70,38 @@ class Var:
         return self._sum(other - self.value, (self, -1.0))
 
     def __mul__(self, factor):
-        return self._sum(factor * self.value, (self, factor))
+        if not isinstance(factor, Var):
+            return self._sum(factor * self.value, (self, factor))
 
-    def __truediv__(self, factor):
-        return self * (1.0 / factor)
+        def back(bar):
+            for one, other in ((self, factor), (factor, self)):
+                product = other.value * bar
+                add_to(one, product if np.ndim(one.value) else np.sum(product))
+
+        return self.tape.record([self.value * factor.value], back)[0]
+
+    def __truediv__(self, divisor):
+        """The divisor may be a number on the tape; this vector is a number then, too."""
+        if not isinstance(divisor, Var):
+            return self * (1.0 / divisor)
+
+        def back(bar):
+            add_to(self, bar / divisor.value)
+            add_to(divisor, -bar * self.value / divisor.value**2)
+
+        return self.tape.record([self.value / divisor.value], back)[0]
+
+    def __matmul__(self, other):
+        """The scalar product with a vector on the tape."""
+
+        def back(bar):
+            add_to(self, bar * other.value)
+            add_to(other, bar * self.value)
+
+        return self.tape.record([self.value @ other.value], back)[0]
+
+    def __gt__(self, other):
+        return bool(self.value > other)
 
     def __neg__(self):
         return self * -1.0
@@ -271,6 +299,22 @@ def _add_derivative_along(taped, state, way, alpha, nu, gain):
         taped.add_entry(t, *at(s), w=-weight * alpha)
     taped.add_entry(t, q, gain, kappa=-nu)
     taped.add_entry(t, q, kappa=nu)
+
+
+@on_position.register
+def _(model: TapedModel, t, q):
+    """q on its constraints. Near them `M dq + B^T nu = 0`, `B dq = -phi`; rows of velocities move nothing."""
+    if not model.m:
+        return q
+    on, whole = on_position(model.model, t, q.value), model.model
+
+    def back(bar):
+        _, nu = whole.mass_system(t, on).solve(bar, np.zeros(model.m))
+        nu[model.velocity_rows] = 0.0
+        add_to(q, bar + whole.phi_q(t, on).T @ nu)
+        model.add_entry(t, on, mu=nu)
+
+    return model.tape.record([on], back)[0]
 
 
 @velocity_rate.register

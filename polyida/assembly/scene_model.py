@@ -57,6 +57,7 @@ class SceneModel(SceneBodies):
     """
 
     is_scene = has_constraint_increments = True
+    whole: Any = None  # of a mode: the model that has all parts
     switching = False  # True if a force element declares switches, by `gap`
     looks_apart = 1024  # without few: joints hold on to points of their own, and only motors turn rows
 
@@ -141,15 +142,9 @@ class SceneModel(SceneBodies):
         return self._modes[key]
 
     def _mode(self, absent, since):
-        heavy = any(isinstance(self.parts[name], PointMass) for name in {*absent, *(self.late or ())})
-        other = self._copy({"pattern", "first_pairs", *(() if heavy else OF_FACTORS)})
-        other.absent = absent
-        other.parts = {name: part for name, part in self.parts.items() if isinstance(part, Joint) or name not in absent}
-        held = self._late_joints()
-        held |= {name: held_at(self.parts[name], lambda place, at=at: self.place(place, at[None, 1:])[0]) for name, at in since.items()}
         left_out = concatenated([np.arange(self.m)[self.rows[name]] for name in absent if name in self.rows], np.int64)
-        other._use_parts(held, left_out)
-        other.columns = np.setdiff1d(np.arange(self.m), left_out)
+        other = self._acting(absent, since, left_out)
+        held, other.columns = other._assembled[0], np.setdiff1d(np.arange(self.m), left_out)
         for name, at in since.items():
             off = violation(other, other.phi(float(at[0]), at[1:]))[other.rows[name]]
             if np.abs(off).max(initial=0.0) > CLOSED * self.extent:
@@ -158,6 +153,26 @@ class SceneModel(SceneBodies):
         if since or self.treats_redundant == "least-norm":
             at = list(since.values())[-1] if since else np.zeros(1 + self.n)
             other.columns = other._leave_out_redundant(float(at[0]), at[1:], held, left_out)
+        return other
+
+    def _acting(self, absent, since, left_out):
+        """A copy without the parts named in `absent`, and without the rows with the numbers `left_out`; since: as of `mode`."""
+        heavy = any(isinstance(self.parts[name], PointMass) for name in {*absent, *(self.late or ())})
+        other = self._copy({"pattern", "first_pairs", *(() if heavy else OF_FACTORS)})
+        other.whole, other.absent, other.since = self, absent, since
+        other.parts = {name: part for name, part in self.parts.items() if isinstance(part, Joint) or name not in absent}
+        held = self._late_joints()
+        held |= {name: held_at(self.parts[name], lambda place, at=at: self.place(place, at[None, 1:])[0]) for name, at in since.items()}
+        other._use_parts(held, left_out)
+        return other
+
+    def mode_like(self, mode, since=None):
+        """The mode of this model with the parts and rows of a mode of a model that is near it, also if its joints do not fit by as much.
+
+        since: other positions at which joints were added.
+        """
+        other = self._acting(mode.absent, mode.since if since is None else since, mode._assembled[1])
+        other.columns = mode.columns
         return other
 
     def with_rows(self, rows):

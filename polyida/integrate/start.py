@@ -106,7 +106,7 @@ def _consistent(model, t0, q0, v0, x0, q, v):
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
         sizes = row_sizes(model, q, rows_at(model, t0, q))
         require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), sizes, remedy)
-        q = _project_position(model, t0, q)
+        q = on_position(model, t0, q)
         if reason := LeftOut(model).contradiction(t0, q):
             raise InputError(f"{'the drawing' if drawn else 'q0'}: {reason}")
     if objection := model.rejection_reason(t0, q):
@@ -128,7 +128,7 @@ def restarted(model, state):
         contacts = _contacts(model)
         return contacts.begin(restarted(contacts.base, state))
     if model.m:
-        q = _project_position(model, state.t, q)
+        q = on_position(model, state.t, q)
         v = on_velocity(model, state.t, q, v)
     return State(float(state.t), q, v, *consistent_acceleration(model, state.t, q, v))
 
@@ -267,7 +267,8 @@ def require_near(model, name, what, violation, sizes, remedy):
         raise InputError(f"{name} violates {constraint}; {remedy}")
 
 
-def _project_position(model, t, q):
+@singledispatch
+def on_position(model, t, q):
     """q after Newton's method on phi = 0 along M^-1 phi_q^T, up to corrections of round-off or that no longer halve."""
     before, size = np.inf, float(np.abs(q if model.reference is None else model.reference).max(initial=0.0)) or 1.0
     for _ in range(50):

@@ -7,8 +7,11 @@ change and velocities jump, and the integrator starts anew from a consistent sta
 """
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import singledispatch
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +20,7 @@ from polyida.body.body import Body
 from polyida.errors import InputError, StepFailure
 from polyida.event import ADDABLE, Event, Events, Happened, Impact, Impulse, Moment, Remove
 from polyida.integrate.singular import Watch
-from polyida.integrate.start import consistent_acceleration, restarted
+from polyida.integrate.start import consistent_acceleration, on_position, restarted
 from polyida.integrate.state import State, Stretch, between, parted
 from polyida.linear.lu import SingularSystem
 from polyida.model import Model
@@ -46,6 +49,77 @@ class Change(NamedTuple):
     after: State
     happened: list
     stops: str
+
+
+class Push(NamedTuple):
+    """Velocities that an event changes by an impulse.
+
+    kind: "impulse" or "impact". impulse: what is given, N s; along (n,): its generalised force. function: of (t, q), whose rate an impact changes by `-factor` of it.
+    """
+
+    kind: str
+    impulse: tuple = ()
+    along: Any = None
+    function: Any = None
+    factor: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Reset:
+    """What an event does to q and v when its parts have changed. The run and its adjoint call it.
+
+    equations: the model behind the event, with its equations alone. given: function (t, q, v, a, lam) -> (q, v) of the functions in `then`, or
+    None; it acts first. held: names of the joints that hold on to the position behind it. pushes: they act last, in this order. mode: the model
+    before the event.
+    """
+
+    mode: Any
+    given: Callable | None
+    held: tuple
+    equations: Any
+    pushes: list
+
+    def __call__(self, model, t, q, v):
+        """(q, v, impulses of the rows, sizes of the pushes); model: `equations`, or the same on a tape."""
+        none, sizes = np.zeros(model.m), []
+        q = on_position(model, t, q)
+        rate = model.phi_rate(t, q, v) if model.m else none
+        impulses = none
+        if rate.any():
+            change, impulses = model.mass_system(t, q).solve(np.zeros(model.n), rate)
+            v = v + change
+        for push in self.pushes:
+            w = slope_of(model, push.function, t, q) if push.function else push.along
+            y, lam = model.mass_system(t, q).solve(-w, none)
+            size = 1.0
+            if push.function:
+                size = rate_of(model, push.function, t, q, v) / (w @ y) * -push.factor
+            sizes.append(size)
+            v, impulses = v + y * size, impulses + lam * size
+        return q, v, impulses, sizes
+
+
+def _require_free(model, pushes, t, q):
+    """Raise InputError if the joints and drives of a model hold all of the function that an impact reverses, but for round-off."""
+    for push in pushes:
+        if push.function:
+            q = on_position(model, t, q)
+            w = slope_of(model, push.function, t, q)
+            moved = model.mass(q) @ model.mass_system(t, q).solve(-w, np.zeros(model.m))[0]  # w without what the joints take
+            if not np.linalg.norm(moved) > FREE * np.linalg.norm(w):
+                raise InputError("Impact: the joints do not let `when` change")
+
+
+@singledispatch
+def slope_of(model, function, t, q):
+    """The slope (n,) of a function of (t, q) in q, by differences. model: one whose q it is."""
+    return jacobian(lambda x: np.array([function(t, x)]), q, 1)[0]
+
+
+@singledispatch
+def rate_of(model, function, t, q, v):
+    """The rate of a function of (t, q) along v, by differences."""
+    return float(along(lambda s: np.array([function(t + s, q + s * v)]), reach_along(q, v))[0])
 
 
 def prepared(part, model, events):
@@ -102,6 +176,8 @@ class Happenings:
     run has all columns; integrators get those of the mode.
     """
 
+    of_forces: Any = frozenset()  # names of the events whose functions read accelerations or multipliers
+
     def __init__(self, model, events, method, happened=None):
         self.whole, self.events, self.method = guard(model), events, method
         models = [] if self.whole.is_scene else [model, *(one for event in events for one in event.then if isinstance(one, Model))]
@@ -114,6 +190,7 @@ class Happenings:
             raise InputError("events: a function of an event made the model that acts, which no file holds; name it in `then`")
         self.mode = guard(self.happened.modes(self.whole)[-1])
         self.sides, self.sizes = np.zeros((2, len(events)))
+        self.of_forces = set()
 
     def _own(self, model):
         """A user's model, guarded. Raises InputError unless its sizes fit."""
@@ -195,23 +272,31 @@ class Happenings:
     def _on_root(self, before, after, start, k):
         """A consistent state of a step at which the function of event k is zero; `start` is one near it.
 
-        The state of the polynomial satisfies the constraints only to the order of the step. Its projection is beside the root; if the function has
-        its old sign there, the event would happen again.
+        The state of the polynomial satisfies the constraints only to the order of the step, and so do its accelerations and multipliers. Its
+        projection is beside the root; if the function has its old sign there, the event would happen again.
         """
+        if self.events[k].name in self.of_forces and self.mode.row_laws:  # whose forces have no slope
+            return start
         for _ in range(SETTLING):
             g, rate = self.value(self.events[k], start), self._rates(start)[k]
             t = start.t - g / rate if rate else before.t
             if abs(g) <= 0.1 * OFFSET * self.sizes[k] or not before.t < t < after.t:
                 break
-            start = self._consistent(self.mode, between(before, after, t), "the state")
+            nearer = self._consistent(self.mode, between(before, after, t), "the state")
+            if abs(self.value(self.events[k], nearer)) >= abs(g):
+                break
+            start = nearer
         return start
 
     def value(self, event, state):
         """The value of an event's function. Raises InputError unless it is a finite number."""
+        moment = self._moment(state)
         try:
-            value = event.when(self._moment(state))
+            value = event.when(moment)
         except InputError as error:  # such as an unknown name
             raise InputError(f"{event.name}: when: {error}") from error
+        if moment._reads_forces:
+            self.of_forces.add(event.name)
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
         if not is_number(value):
             raise InputError(f"{event.name}: when gave {value!r:.60} at t = {state.t:.9g} s; it must give a finite number")
@@ -301,8 +386,10 @@ class Happenings:
         """d/dt of the events' functions along a state's velocities and accelerations, ahead and behind it."""
 
         def moved(s):
-            q, v = state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a
-            one = replace(state, t=state.t + s, q=q, v=v)
+            t, q, v = state.t + s, state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a
+            one = replace(state, t=t, q=q, v=v)
+            if self.of_forces and not self.mode.row_laws:
+                one = State(t, q, v, *consistent_acceleration(self.mode, t, q, v))
             return np.array([self.value(event, one) for event in self.events])
 
         return along(moved, AHEAD * min(reach_along(state.q, state.v), reach_along(state.v, state.a)))
@@ -319,7 +406,7 @@ class Happenings:
         old, t, label = self.mode, state.t, f"event {event.name!r}"
         energy, moment = self._energy(state), self._moment(state)
         model, absent = self.happened[-1].model if len(self.happened) else 0, set(old.absent)
-        added, pushes, q, v = [], [], state.q, state.v
+        added, pushes, given, q, v = [], [], [], state.q, state.v
         stops = f"{label} stopped the run at t = {t:.9g} s" if any(isinstance(one, str) for one in event.then) else ""
         for one in event.then:
             if isinstance(one, ADDABLE):
@@ -329,17 +416,19 @@ class Happenings:
             elif isinstance(one, Model):
                 model = next(k for k, known in enumerate(self.happened.models) if known.user is one or known is one)
             elif isinstance(one, Impact):
-                w, rate = self._gradient(event, state)
-                slow = abs(rate) < one.least_speed
+                function = self._of_position(event, state)
+                slow = abs(rate_of(self.mode, function, t, state.q, state.v)) < one.least_speed
                 if slow and one.rest:  # their rows stop it
                     added += one.rest
                 else:
-                    pushes.append(("impact", w, 0.0 if slow else one.restitution))
+                    pushes.append(Push("impact", function=function, factor=1.0 + (0.0 if slow else one.restitution)))
                 if slow and not one.rest:
                     stops = f"{label} came to rest at t = {t:.9g} s, slower than {one.least_speed:g}: give pi.Impact `rest` to go on"
             elif isinstance(one, Impulse):
-                pushes.append(("impulse", self.whole.pulled((one.at, "point"), np.array([complex(*one.impulse)]))[0], one.impulse))
+                w = self.whole.pulled((one.at, "point"), np.array([complex(*one.impulse)]))[0]
+                pushes.append(Push("impulse", tuple(map(float, one.impulse)), w))
             elif callable(one):
+                given.append(one)
                 q, v, model = self._given(label, one(moment), q, v, model)
         names = [self._name(part) for part in added]
         held = {name: np.array([t, *q]) for name in names if name in self.whole.rows and name in absent}
@@ -347,27 +436,18 @@ class Happenings:
         happened = Happened(t, event.name, 0.0, np.nan, 0, {}, absent, held, model)
         try:
             self.mode = mode = guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
-            after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), label)
             laws = [law.row for law in mode.row_laws]  # contacts take part in the next step
             equations = mode.with_rows(np.setdiff1d(np.arange(mode.m), laws)) if laws else mode
-            none = np.zeros(equations.m)
-            rate = equations.phi_rate(t, after.q, v) if equations.m else none
-            jump = equations.mass_system(t, after.q).solve(np.zeros(mode.n), rate)[1] if rate.any() else none
-            v, impulses = after.v, {}
-            for kind, w, value in pushes:
-                y, lam = equations.mass_system(t, after.q).solve(-w, none)
-                if kind == "impact":
-                    moved = mode.mass(after.q) @ y  # w without what the joints take; round-off where they hold all of it
-                    if not np.linalg.norm(moved) > FREE * np.linalg.norm(w):
-                        raise StepFailure("events", f"{label}: Impact: the joints do not let `when` change", t)
-                    push = -(1.0 + value) * self._gradient(event, replace(after, v=v))[1] / (w @ y)
-                    impulses["impact"] = (float(push),)
-                else:
-                    push, impulses["impulse"] = 1.0, tuple(map(float, value))
-                v, jump = v + push * y, jump + push * lam
-            after = replace(after, v=v)
-            after = restarted(mode, after) if laws else State(t, after.q, v, *consistent_acceleration(mode, t, after.q, v))
+            functions = self._functions(event, given, old, state) if given else None
+            self.reset = Reset(old, functions, tuple(held), equations, pushes)
+            _require_free(equations, pushes, t, q)
+            q, v, jump, sizes = self.reset(equations, t, q, v)
+            after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), label) if laws else None
+            after = after or State(t, q, v, *consistent_acceleration(mode, t, q, v))
             jump = equations.spread(jump, mode.m) if laws else jump
+            impulses = {}
+            for push, size in zip(pushes, sizes):
+                impulses[push.kind] = push.impulse or (float(size),)
         except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
             raise StepFailure("events", f"{label}: {error}", t) from None
         if self.whole.is_scene:
@@ -404,14 +484,30 @@ class Happenings:
             given[1][self.whole.state_columns] = v[self.whole.state_columns]
         return *given, model
 
-    def _gradient(self, event, state):
-        """(dg/dq (n,), dg/dt along the velocity) of an event's function g(t, q)."""
+    def _of_position(self, event, state):
+        """The function of (t, q) of an event with an Impact; velocities are those of a state."""
+        return lambda t, q: self.value(event, State(t, q, state.v, state.a, np.zeros(self.mode.m)))
 
-        def g(t, q):
-            return np.array([self.value(event, replace(state, t=t, q=q))])
+    def _functions(self, event, functions, mode, state):
+        """The function (t, q, v, a, lam) -> (q, v) of the functions in `then` of an event at a state of a mode."""
 
-        w = jacobian(lambda q: g(state.t, q), state.q, 1)[0]
-        return w, float(along(lambda s: g(state.t + s, state.q + s * state.v))[0])
+        def given(t, q, v, a, lam):
+            with self.in_mode(mode):
+                moment = self._moment(State(t, q, v, a, lam))
+                for function in functions:
+                    q, v, _ = self._given(f"event {event.name!r}", function(moment), q, v, 0)
+            return q, v
+
+        return given
+
+    @contextmanager
+    def in_mode(self, mode):
+        """Evaluate functions in another mode."""
+        now, self.mode = self.mode, mode
+        try:
+            yield
+        finally:
+            self.mode = now
 
     def _energy(self, state):
         """Kinetic and potential energy of a state of the mode, J."""

@@ -1,0 +1,165 @@
+"""Sums of slopes in the parameters of a run whose model changes: each part counts in the motions in which it acts.
+
+A joint that an event adds holds on to the position of that moment. Its rows depend on this position as on a parameter, whose bar goes to the
+state at the event.
+"""
+
+import numpy as np
+
+from polyida.adjoint.parameter import stacked, total
+from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.run import constraints_at, exclude_moving
+from polyida.integrate.sizes import extent
+from polyida.model.differences import central
+from polyida.model.guarded import unguarded
+from polyida.model.row_laws import Slips
+
+RANK = 1e-10  # of the largest singular value: directions of a position that places do not depend on
+
+
+class TotalsOfModes:
+    """Totals for each mode of a run. motions: the run's modes and jumps; m: number of columns of its lam.
+
+    laws: True if the modes are those of rows with laws. Raises InputError for requested parameters that models of users have with different
+    values, and for parameters of one's own that events do not know.
+    """
+
+    def __init__(self, totals, motions, m):
+        self.totals, self.parameters, self.own, self.m, self._known = totals, totals.parameters, totals.own, m, {}
+        self.laws = bool(motions.whole.row_laws)
+        if self.laws:
+            return
+        for known in [parameters_of(unguarded(mode)) for mode in motions.modes if not mode.is_scene]:
+            for name, parameter in list(totals.parameters.items()):
+                if name in known and not np.array_equal(known[name].value, parameter.value):
+                    totals.leave_out(name, "models of the run have different values of it")
+        for name, parameter in list(self.own.items()):
+            if motions.changes_model:
+                totals.leave_out(name, "it is one of the whole model, and events change the model; use differences of runs")
+            elif parameter.changes_coordinates and motions.jumps:
+                totals.leave_out(name, "it may move the places that events read or push; use differences of runs")
+
+    def exclude_at_start(self, mode, state, given):
+        """Exclude parameters that move the constraints of the mode at the start of the run. given: True if it begins with a given state."""
+        slopes = self.totals.empty()
+        self.of(mode, slopes, {}).add(constraints_at(mode, state))
+        moving = {name: slopes.sums[name] for name, one in self.parameters.items() if given or one.changes_coordinates}
+        exclude_moving(self.totals, moving, extent(mode, state.q))
+
+    def of(self, mode, totals, held):
+        """What adds the slopes of AdjointMultipliers of a mode to the totals of an objective. held: of `_ModeTotals`."""
+        if self.laws:
+            return _LawTotals(totals, mode, self.m)
+        return _ModeTotals(totals, held, *self.known(mode))
+
+    def in_places(self, entries, held):
+        """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry has one."""
+        result = dict.fromkeys(held, 0.0)
+        for mode, of_mode in entries:
+            for hold in self.known(mode)[1] if of_mode else ():
+                result[hold.key] = result.get(hold.key, 0.0) + hold.slope(stacked(of_mode))
+        return result
+
+    def known(self, mode):
+        """({name: Parameter} of those that act in a mode, the Holds of its joints that events added)."""
+        if id(mode) not in self._known:
+            of_mode, parameters = parameters_of(unguarded(mode)), {}
+            for name, parameter in self.parameters.items():
+                if name in self.own:
+                    parameters[name] = _OfWhole(parameter, mode, self.m)
+                elif name in of_mode:
+                    parameters[name] = of_mode[name]
+            added = mode.since if mode.is_scene and mode.whole is not None else ()
+            self._known[id(mode)] = mode, parameters, [Hold(mode, name) for name in added]
+        return self._known[id(mode)][1:]
+
+
+class _LawTotals:
+    """The Totals of the whole model, for a mode of its rows with laws."""
+
+    def __init__(self, totals, mode, m):
+        self.totals, self.mode, self.m, self.add_own = totals, mode, m, totals.add_own
+
+    def prepare(self, works):
+        """Nothing: `add` gives the whole model others."""
+
+    def add(self, multipliers):
+        wide = spread([multipliers], self.mode.columns, self.m)[0]
+        if isinstance(self.mode, Slips):
+            wide = wide._replace(lam=np.array([self.mode.spread(lam, self.m) for lam in multipliers.lam]))
+        self.totals.add(wide)
+
+
+class _ModeTotals:
+    """The Totals of a run, for one of its modes. held: {(joint, time at which it was added): bar of the position that it holds on to}."""
+
+    def __init__(self, totals, held, parameters, holds):
+        self.totals, self.held, self.parameters, self.holds, self.add_own = totals, held, parameters, holds, totals.add_own
+
+    def prepare(self, works):
+        """Compute together what the parameters of the mode share."""
+        for parameter in self.parameters.values():
+            parameter.prepare(works)
+
+    def add(self, multipliers):
+        """Add the slopes of the parts that act, and those in the positions that joints hold on to."""
+        for name, parameter in self.parameters.items():
+            self.totals.sums[name] = self.totals.sums[name] + parameter.slope(multipliers)
+        for hold in self.holds:
+            self.held[hold.key] = self.held.get(hold.key, 0.0) + hold.slope(multipliers)
+
+
+class Hold:
+    """The position that a joint of a mode holds on to. key: (its name, the time).
+
+    The rows depend on it by the places of the joint's sides alone. ways (k, n): an orthonormal basis of the directions that move these; modes: those
+    with the position moved along each of them, with their weights in a difference.
+    """
+
+    def __init__(self, mode, name):
+        at, joint, whole = mode.since[name], mode.parts[name], mode.whole
+        self.key = name, float(at[0])
+        sides = [side for side in (joint.a, joint.b) if side.body is not None]
+        places = [(side, part) for side in sides for part in ("point", "direction")[: 1 + side.has_direction]]
+        rows = np.concatenate([whole.pulled(place, np.array([1.0, 1.0j])) for place in places])
+        _, sizes, ways = np.linalg.svd(rows, full_matrices=False)
+        self.ways = ways[sizes > RANK * sizes[0]]
+        self.modes = [[(weight, self._moved(mode, name, s * way)) for s, weight in central()] for way in self.ways]
+
+    @staticmethod
+    def _moved(mode, name, by):
+        """The mode with another position of the joint."""
+        at = mode.since[name]
+        return mode.whole.mode_like(mode, {**mode.since, name: np.append(at[0], at[1:] + by)})
+
+    def slope(self, multipliers):
+        """The slope in q of the sum over the entries of AdjointMultipliers, (n,)."""
+        each = [sum(weight * total(mode, multipliers) for weight, mode in modes) for modes in self.modes]
+        return np.array(each) @ self.ways
+
+
+class _OfWhole:
+    """A parameter of one's own, whose slope is that of the whole model, for a mode."""
+
+    def __init__(self, parameter, mode, m):
+        self.parameter, self.mode, self.m = parameter, mode, m
+
+    def prepare(self, works):
+        """Nothing: `slope` gives the parameter others."""
+
+    def slope(self, multipliers):
+        """The parameter's slope."""
+        return self.parameter.slope(spread([multipliers], self.mode.columns, self.m)[0])
+
+
+def spread(entries, columns, m):
+    """AdjointMultipliers with multipliers of all m rows, from those of some."""
+    return [one._replace(**{name: wide(getattr(one, name), columns, m) for name in ("lam", "mu", "kappa", "nu")}) for one in entries]
+
+
+def wide(x, columns, m):
+    if x is None:
+        return None
+    wide = np.zeros((*np.shape(x)[:-1], m))
+    wide[..., columns] = x
+    return wide
