@@ -14,6 +14,7 @@ import pytest
 
 from polyida.cli import study as cli_study
 from polyida.errors import InputError
+from polyida.files import OLD, PART
 from polyida.study import tasks as study_tasks
 from polyida.study.executors import Worker
 from polyida.study.tasks import Study, run_tasks, task_key
@@ -102,7 +103,16 @@ def test_a_worker_left_alone_ends_itself(tmp_path):
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     assert subprocess.run([sys.executable, tmp_path / "orphan.py", tmp_path / "pid"], env=paths).returncode == -signal.SIGKILL
     number = int((tmp_path / "pid").read_text())
-    _wait_for(lambda: not study_tasks.process_exists(number) or _is_zombie(number) or None)
+    _wait_for(lambda: not _exists(number) or _is_zombie(number) or None)
+
+
+def _exists(number):
+    """True if a process of this number exists."""
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def _wait_for(question):
@@ -124,12 +134,14 @@ def _is_zombie(number):
 
 
 def test_the_litter_of_killed_processes_is_removed(tmp_path):
-    done = subprocess.Popen([sys.executable, "-c", ""])
-    done.wait()
-    (tmp_path / f".x.json.{done.pid}.part").write_text("half")
-    (tmp_path / f".y.json.{os.getpid()}.part").write_text("half")
+    """Unfinished files that nobody has written to for an hour; another machine may be writing a younger one."""
+    old, young = (tmp_path / f"{PART.format(name)}.json" for name in ("old", "young"))
+    old.write_text("half")
+    young.write_text("half")
+    long_ago = time.time() - OLD - 60.0
+    os.utime(old, (long_ago, long_ago))
     run_tasks(study(), True, tmp_path)
-    assert [path.name for path in tmp_path.glob(".*")] == [f".y.json.{os.getpid()}.part"]
+    assert list(tmp_path.glob(".*")) == [young]
 
 
 def test_five_kills_of_a_sweep():

@@ -442,16 +442,16 @@ def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path,
     """A full disk, and a folder in the place of a row."""
     from polyida.study import tasks
 
-    whole, written = tasks.write_atomically, []
+    whole, written = tasks.write_file, []
 
-    def full(path, text):
+    def full(path, text, sync):
         if len(written) == 2:
             raise OSError(28, "No space left on device")
         written.append(path)
-        whole(path, text)
+        whole(path, text, sync)
 
     with monkeypatch.context() as patch:
-        patch.setattr(tasks, "write_atomically", full)
+        patch.setattr(tasks, "write_file", full)
         with pytest.raises(pi.InputError, match=r"cannot be written: No space left on device; 2 rows are kept .* goes on from them"):
             pi.study.sweep(square, numbered(3), folder=tmp_path)
     assert pi.study.sweep(square, numbered(3), folder=tmp_path).ran == 1
