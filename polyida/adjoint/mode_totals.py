@@ -158,6 +158,7 @@ def spread(entries, columns, m):
 
 
 def wide(x, columns, m):
+    """Multipliers (..., m) of all rows, from those of some (..., columns), zero elsewhere; None stays None."""
     if x is None:
         return None
     wide = np.zeros((*np.shape(x)[:-1], m))

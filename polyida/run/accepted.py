@@ -57,7 +57,7 @@ class AcceptedStates:
         self.model, self.counts, self.known, self.before = model, counts, vars(counts).copy(), state
         self.name, self.trusted, self.t_end, self.standing = integrator.class_name(), promises(integrator, "trusted"), t_end, 0
         self.slack, self.parts = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end)), iter(())  # parts: of a stretch that is not finite
-        self.coils = [own for own in getattr(model, "own_forces", ()) if isinstance(own.element, TorsionSpring)]
+        self.coils = [own for own in model.own_forces if isinstance(own.element, TorsionSpring)]
         if type(written_by_user(integrator)).__module__.partition(".")[0] != "polyida":
             state = State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart).of(model)
         places = {"rows": rows} if rows and self.trusted and promises(integrator, "writes_rows") else {}
