@@ -1,5 +1,7 @@
 """Exceptions and warnings, and the codes with which a compiled step ends."""
 
+import re
+
 # constants of compiled code: how a step, or a C function that it calls, ends
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, ERROR_LARGE, ERROR_SMALL, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
 REASONS = {  # (status, message) of a failed step
@@ -14,6 +16,17 @@ REASONS = {  # (status, message) of a failed step
 }
 
 
+STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text):
+    """A text for a terminal: characters that would steer it, or turn the direction of writing, are shown as `\\x1b`.
+
+    Names, files and messages of other libraries may contain them. Ends of lines and tabs stay.
+    """
+    return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
+
+
 class InputError(ValueError):
     """A wrong input, detected before the run: the message names the part, the value and what would be right.
 
@@ -24,15 +37,22 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: object) -> None:
-        line = " ".join(str(message).split())
+        line = printable(" ".join(str(message).split()))
         super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")
 
 
-class ReductionWarning(UserWarning):
+class NamingWarning(UserWarning):
+    """A warning whose text may have names and words of files in it."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(printable(message))
+
+
+class ReductionWarning(NamingWarning):
     """The modes of a reduced plate do not represent much of its motion."""
 
 
-class LockingWarning(UserWarning):
+class LockingWarning(NamingWarning):
     """Elements are far too stiff for their material: the result converges, but slowly."""
 
 
@@ -54,4 +74,4 @@ class StepFailure(Exception):
     def __init__(self, status: str, reason: str, t: float = float("nan"), **seen: object) -> None:
         self.status, self.reason, self.t, self.seen = status, reason, t, seen
         detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
-        super().__init__(f"{reason} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))
+        super().__init__(f"{printable(reason)} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

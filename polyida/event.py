@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.rigid_body import PointMass
-from polyida.errors import InputError
+from polyida.errors import InputError, printable
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.attachment import require_attachment
@@ -280,7 +280,7 @@ class Events(Sequence):
     def __repr__(self):
         rows = [f"{one.t:14.9g} s  {one.name:20} {one.impulse:12.5g} N s {one.energy_lost:12.5g} J" for one in self.happened]
         rows = [*rows[:10], *([f"... {len(rows) - 20} more ..."] if len(rows) > 20 else []), *rows[max(10, len(rows) - 10) :]]
-        return "\n".join([f"<Events: {len(self)}; time, name, impulse, energy lost>", *rows])
+        return "\n".join([f"<Events: {len(self)}; time, name, impulse, energy lost>", *map(printable, rows)])
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with the columns t, s, name, impulse, N s, energy_lost, J."""

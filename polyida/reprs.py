@@ -5,6 +5,7 @@ from html import escape
 
 import numpy as np
 
+from polyida.errors import printable
 from polyida.validation import is_number
 
 FEW, LONGEST, CELL = 6, 60, 240  # shown entries of an array; characters of a value, and of a cell of a table
@@ -49,7 +50,7 @@ def settings(part):
 
 def counted(things, most=FEW):
     """Names, separated by commas; of many the first few and the number of the others."""
-    names = list(things)
+    names = [printable(name) for name in things]
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
@@ -62,5 +63,6 @@ def table(title, headings, rows):
 
 
 def cut(text, longest=CELL):
-    """A text of at most so many characters."""
+    """A text of at most so many characters, without those that steer a terminal."""
+    text = printable(text)
     return text if len(text) <= longest else f"{text[: longest - 1]}…"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida import registry
 from polyida.assembly.motion import hint_of_left_out, hint_of_rigid
-from polyida.errors import InputError
+from polyida.errors import InputError, printable
 from polyida.event import Events
 from polyida.integrate.state import Counts, Restart, State, declared
 from polyida.io.layout import blocks, each
@@ -404,7 +404,7 @@ class Trajectory:
             notes.append(self.missing)
         name = method.class_name() if method else self.integrator
         text = "".join(f", {note}" for note in notes if note) + (f"; {self.message}" if self.message else "")
-        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{text}"
+        return printable(f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{text}")
 
     def __repr__(self):
         return f"<Trajectory: {self._headline()}>"

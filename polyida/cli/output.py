@@ -12,7 +12,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 
-from polyida.errors import InputError
+from polyida.errors import InputError, printable
 
 GC_THRESHOLDS = (100_000, 20, 20)
 
@@ -53,7 +53,7 @@ def print_lines(*lines, style="", file=None):
     from rich.text import Text
 
     for line in filter(None, lines):
-        Console(file=file).print(Text(line, style=style), soft_wrap=True)
+        Console(file=file).print(Text(printable(line), style=style), soft_wrap=True)
 
 
 @contextmanager
@@ -91,7 +91,7 @@ def progress_display():
     from rich.table import Column
 
     columns = (
-        TextColumn("{task.description}", table_column=Column(no_wrap=True, max_width=24)),
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, max_width=24)),
         BarColumn(bar_width=16),
         TaskProgressColumn(),
         TimeElapsedColumn(),
@@ -111,6 +111,7 @@ class ProgressDisplay:
 
     def __call__(self, label, fraction, detail="", left=None):
         """Report the fraction of a stage, None if unknown. left: remaining time, s; None: estimated from the fraction."""
+        label, detail = printable(label), printable(detail)
         now, is_new = time.monotonic(), label not in self.begun
         spent = now - self.begun.setdefault(label, now)
         if left is None and fraction and spent > MIN_SPENT:
@@ -158,11 +159,16 @@ LAYOUTS = ((40, False), (40, True), (24, True), (14, True))  # (characters of a 
 
 @dataclass(frozen=True)
 class Grid:
-    """Headings and rows of text. minor: headings of columns that a narrow terminal leaves out early."""
+    """Headings and rows of text, without what steers a terminal. minor: headings of columns that a narrow terminal leaves out early."""
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     minor: Sequence[str] = ()
+
+    def __post_init__(self):
+        for name in ("headings", "minor"):
+            object.__setattr__(self, name, [printable(text) for text in getattr(self, name)])
+        object.__setattr__(self, "rows", [[printable(text) for text in row] for row in self.rows])
 
     def transposed(self):
         """The grid with a column for each row."""
@@ -224,7 +230,7 @@ def print_grid(title: str, *grids: Grid, complete_in: str) -> None:
         value = f" ({shortened(next(iter(values)), LAYOUTS[-1][0])})" if len(values) == 1 and len(grid.rows) > 1 else ""
         named += [grid.headings[i] + value] if values else []
     if named:
-        console.print(f"No room for {', '.join(named)}: {complete_in} has all.", highlight=False, markup=False)
+        console.print(printable(f"No room for {', '.join(named)}: {complete_in} has all."), highlight=False, markup=False)
 
 
 def print_texts(headings: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -235,7 +241,7 @@ def print_texts(headings: Sequence[str], rows: Sequence[Sequence[str]], title: s
     table.add_column(headings[0], no_wrap=True)
     table.add_column(headings[1], overflow="fold")
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(printable(text)) for text in row))
     terminal(sys.stdout).print(table)
 
 
@@ -261,7 +267,7 @@ def _new_table(title, has_heading):
     from rich.text import Text
 
     style = {"title_justify": "left", "box": box.SIMPLE_HEAD, "show_edge": False, "padding": (0, 1, 0, 0)}
-    return Table(title=Text(title) if title else None, show_header=has_heading, **style)
+    return Table(title=Text(printable(title)) if title else None, show_header=has_heading, **style)
 
 
 def _wrapped(heading, width):

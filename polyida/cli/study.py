@@ -10,8 +10,8 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from polyida.cli.options import study_scripts
-from polyida.cli.output import TaskProgress, document, file_errors, prepare, print_result, progress_display
-from polyida.errors import InputError
+from polyida.cli.output import TaskProgress, document, file_errors, prepare, print_lines, print_result, progress_display
+from polyida.errors import InputError, printable
 from polyida.show.figure_files import FigureWriter
 from polyida.study.result import Result, StudyResult
 from polyida.study.tasks import count_outdated, run_tasks
@@ -59,19 +59,19 @@ def main(study, arguments=None, command=None):
         with FigureWriter() if len(result.report_pictures()) > FEW_PICTURES else nullcontext() as writer:
             data = result.write(out, command, writer)
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_lines(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except (KeyboardInterrupt, OSError) as error:
         reason = "stopped" if isinstance(error, KeyboardInterrupt) else f"error: {error}"
-        sys.exit(f"{reason}; finished rows are in {tasks}, the same command continues from there")
+        sys.exit(printable(f"{reason}; finished rows are in {tasks}, the same command continues from there"))
     try:
         with file_errors(), document(options.json) as set_document:
             set_document(data)
             print_result(result, [out / "report.html", out / "figures.json"])
             if count := count_outdated(study, options.quick, tasks):
-                print(f"{count} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
+                print_lines(f"{count} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
-        print(f"error: {error}; the figures are in {out}", file=sys.stderr)
+        print_lines(f"error: {error}; the figures are in {out}", file=sys.stderr)
         sys.exit(2)
     if rows and all(row.get("error") for row in rows):
         sys.exit(f"error: {'the only task' if len(rows) == 1 else f'each of {len(rows)} tasks'} failed")

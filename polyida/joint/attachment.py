@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida import registry
-from polyida.errors import InputError
+from polyida.errors import InputError, printable
 from polyida.joint.formula import Summand, Vector
 from polyida.mesh.sections import edges_within
 from polyida.validation import labelled, vector2
@@ -169,7 +169,7 @@ class Attachment:
         return [of_node(self.body, int(node)) for node in self._outline()[0]]
 
     def __repr__(self):
-        return f"{self.body.label} {self.name}"
+        return f"{self.body.label} {printable(self.name)}"
 
 
 def of_node(body, node):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import InputError, NamingWarning
 from polyida.mesh import checks, sections, topology
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.validation import is_number, is_one_of, named_keywords
@@ -20,7 +20,7 @@ WITHIN = 1e-6  # of an edge's length: a node that is nearer lies within the edge
 FLAT = 1e-9  # variation of z relative to the size of the mesh
 
 
-class MeshWarning(UserWarning):
+class MeshWarning(NamingWarning):
     """A mesh from a file or drawing was changed, or looks wrong."""
 
 

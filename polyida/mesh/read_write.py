@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.files import replacing
+from polyida.files import remove_left_over, replacing
 from polyida.mesh import abaqus, meshio_files, polymesher, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, RawMesh, repaired, unit_note, unit_size
@@ -172,6 +172,7 @@ def put(part, path, overwrite, write):
     flag(part, "overwrite", overwrite)
     if path.exists() and not overwrite:
         raise InputError(f"{part} exists; pass overwrite=True to replace it")
+    remove_left_over(path.parent)
     try:
         with replacing(path) as temporary:
             write(temporary)

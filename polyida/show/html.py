@@ -21,7 +21,7 @@ import numpy as np
 
 from polyida.environment import footer, machine_info
 from polyida.errors import InputError
-from polyida.files import write_file
+from polyida.files import remove_left_over, write_file
 from polyida.show import plates
 from polyida.show.figure_files import figure_files
 from polyida.show.style import STICK, bounds, colour_limit
@@ -256,6 +256,7 @@ def write(folder, title, blocks, command, machine=None, lead="", writer=None):
     if duplicates := [name for name in names if names.count(name) > 1]:
         raise InputError(f"report: two pictures have the name {duplicates[0]!r}; each picture needs its own name")
     folder.mkdir(parents=True, exist_ok=True)
+    remove_left_over(folder)
     for picture in pictures:
         if writer and picture.name not in writer.figures:
             writer.add(picture.name, picture.figure)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import os
 import re
-from contextlib import suppress
+import time
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
+from uuid import uuid4
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.files import remove_left_over, replacing, write_file
+from polyida.files import OLD, remove_left_over, replacing, write_file
+from polyida.io.layout import HAS_LOCKS, being_written, lock
 from polyida.show import plates
 from polyida.validation import is_whole, named_keywords
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["vtu"]
 COLLECTION = "run.pvd"
+JOURNAL = ".polyida-{}.frames"  # names of the frames that a process is writing
+FRAME = re.compile(r"frame-[a-z]?\d+\.vtu")
 
 
 def __dir__():
@@ -76,30 +81,67 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         raise InputError(f"export folder {folder} is a file")
     if (folder / COLLECTION).exists() and not overwrite:
         raise InputError(f"export folder {folder} holds frames already: choose another folder, or pass overwrite=True (--overwrite)")
-    old = _frames_of(folder / COLLECTION)
-    names = _free_names(folder, len(indices))
     folder.mkdir(parents=True, exist_ok=True)
     remove_left_over(folder)
-    try:
-        for name, k in zip(names, indices):
-            with replacing(folder / name) as part:
-                cells.frame(run, int(k)).write(part, file_format="vtu")
-        _write_collection(folder / COLLECTION, names, run.t[indices])
-    except BaseException:  # the old frames stay
-        for name in names:
-            (folder / name).unlink(missing_ok=True)
-        raise
-    for name in old:
-        (folder / name).unlink(missing_ok=True)
-    plain = _free_names(folder, len(indices))
-    if names[0] != plain[0] and plain[0] == f"frame-{0:05d}.vtu":  # the old ones had the plain names
-        with suppress(OSError):  # a file system without links
-            for name, new in zip(names, plain):
-                os.link(folder / name, folder / new)
-            _write_collection(folder / COLLECTION, plain, run.t[indices])
+    _remove_left_over_frames(folder)
+    old = _frames_of(folder / COLLECTION)
+    names = _free_names(folder, len(indices))
+    with _journal(folder) as note:
+        note(names)
+        try:
+            for name, k in zip(names, indices):
+                with replacing(folder / name) as part:
+                    cells.frame(run, int(k)).write(part, file_format="vtu")
+            _write_collection(folder / COLLECTION, names, run.t[indices])
+        except BaseException:  # the old frames stay
             for name in names:
-                (folder / name).unlink()
+                (folder / name).unlink(missing_ok=True)
+            raise
+        note(old)
+        for name in old:
+            (folder / name).unlink(missing_ok=True)
+        plain = _free_names(folder, len(indices))
+        if names[0] != plain[0] and plain[0] == f"frame-{0:05d}.vtu":  # the old ones had the plain names
+            note(plain)
+            with suppress(OSError):  # a file system without links
+                for name, new in zip(names, plain):
+                    os.link(folder / name, folder / new)
+                _write_collection(folder / COLLECTION, plain, run.t[indices])
+                for name in names:
+                    (folder / name).unlink()
     return folder / COLLECTION
+
+
+@contextmanager
+def _journal(folder):
+    """Context that gives a function(names): these frames are removed by the next export if this process is killed and the collection lacks them."""
+    path = folder / JOURNAL.format(uuid4().hex)
+    try:
+        with open(path, "w", encoding="utf-8") as file:
+            lock(file)
+
+            def note(names):
+                file.write("".join(f"{name}\n" for name in names))
+                file.flush()
+
+            yield note
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _remove_left_over_frames(folder):
+    """Remove the frames of exports whose process was killed."""
+    for path in folder.glob(JOURNAL.format("*")):
+        with suppress(OSError):
+            is_old = time.time() - path.stat().st_mtime > OLD
+            names = path.read_text(encoding="utf-8").split("\n")[:-1]
+            if being_written(path) or not is_old and not (HAS_LOCKS and names):  # an empty one may be locked next
+                continue
+            kept = _frames_of(folder / COLLECTION)
+            for name in names:
+                if FRAME.fullmatch(name) and name not in kept:
+                    (folder / name).unlink(missing_ok=True)
+            path.unlink()
 
 
 def _free_names(folder, count):
@@ -115,7 +157,7 @@ def _frames_of(collection):
     """The names of the frames that an earlier export wrote, in the folder of its collection; empty without one."""
     if not collection.exists():
         return set()
-    return set(re.findall(r'file="(frame-[a-z]?\d+\.vtu)"', collection.read_text(encoding="utf-8", errors="replace")))
+    return set(re.findall(f'file="({FRAME.pattern})"', collection.read_text(encoding="utf-8", errors="replace")))
 
 
 def _write_collection(path, names, times):

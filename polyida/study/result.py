@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from polyida.environment import machine_info
-from polyida.errors import InputError
+from polyida.errors import InputError, printable
 from polyida.files import write_file
 from polyida.reprs import cut, table
 from polyida.results.motion import xarray
@@ -183,19 +183,20 @@ class Result:
         return [heading for heading, _ in columns.values()], rows
 
     def __repr__(self):
-        return f"<{type(self).__name__}: {self.title}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
+        return f"<{type(self).__name__}: {printable(self.title)}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
 
     def __str__(self):
         headings, rows = self.text_table()
-        lines = [headings, *([cut(text, MAX_CELL) for text in row] for row in rows)]
+        lines = [[printable(heading) for heading in headings], *([cut(text, MAX_CELL) for text in row] for row in rows)]
         widths = [max(map(len, column)) for column in zip(*lines)]
         aligned = [(text.rjust(width) if k else text.ljust(width) for k, (text, width) in enumerate(zip(line, widths))) for line in lines]
         figures = [f"{name}: {value:.4g}" for name, value in self.figures.items()]
-        return "\n".join([self.title, *("  ".join(line).rstrip() for line in aligned), *figures, *filter(None, [self.lead]), *self.notes])
+        around = [printable(text) for text in (*figures, *filter(None, [self.lead]), *self.notes)]
+        return "\n".join([printable(self.title), *("  ".join(line).rstrip() for line in aligned), *around])
 
     def _repr_html_(self):
         headings, rows = self.text_table()
-        notes = "".join(f"<p>{escape(note)}</p>" for note in [self.lead, *self.notes] if note)
+        notes = "".join(f"<p>{escape(printable(note))}</p>" for note in [self.lead, *self.notes] if note)
         return table(self.title, headings, [[cut(text, MAX_CELL) for text in row] for row in rows]) + notes
 
 

@@ -1,4 +1,4 @@
-"""Processes that are killed at random times: a run that writes to a file and is resumed, and a sweep that is repeated."""
+"""Processes that are killed at random times: a run that writes to a file and is resumed, a sweep that is repeated, and what replaces files."""
 
 import mmap
 import os
@@ -9,14 +9,18 @@ import tempfile
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
+import meshio
 import numpy as np
 
+from polyida import mesh
 from polyida.io.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
+from polyida.show import html, vtu
 from polyida.study.tasks import Study, run_tasks
 from polyida.system import INSTANTS
 from stress.outcome import Check, integrator
@@ -150,3 +154,104 @@ def killed_sweeps(kills, name="any", seed=0, tasks=12):
         Check("sweeps with other rows or litter", float(wrong), 0.5),
         Check("tasks done again though written", float(max(repeated, 0)), 0.5),
     ]
+
+
+def killed_writers(kills, seed=0):
+    """`kills` kills of each way to replace a result: the folder then has the old result or the new one, whole, and the next call replaces it.
+
+    Returns {name of the writer: {"old", "new" or what was wrong: count}}. Of a run that streams, frames from the first one on are new, too.
+    """
+    chance, counts = random.Random(seed), {}
+    for name, (write, read) in _writers().items():
+        found = counts.setdefault(name, {})
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder)
+            write(place, 0)
+            old = read(place)
+            begin = time.perf_counter()
+            write(place, 1)
+            span = time.perf_counter() - begin
+            new = read(place)
+            while sum(found.values()) < kills:
+                write(place, 0)
+                if read(place) != old:
+                    found["not replaced"] = found.get("not replaced", 0) + 1
+                if _killed_from_outside(lambda write=write, place=place: write(place, 1), chance.uniform(0.0, 1.1 * span)):
+                    outcome = _outcome(read, place, old, new)
+                    found[outcome] = found.get(outcome, 0) + 1
+    return counts
+
+
+def _killed_from_outside(work, seconds):
+    """Run work() in a forked process that gets SIGKILL after so many seconds. Returns True if it came before the end."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        number = os.fork()
+    if number == 0:
+        code = 1
+        try:
+            work()
+            code = 0
+        finally:
+            os._exit(code)
+    time.sleep(seconds)
+    os.kill(number, signal.SIGKILL)
+    status = os.waitpid(number, 0)[1]
+    if status and not os.WIFSIGNALED(status):
+        raise ChildProcessError(f"the process failed by itself with code {os.waitstatus_to_exitcode(status)}")
+    return os.WIFSIGNALED(status)
+
+
+def _outcome(read, place, old, new):
+    """ "old", "new", or what is wrong with a place after a kill. A result of several files is a list, and each may be old or new."""
+    try:
+        found = read(place)
+    except Exception as error:  # noqa: BLE001, a reader of a damaged file may raise anything
+        return f"{type(error).__name__}: {error}"[:200]
+    if found == old:
+        return "old"
+    if isinstance(found, list):
+        return "new" if all(one in (before, after) for one, before, after in zip(found, old, new, strict=True)) else "damaged"
+    return "new" if found == new or isinstance(found, bytes) and found and new.startswith(found) else "damaged"
+
+
+def _writers():
+    """{name: (write(place, which), read(place))}; which: 0 of the old result, 1 of the new one."""
+    model, method = plates.double_plate(cells=4).build(), integrator("alpha", h=1e-3)
+    runs = [solve(model, t_end, method) for t_end in (0.02, 0.05)]
+    kinds = {kind: [f"{kind} {which} ".encode() * 20_000 for which in range(2)] for kind in ("svg", "png", "pdf", "csv")}
+    kinds["svg"] = [b'<svg width="1pt" viewBox="0 0 1 1">' + content + b"</svg>" for content in kinds["svg"]]
+    kinds["csv"] = [b"x,y\n" + f"{which},1\n".encode() * 1000 for which in range(2)]
+    meshes = [mesh.rectangle(1.0, 1.0, cells=cells, seed=0) for cells in (200, 400)]
+
+    def page(place, which):
+        files = {"p": {kind: contents[which] for kind, contents in kinds.items()}}
+        writer = SimpleNamespace(figures={"p": None}, files=lambda: files)
+        html.write(place / "page", f"title {which}", [html.Picture("p", "", None)], "made", {"python": "3"}, writer=writer)
+
+    def rows(place, which):
+        (place / "figures.json").unlink(missing_ok=True)
+        study = Study(
+            "rows", "", lambda quick: [{"number": k} for k in range(20)], lambda number: {"which": which, "text": "x" * 2000}, dict
+        )
+        run_tasks(study, True, place, fresh=True)
+
+    def frames(place):
+        names = vtu._frames_of(place / "frames" / "run.pvd")
+        return b"".join(meshio.read(place / "frames" / name).points.tobytes() for name in sorted(names))
+
+    frame_bytes = lambda place: np.asarray(load(place / "run.h5").q).tobytes()  # noqa: E731
+    return {
+        "save": (lambda place, which: runs[which].save(place / "run.h5", overwrite=True), frame_bytes),
+        "stream": (
+            lambda place, which: solve(model, (0.02, 0.05)[which], method, out=place / "run.h5", overwrite=True, flush_every=5),
+            frame_bytes,
+        ),
+        "export": (lambda place, which: vtu.vtu(runs[which], place / "frames", overwrite=True, frames=4 + which), frames),
+        "page": (page, lambda place: [(place / "page" / name).read_bytes() for name in ("report.html", "p.png", "p.pdf", "p.csv")]),
+        "mesh": (
+            lambda place, which: mesh.write(meshes[which], place / "mesh.vtu", overwrite=True),
+            lambda place: (place / "mesh.vtu").read_bytes(),
+        ),
+        "study": (rows, lambda place: [path.read_bytes() for path in sorted(place.glob("[!.]*.json"))]),
+    }

@@ -1,5 +1,8 @@
 """Files that exist are replaced when the new ones are whole: a failure leaves the old ones, and files of others stay."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ import polyida as pi
 from polyida.files import OLD, remove_left_over, replacing, write_file
 from polyida.show import vtu as export
 from polyida.show.html import json_in_html, policy
+from stress.kills import killed_writers
 
 
 class Full(OSError):
@@ -78,3 +82,30 @@ def test_no_text_of_the_data_ends_the_script_of_a_page():
     inside = json_in_html({"name": text, "t": np.arange(2).tolist()})
     assert not set("<>&\u2028") & set(inside) and json.loads(inside)["name"] == text
     assert "script-src 'sha256-" in policy("x = 1") and policy("x = 1") != policy("x = 2")
+
+
+def test_frames_of_a_killed_export_are_removed_by_the_next(run, tmp_path):
+    child = """
+import os, signal, sys
+import polyida as pi
+from polyida.show import vtu
+write = vtu._CellBlocks.frame
+vtu._CellBlocks.frame = lambda self, run, k: os.kill(os.getpid(), signal.SIGKILL) if k == 2 else write(self, run, k)
+pi.export.vtu(pi.load(sys.argv[1]), sys.argv[2], overwrite=True, frames=[0, 1, 2])
+"""
+    folder = tmp_path / "frames"
+    pi.export.vtu(run, folder, frames=2)
+    (folder / "frame-a00001.vtu.mine").write_text("mine")
+    old = {path.name for path in folder.iterdir()}
+    run.save(tmp_path / "run.h5")
+    assert subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5", folder]).returncode < 0
+    left = {path.name for path in folder.iterdir()} - old
+    assert {name for name in left if name[0] != "."} == {"frame-a00000.vtu", "frame-a00001.vtu"}
+    assert len(export._frames_of(folder / "run.pvd")) == 2
+    pi.export.vtu(run, folder, overwrite=True, frames=2)
+    assert {path.name for path in folder.iterdir()} == old
+
+
+def test_killed_writers_leave_the_old_result_or_the_new_one():
+    for name, found in killed_writers(4).items():
+        assert set(found) <= {"old", "new"}, (name, found)
