@@ -176,7 +176,7 @@ def killed_writers(kills, seed=0):
                 write(place, 0)
                 if read(place) != old:
                     found["not replaced"] = found.get("not replaced", 0) + 1
-                if _killed_from_outside(lambda write=write, place=place: write(place, 1), chance.uniform(0.0, 1.1 * span)):
+                if _killed_from_outside(lambda write=write, place=place: write(place, 1), chance.uniform(0.0, 2.0 * span)):
                     outcome = _outcome(read, place, old, new)
                     found[outcome] = found.get(outcome, 0) + 1
     return counts
