@@ -10,6 +10,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
+from polyida.errors import InputError
+
 PART = ".polyida-{}.part"  # name of an unfinished file, before its suffix
 OLD = 3600.0  # s: an unfinished file that nobody has written to for so long is left over
 
@@ -51,3 +53,12 @@ def remove_left_over(folder):
         with suppress(OSError):
             if part.is_file() and time.time() - part.stat().st_mtime > OLD:
                 part.unlink()
+
+
+@contextmanager
+def disk_errors(part):
+    """Context that turns errors of the disk, such as a full one, into an InputError in the name of `part`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{part} cannot be written: {error.strerror or error}; what was there is kept") from error

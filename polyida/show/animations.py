@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.files import remove_left_over, replacing
+from polyida.files import disk_errors, remove_left_over, replacing
 from polyida.show import plates
 from polyida.show.style import (
     INK,
@@ -89,7 +89,7 @@ def animation(
 
     write = _write_gif if suffix == ".gif" else _write_mp4
     remove_left_over(path.parent)
-    with replacing(path) as part:
+    with disk_errors(f"animation {path}"), replacing(path) as part:
         write(part, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
     return path
 

@@ -7,10 +7,12 @@ import json
 import math
 import re
 from base64 import b64encode
+from contextlib import ExitStack
 from csv import reader
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
+from itertools import product
 from numbers import Real
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +23,7 @@ import numpy as np
 
 from polyida.environment import footer, machine_info
 from polyida.errors import InputError
-from polyida.files import remove_left_over, write_file
+from polyida.files import remove_left_over, replacing
 from polyida.show import plates
 from polyida.show.figure_files import figure_files
 from polyida.show.style import STICK, bounds, colour_limit
@@ -261,13 +263,14 @@ def write(folder, title, blocks, command, machine=None, lead="", writer=None):
         if writer and picture.name not in writer.figures:
             writer.add(picture.name, picture.figure)
     files = writer.files() if writer else {picture.name: figure_files(picture.figure) for picture in pictures}
-    for name in names:
-        for kind in ("png", "pdf", "csv"):
-            write_file(folder / f"{name}.{kind}", files[name][kind])
     template, Markup = _templates()
     style, *scripts = (Markup((TEMPLATES / name).read_text(encoding="utf-8")) for name in ("page.css", "table.js", "movie.js"))
     text = {"title": title, "lead": lead, "command": command, "machine": footer(machine or machine_info())}
     path = folder / "report.html"
     script = Markup("\n").join(scripts)
-    write_file(path, template.render(text, blocks=blocks, files=files, style=style, script=script, policy=policy(script)))
+    page = template.render(text, blocks=blocks, files=files, style=style, script=script, policy=policy(script))
+    with ExitStack() as whole:  # all files are written before the first of them is replaced
+        for name, kind in product(names, ("png", "pdf", "csv")):
+            whole.enter_context(replacing(folder / f"{name}.{kind}")).write_bytes(files[name][kind])
+        whole.enter_context(replacing(path)).write_text(page, encoding="utf-8", newline="\n")
     return path

@@ -15,6 +15,7 @@ from polyida.reprs import cut
 from polyida.results.motion import quantity, unbalanced
 from polyida.show import plates
 from polyida.show.style import (
+    FAILED,
     INK,
     MARK,
     PALETTE,
@@ -42,7 +43,11 @@ CORNER_COLOURS = {4: "#F3F7FA", 5: "#D5E5F0", 6: "#A9CBE2", 7: "#7DB1D4"}  # by 
 ENERGY_MARKERS = {"kinetic": "o", "potential": "^", "strain": "s", "total": "x"}
 NAMED_EVENTS, NAME_DISTANCE, SHORT_MARK = 20, 0.04, 0.04  # names of events at most; their least distance and a short mark, of the axes
 INTERVALS, SMALLEST_DRIFT = 30, 1e-17  # a drift is drawn by its maximum in each interval of time; smaller values are drawn at the bound
-DRIFTS = {"drift": ("position", "max|φ|"), "velocity_drift": ("velocity", "max|dφ/dt|")}  # attribute: constraints, axis label
+DRIFTS = {  # attribute: constraints, axis label, unit in a scene
+    "drift": ("position", "max|φ|", "m or rad"),
+    "velocity_drift": ("velocity", "max|dφ/dt|", "m/s or rad/s"),
+}
+LONGEST_NAME = 48  # characters of a name in a picture
 
 
 def mesh(model):
@@ -144,8 +149,9 @@ def tip(runs, point="tip"):
         axes[1, 1].sharex(axes[0, 1])
         path, history = new.add_subplot(grid[:, 0]), axes[:, 1]
         RunPlots(first).tip(point, path)
-        path.get_lines()[0].set_label(literal(base))
-        path.set_title(f"path of {literal(point)}, {_name_of_first(base)}")
+        path.get_lines()[0].set_label(label_of(base, first))
+        path.set_title(f"path of {_name(point)}, {_name_of_first(base)}")
+        path.set_title("", loc="right")  # the legend says how the run ended
         t, frames = np.unique(first.t, return_index=True)
         velocity = first.model.position(point, first.v) - first.model.position(point, np.zeros((1, first.v.shape[1])))
         interpolated = CubicHermiteSpline(t, first.position(point)[frames], velocity[frames], extrapolate=False)
@@ -154,10 +160,13 @@ def tip(runs, point="tip"):
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             difference = run.position(point) - interpolated(run.t) if others else run.position(point)
             for axis, values in zip(history, difference.T):
-                axis.plot(run.t, values, label=literal(label), **line_style(i))
-        delta, title = ("Δ", f"difference from {_name_of_first(base)}") if others else ("", f"{literal(point)} against time")
+                axis.plot(run.t, values, label=label_of(label, run), **line_style(i))
+                mark_end(axis, run)
+        delta, title = ("Δ", f"difference from {_name_of_first(base)}") if others else ("", f"{_name(point)} against time")
         history[0].set(ylabel=f"{delta}x, m", title=title)
         history[1].set(xlabel="t, s", ylabel=f"{delta}y, m")
+        for axis in history:
+            mark_end(axis, first)
         legend_above(new, [path, *history])
         return new
 
@@ -166,7 +175,7 @@ def reactions(runs, names, limit=8):
     """Figure of joint reactions against time: a panel for each joint and component, at most `limit` panels, a line for each run."""
     first = next(iter(runs.values()))
     panels = [(name, k) for name in names for k in range(first.reaction(name).shape[1])][:limit]
-    titles = [(literal(name), ", ".join(filter(None, quantity(first.model, name, k)))) for name, k in panels]
+    titles = [(_name(name), ", ".join(filter(None, quantity(first.model, name, k)))) for name, k in panels]
     return _history_panels(runs, titles, [lambda run, name=name, k=k: run.reaction(name)[:, k] for name, k in panels], 1.75, 0.4)
 
 
@@ -185,7 +194,8 @@ def _history_panels(runs, titles, functions, height, margin):
         for k, axis in enumerate(axes.ravel()):
             axis.set_visible(k < len(functions))
             for i, (label, run) in enumerate(runs.items() if k < len(functions) else ()):
-                axis.plot(run.t, functions[k](run), label=literal(label), **line_style(i))
+                axis.plot(run.t, functions[k](run), label=label_of(label, run), **line_style(i))
+                mark_end(axis, run)
                 axis.set(title=titles[k][0], ylabel=titles[k][1])
             if k < len(functions):
                 mark_events(axis, next(iter(runs.values())), names=k < columns)
@@ -206,12 +216,14 @@ def energy(runs):
             axes[0].plot(first.t, values, label=part, **line_style(0) | {"linewidth": 0.8} | markers)
         for axis in axes:
             mark_events(axis, first)
+        mark_end(axes[0], first)
         axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energies of {_name_of_first(first_label)}")
         low, high = axes[0].get_ylim()
         axes[0].set_ylim(low, high + 0.14 * (high - low))  # space for the legend
         axes[0].legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.4, handletextpad=0.4, borderpad=0.1)
         for i, (label, run) in enumerate(runs.items()):
-            axes[1].plot(run.t, unbalanced(run), label=literal(label), **line_style(i))
+            axes[1].plot(run.t, unbalanced(run), label=label_of(label, run), **line_style(i))
+            mark_end(axes[1], run)
         axes[1].set(xlabel="t, s", ylabel="change of total less work, J")
         axes[1].set_title("energy error", loc="right")
         legend_above(new, axes[1:])
@@ -230,8 +242,8 @@ def errors(series, unit="m"):
         new, axes = figure(6.4, 2.6)
         top = max([1e-14, *(np.nanmax(distance, initial=0.0) for _, distance in series.values())])
         for i, (label, (t, distance)) in enumerate(series.items()):
-            axes.semilogy(t, np.maximum(distance, 1e-18), label=literal(label), **line_style(i))
-        axes.set_ylim(1e-6 * top, 3 * top)
+            axes.semilogy(t, np.maximum(distance, 1e-6 * top), label=literal(cut(label, LONGEST_NAME)), **line_style(i))
+        axes.set_ylim(0.7e-6 * top, 3 * top)  # what is less, and zero, lies along the lower edge
         axes.set(xlabel="t, s", ylabel=f"distance, {unit}" if unit else "distance")
         legend_above(new, axes)
         return new
@@ -241,13 +253,36 @@ def drift(runs):
     """Figure of the largest violation of the constraints and of their time derivative in INTERVALS intervals of time."""
     with settings():
         new, axes = figure(6.4, 2.9, ncols=2)
-        for axis, (name, (kind, label)) in zip(axes, DRIFTS.items()):
+        for axis, (name, (kind, *_)) in zip(axes, DRIFTS.items()):
             for i, (run_label, run) in enumerate(runs.items()):
                 style = line_style(i) | hollow_markers(i, len(runs))
-                axis.semilogy(*interval_maxima(run.t, getattr(run, name)), label=literal(run_label), **style)
-            axis.set(xlabel="t, s", ylabel=label, title=f"{kind} constraints, largest violation")
+                axis.semilogy(*interval_maxima(run.t, getattr(run, name)), label=label_of(run_label, run), **style)
+                mark_end(axis, run)
+            axis.set(xlabel="t, s", ylabel=_drift_label(next(iter(runs.values())), name), title=f"{kind} constraints, largest violation")
         legend_above(new, axes)
         return new
+
+
+def _drift_label(run, name):
+    _, label, unit = DRIFTS[name]
+    return f"{label}, {unit}" if run.model.is_scene else label
+
+
+def label_of(label, run):
+    """The label of a run in a legend: shortened, and of a run that failed with the time."""
+    ended = ending(run)
+    return literal(cut(label, LONGEST_NAME) + (f" ({ended})" if ended else ""))
+
+
+def ending(run):
+    """How a run ended that did not reach its end; empty for one that did."""
+    return "" if run.success or not len(run) else f"{run.status} at t = {run.t[-1]:.4g} s"
+
+
+def mark_end(axes, run):
+    """Draw a line at the last frame of a run that did not reach its end."""
+    if ending(run):
+        axes.axvline(run.t[-1], color=FAILED, linewidth=0.9, linestyle=(0, (2, 2)), zorder=0.6, label="_end")
 
 
 def interval_maxima(t, values):
@@ -274,6 +309,10 @@ def mark_events(axes, run, names=True):
             place = {"transform": axes.get_xaxis_transform(), "rotation": 90, "ha": "right", "va": "bottom", "clip_on": True}
             axes.text(event.t, SHORT_MARK, literal(cut(event.name, 20)), fontsize=6, color=MARK, **place)
             last, count = event.t, count + 1
+
+
+def _name(name):
+    return literal(cut(str(name), LONGEST_NAME))
 
 
 def _name_of_first(label):
@@ -327,7 +366,7 @@ class RunPlots:
         axes : Axes
         """
         x, y = self._run.position(name).T
-        return self._draw_histories({"x": x, "y": y}, f"position of {literal(name)}, m", axes)
+        return self._draw_histories({"x": x, "y": y}, f"position of {_name(name)}, m", axes)
 
     def tip(self, name: object = "tip", axes: Axes | None = None) -> Axes:
         """Draw the path of a point in the plane to scale.
@@ -344,8 +383,11 @@ class RunPlots:
         """
         path = self._run.position(name)
         with on_axes(axes) as axis:
-            axis.plot(*path.T, label=literal(name), **line_style(0))
-            axis.set(xlabel="x, m", ylabel="y, m", title=f"path of {literal(name)}")
+            axis.plot(*path.T, label=_name(name), **line_style(0))
+            axis.set(xlabel="x, m", ylabel="y, m", title=f"path of {_name(name)}")
+            if ended := ending(self._run):
+                axis.plot(*path[-1], color=FAILED, marker="x", linestyle="none", label="_end")
+                axis.set_title(literal(ended), color=FAILED, loc="right")
             axis.set_aspect("equal", adjustable="datalim")
             return axis
 
@@ -370,7 +412,7 @@ class RunPlots:
         histories = {}
         for name in names:
             for k, values in enumerate(self._run.reaction(name).T):
-                histories[f"{literal(name)}: {', '.join(filter(None, quantity(model, name, k)))}"] = values
+                histories[f"{_name(name)}: {', '.join(filter(None, quantity(model, name, k)))}"] = values
         return self._draw_histories(histories, "reaction", axes)
 
     def drift(self, axes: Axes | None = None) -> Axes:
@@ -385,11 +427,11 @@ class RunPlots:
         axes : Axes
         """
         with on_axes(axes) as axis:
-            for i, (name, (_, label)) in enumerate(DRIFTS.items()):
+            for i, name in enumerate(DRIFTS):
+                label = _drift_label(self._run, name)
                 axis.semilogy(*interval_maxima(self._run.t, getattr(self._run, name)), label=label, marker=".", **line_style(i))
-            mark_events(axis, self._run)
             axis.set(xlabel="t, s", ylabel="violation of the constraints")
-            axis.legend(loc="best")
+            self._explain(axis, axes)
             return axis
 
     def deformed(self, times: ArrayLike | None = None, snapshots: int = 6, axes: Axes | None = None) -> Axes:
@@ -410,6 +452,8 @@ class RunPlots:
         frames = _frames(self._run, times, snapshots)
         with on_axes(axes) as axis:
             cells = draw_frames(axis, self._run, frames)
+            if ended := ending(self._run):
+                axis.set_title(literal(ended), color=FAILED, loc="right")
             if axes is None and self._run.model.drawn:
                 axis.figure.colorbar(cells, ax=axis, extend="max", shrink=0.8, label="von Mises stress, kPa")
             return axis
@@ -418,10 +462,20 @@ class RunPlots:
         with on_axes(axes) as axis:
             for i, (label, values) in enumerate(histories.items()):
                 axis.plot(self._run.t, values, label=label, **line_style(i))
-            mark_events(axis, self._run)
             axis.set(xlabel="t, s", ylabel=heading)
-            axis.legend(loc="best")
+            self._explain(axis, axes)
             return axis
+
+    def _explain(self, axis, given):
+        """Mark events and the end of a failed run; the legend is above new axes, where it covers nothing, and within axes of the user."""
+        mark_events(axis, self._run)
+        mark_end(axis, self._run)
+        if ended := ending(self._run):
+            axis.set_title(literal(ended), color=FAILED, loc="right")
+        if given is None:
+            legend_above(axis.figure, axis)
+        else:
+            axis.legend(loc="best")
 
 
 WIDTH, HEIGHTS, MAX_SEGMENTS, UNITS = 320, (60, 240), 20_000, 1000  # of a drawing: pixels, limit of segments, coordinates from side to side

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from polyida.files import write_file
+from polyida.files import disk_errors, write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 STYLE_FILE = Path(__file__).parent / "templates" / "polyida.mplstyle"
 INK, STICK, MARK = "#222222", "#8C5A2B", "#555555"  # lines and text; bodies without a mesh; marks of events
+FAILED = "#B00020"  # the end of a run that failed, and cases that failed
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
@@ -118,7 +119,8 @@ def save(figure: Figure, path: str | Path) -> Path:
         The file; equal figures give equal files.
     """
     path = Path(path)
-    write_file(path, rendered(figure, path.suffix[1:]))
+    with disk_errors(f"figure {path}"):
+        write_file(path, rendered(figure, path.suffix[1:]))
     return path
 
 
@@ -210,5 +212,7 @@ def legend_above(figure, axes, columns=None):
     known = {label: handle for axis in np.ravel(axes) for handle, label in zip(*axis.get_legend_handles_labels())}
     if not known:
         raise LookupError("no rows to draw")
-    fitting = int(100 * figure.get_figwidth() / 6.4) // (max(map(len, known)) + 8)  # 100 characters in 6.4 inches, 8 for each line
-    figure.legend(known.values(), known, loc="outside upper center", ncols=columns or max(1, min(len(known), fitting)))
+    room = int(100 * figure.get_figwidth() / 6.4)  # 100 characters in 6.4 inches, 8 for each line
+    labels = [label if len(label) <= room - 8 else f"{label[: room - 9]}…" for label in known]
+    fitting = room // (max(map(len, labels)) + 8)
+    figure.legend(known.values(), labels, loc="outside upper center", ncols=columns or max(1, min(len(known), fitting)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.files import OLD, remove_left_over, replacing, write_file
+from polyida.files import OLD, disk_errors, remove_left_over, replacing, write_file
 from polyida.io.layout import HAS_LOCKS, being_written, lock
 from polyida.show import plates
 from polyida.validation import is_whole, named_keywords
@@ -81,14 +81,21 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
         raise InputError(f"export folder {folder} is a file")
     if (folder / COLLECTION).exists() and not overwrite:
         raise InputError(f"export folder {folder} holds frames already: choose another folder, or pass overwrite=True (--overwrite)")
+    with disk_errors(f"export folder {folder}"):
+        _write(run, folder, indices, cells)
+    return folder / COLLECTION
+
+
+def _write(run, folder, indices, cells):
+    """Write the frames of a run and their collection, then remove those of an earlier one."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_left_over(folder)
     _remove_left_over_frames(folder)
     old = _frames_of(folder / COLLECTION)
     names = _free_names(folder, len(indices))
     with _journal(folder) as note:
-        note(names)
         try:
+            note(names)
             for name, k in zip(names, indices):
                 with replacing(folder / name) as part:
                     cells.frame(run, int(k)).write(part, file_format="vtu")
@@ -109,7 +116,6 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
                 _write_collection(folder / COLLECTION, plain, run.t[indices])
                 for name in names:
                     (folder / name).unlink()
-    return folder / COLLECTION
 
 
 @contextmanager

@@ -15,7 +15,7 @@ import numpy as np
 
 from polyida.environment import machine_info
 from polyida.errors import InputError, printable
-from polyida.files import write_file
+from polyida.files import disk_errors, write_file
 from polyida.reprs import cut, table
 from polyida.results.motion import xarray
 from polyida.show import html
@@ -126,7 +126,8 @@ class Result:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"report: the folder {folder} cannot be made: {error.strerror}") from error
-        self.write(folder, command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"))
+        with disk_errors(f"report: {folder}"):
+            self.write(folder, command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"))
         return folder
 
     def write(self, folder: Path, command: str, writer: Any = None) -> dict:

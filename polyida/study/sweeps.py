@@ -16,7 +16,7 @@ import polyida
 from polyida.errors import InputError
 from polyida.fingerprint import NoFingerprint, fingerprint_of
 from polyida.progress import teller
-from polyida.show.style import literal, marker_style, on_axes
+from polyida.show.style import FAILED, literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
 from polyida.study.result import Result
 from polyida.study.tasks import RowFolder, collect_rows, package_hash
@@ -53,7 +53,7 @@ class Sweep(Result):
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
 
     def plot(self, x: str | None = None, y: str | None = None, axes: Axes | None = None) -> Axes:
-        """Draw one column over another, a point for each case that has both.
+        """Draw one column over another, a point for each case that has both. Cases that failed are crosses at the lower edge.
 
         Parameters
         ----------
@@ -78,6 +78,10 @@ class Sweep(Result):
             raise InputError(f"Sweep.plot: no case has numbers x = {x!r} and y = {y!r}; there are {', '.join(self.columns)}")
         with on_axes(axes) as axis:
             axis.plot(*zip(*points), **marker_style(0) | {"linestyle": "none"})
+            if failed := [row[x] for row in self.rows if row.get("error") and is_number(row.get(x)) and not is_number(row.get(y))]:
+                cross = {"marker": "x", "linestyle": "none", "color": FAILED, "clip_on": False, "transform": axis.get_xaxis_transform()}
+                axis.plot(failed, [0.0] * len(failed), label="_failed", **cross)
+                axis.set_title(f"{len(failed)} failed (x)", color=FAILED, loc="right")
             axis.set(xlabel=literal(x), ylabel=literal(y))
             return axis
 

@@ -20,7 +20,7 @@ from polyida.io.load import load
 from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
-from polyida.show import html, vtu
+from polyida.show import animations, html, style, vtu
 from polyida.study.tasks import Study, run_tasks
 from polyida.system import INSTANTS
 from stress.outcome import Check, integrator
@@ -162,7 +162,7 @@ def killed_writers(kills, seed=0):
     Returns {name of the writer: {"old", "new" or what was wrong: count}}. Of a run that streams, frames from the first one on are new, too.
     """
     chance, counts = random.Random(seed), {}
-    for name, (write, read) in _writers().items():
+    for name, (write, read) in writers().items():
         found = counts.setdefault(name, {})
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder)
@@ -177,8 +177,8 @@ def killed_writers(kills, seed=0):
                 if read(place) != old:
                     found["not replaced"] = found.get("not replaced", 0) + 1
                 if _killed_from_outside(lambda write=write, place=place: write(place, 1), chance.uniform(0.0, 2.0 * span)):
-                    outcome = _outcome(read, place, old, new)
-                    found[outcome] = found.get(outcome, 0) + 1
+                    seen = outcome(read, place, old, new)
+                    found[seen] = found.get(seen, 0) + 1
     return counts
 
 
@@ -202,7 +202,7 @@ def _killed_from_outside(work, seconds):
     return os.WIFSIGNALED(status)
 
 
-def _outcome(read, place, old, new):
+def outcome(read, place, old, new):
     """ "old", "new", or what is wrong with a place after a kill. A result of several files is a list, and each may be old or new."""
     try:
         found = read(place)
@@ -215,7 +215,7 @@ def _outcome(read, place, old, new):
     return "new" if found == new or isinstance(found, bytes) and found and new.startswith(found) else "damaged"
 
 
-def _writers():
+def writers():
     """{name: (write(place, which), read(place))}; which: 0 of the old result, 1 of the new one."""
     model, method = plates.double_plate(cells=4).build(), integrator("alpha", h=1e-3)
     runs = [solve(model, t_end, method) for t_end in (0.02, 0.05)]
@@ -223,6 +223,8 @@ def _writers():
     kinds["svg"] = [b'<svg width="1pt" viewBox="0 0 1 1">' + content + b"</svg>" for content in kinds["svg"]]
     kinds["csv"] = [b"x,y\n" + f"{which},1\n".encode() * 1000 for which in range(2)]
     meshes = [mesh.rectangle(1.0, 1.0, cells=cells, seed=0) for cells in (200, 400)]
+    figures = [style.figure()[0] for _ in range(2)]
+    figures[1].axes[0].plot([0.0, 1.0])
 
     def page(place, which):
         files = {"p": {kind: contents[which] for kind, contents in kinds.items()}}
@@ -252,6 +254,14 @@ def _writers():
         "mesh": (
             lambda place, which: mesh.write(meshes[which], place / "mesh.vtu", overwrite=True),
             lambda place: (place / "mesh.vtu").read_bytes(),
+        ),
+        "figure": (
+            lambda place, which: style.save(figures[which], place / "figure.svg"),
+            lambda place: (place / "figure.svg").read_bytes(),
+        ),
+        "movie": (
+            lambda place, which: animations.animation(runs[which], place / "run.gif", frames=2 + which, width=2.0, overwrite=True),
+            lambda place: (place / "run.gif").read_bytes(),
         ),
         "study": (rows, lambda place: [path.read_bytes() for path in sorted(place.glob("[!.]*.json"))]),
     }

@@ -461,6 +461,25 @@ def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path,
         pi.study.sweep(square, numbered(3), folder=tmp_path)
 
 
+def test_sweeps_of_one_folder_at_once_give_the_same_rows(tmp_path, monkeypatch):
+    """From threads, and from processes that have the same number, as on two machines."""
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    together, rows = threading.Barrier(4, timeout=60), [None] * 4
+
+    def sweep(k):
+        together.wait()
+        rows[k] = [row["square"] for row in pi.study.sweep(square, numbered(8), folder=tmp_path).rows]
+
+    threads = [threading.Thread(target=sweep, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert rows == [[float(k * k) for k in range(8)]] * 4
+    assert len([*tmp_path.iterdir()]) == 8 and all(path.suffix == ".json" for path in tmp_path.iterdir())
+    assert pi.study.sweep(square, numbered(8), folder=tmp_path).ran == 0
+
+
 def test_a_function_that_an_executor_cannot_send_is_told():
     class Sends(Executor):
         def submit(self, function, /, *arguments, **named):
