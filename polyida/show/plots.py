@@ -157,16 +157,15 @@ def tip(runs, point="tip"):
         interpolated = CubicHermiteSpline(t, first.position(point)[frames], velocity[frames], extrapolate=False)
         for axis in history:
             mark_events(axis, first)
+            for run in runs.values():
+                mark_end(axis, run)
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             difference = run.position(point) - interpolated(run.t) if others else run.position(point)
             for axis, values in zip(history, difference.T):
                 axis.plot(run.t, values, label=label_of(label, run), **line_style(i))
-                mark_end(axis, run)
         delta, title = ("Δ", f"difference from {_name_of_first(base)}") if others else ("", f"{_name(point)} against time")
         history[0].set(ylabel=f"{delta}x, m", title=title)
         history[1].set(xlabel="t, s", ylabel=f"{delta}y, m")
-        for axis in history:
-            mark_end(axis, first)
         legend_above(new, [path, *history])
         return new
 
