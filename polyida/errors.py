@@ -44,8 +44,8 @@ class InputError(ValueError):
 class NamingWarning(UserWarning):
     """A warning whose text may have names and words of files in it."""
 
-    def __init__(self, message: object) -> None:
-        super().__init__(printable(message))
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class ReductionWarning(NamingWarning):

@@ -9,7 +9,7 @@ import pickle
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import polyida
@@ -79,7 +79,13 @@ class Sweep(Result):
         with on_axes(axes) as axis:
             axis.plot(*zip(*points), **marker_style(0) | {"linestyle": "none"})
             if failed := [row[x] for row in self.rows if row.get("error") and is_number(row.get(x)) and not is_number(row.get(y))]:
-                cross = {"marker": "x", "linestyle": "none", "color": FAILED, "clip_on": False, "transform": axis.get_xaxis_transform()}
+                cross: dict[str, Any] = {
+                    "marker": "x",
+                    "linestyle": "none",
+                    "color": FAILED,
+                    "clip_on": False,
+                    "transform": axis.get_xaxis_transform(),
+                }
                 axis.plot(failed, [0.0] * len(failed), label="_failed", **cross)
                 axis.set_title(f"{len(failed)} failed (x)", color=FAILED, loc="right")
             axis.set(xlabel=literal(x), ylabel=literal(y))
