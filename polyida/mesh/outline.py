@@ -1,9 +1,6 @@
 """A domain from a closed outline with holes: from coordinates, SVG files (svgelements) or DXF files (ezdxf)."""
 
-import logging
-import re
 import warnings
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +11,13 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import topology
 from polyida.mesh.domains import Capsule, Chain, Domain, nearest
+from polyida.mesh.dxf import dxf_library, read_dxf
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.raw import MeshWarning, counted, guarded, unit_note, unit_size
+from polyida.mesh.raw import MeshWarning, unit_note, unit_size
 from polyida.mesh.read_write import existing, path_of, put
 from polyida.mesh.sections import ROUND, centre, signed_area
-from polyida.validation import floats, is_number, library, named_keywords
+from polyida.mesh.svg import read_svg, shape_rings, svg_library
+from polyida.validation import floats, is_number, named_keywords
 
 AT_ONCE = 2_000_000  # pairs of points and edges in memory
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
@@ -178,11 +177,6 @@ def _require_apart(rings):
             raise InputError(f"{names[owner[i]]} crosses or touches {which} near {place}; its edges may only meet at their ends, in order")
 
 
-CHORDS = 24  # for each curved piece, at most a quarter or half of a circle
-GAP = 1e-6  # of the drawing's size, between ends of curves that join
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}  # m, units of SVG
-
-
 @dataclass(frozen=True, eq=False)
 class Drawing:
     """rings: closed curves, each (n, 2) in the drawing's unit; metres: size of the unit, None if unknown; notes: for the user."""
@@ -190,100 +184,6 @@ class Drawing:
     rings: list[np.ndarray]
     metres: float | None = None
     notes: tuple = ()
-
-
-def _library(name):
-    return library(name, f"it needs {name}: pip install 'polyida[mesh]'")
-
-
-def _dxf(path, part):
-    """Drawing of the model space, or of its layer `part`."""
-    _library("ezdxf")
-    from ezdxf import edgeminer, readfile, units
-    from ezdxf.disassemble import recursive_decompose
-
-    log = logging.getLogger("ezdxf")  # it quotes bytes that are no letters; errors come as exceptions
-    disabled, log.disabled = log.disabled, True
-    try:
-        with guarded(path.stat().st_size):
-            document = readfile(path)
-            entities = list(recursive_decompose(document.modelspace()))
-    finally:
-        log.disabled = disabled
-    layers = sorted({entity.dxf.layer for entity in entities})
-    if part is not None and part not in layers:
-        raise InputError(f"has nothing on the layer {part!r}; there are {', '.join(map(repr, layers)) or 'none'}")
-
-    def curves_of(entity):
-        kind = entity.dxftype()
-        if kind in ("LWPOLYLINE", "POLYLINE"):
-            return [curve for piece in entity.virtual_entities() for curve in curves_of(piece)]
-        if kind == "LINE":
-            points = [entity.dxf.start, entity.dxf.end]
-        elif kind == "CIRCLE":
-            points = entity.vertices(np.linspace(0.0, 360.0, 4 * CHORDS + 1))
-        elif kind == "ARC":
-            points = entity.vertices(entity.angles(2 * CHORDS))
-        elif kind == "ELLIPSE":
-            points = entity.vertices(entity.params(4 * CHORDS + 1))
-        elif kind == "SPLINE":
-            points = entity.construction_tool().approximate(4 * CHORDS)
-        else:
-            return []
-        return [np.array([[point[0], point[1]] for point in map(tuple, points)], dtype=float)]
-
-    curves, skipped = [], Counter()
-    for entity in (entity for entity in entities if part in (None, entity.dxf.layer)):
-        pieces = curves_of(entity)
-        curves += pieces
-        skipped[entity.dxftype()] += not pieces
-    notes = [f"left out {count} {kind}" for kind, count in skipped.items() if count]
-    gap = GAP * float(np.ptp(np.concatenate(curves), axis=0).max()) if curves else 0.0
-    closed = [np.hypot(*(curve[0] - curve[-1])) <= gap for curve in curves]
-    rings = [curve for curve, ring in zip(curves, closed) if ring]
-    edges = [edgeminer.make_edge(curve[0], curve[-1], payload=curve) for curve, ring in zip(curves, closed) if not ring]
-    unused = len(edges)
-    for chain in edgeminer.find_all_simple_chains(edgeminer.Deposit(edges, gap_tol=gap)) if edges else ():
-        if edgeminer.is_loop(chain, gap_tol=gap):
-            rings.append(np.concatenate([(edge.payload[::-1] if edge.is_reverse else edge.payload)[:-1] for edge in chain]))
-            unused -= len(chain)
-    notes += [f"left out {counted(unused, 'open curve')}"] if unused else []
-    return Drawing(rings, units.conversion_factor(document.units, units.M) if document.units else None, tuple(notes))
-
-
-def _svg(path, part):
-    """Drawing of an SVG file, or of its element with the id `part`, in user units, y upwards. Raises InputError for an unknown id."""
-    svgelements = _library("svgelements")
-    with guarded(path.stat().st_size):
-        tree = svgelements.SVG.parse(str(path))
-    pixels = svgelements.Matrix(tree.viewbox_transform).a if tree.viewbox_transform else 1.0
-    height = tree.height if tree.values.get("height") or tree.viewbox else 0.0
-    root = tree if part is None else tree.get_element_by_id(part)
-    if root is None:
-        known = [element.id for element in tree.elements() if getattr(element, "id", None)]
-        raise InputError(f"has no element with the id {part!r}; there are {', '.join(map(repr, known[:20])) or 'none'}")
-    elements = root.select() if isinstance(root, svgelements.Group) else [root]
-    rings, notes = _svg_rings(svgelements, [shape for shape in elements if isinstance(shape, svgelements.Shape)])
-    width = re.fullmatch(r"([\d.]+)(\w+)", str(tree.values.get("width", "")).strip())
-    metres = float(width[1]) * LENGTHS[width[2]] * pixels / tree.width if width and width[2] in LENGTHS else None
-    return Drawing([(ring * [1.0, -1.0] + [0.0, height]) / pixels for ring in rings], metres, notes)
-
-
-def _svg_rings(svgelements, shapes):
-    """(closed curves as (n, 2), notes)."""
-    rings, unused = [], 0
-    for shape in shapes:
-        for curve in svgelements.Path(shape).as_subpaths():
-            points = []  # ends of straight pieces, CHORDS points on each curved piece
-            for piece in curve:
-                straight = isinstance(piece, (svgelements.Move, svgelements.Line, svgelements.Close))
-                ends = [piece.end] if straight else [piece.point(share) for share in (np.arange(CHORDS) + 1.0) / CHORDS]
-                points += [[end.x, end.y] for end in ends if end is not None]
-            points = np.array(points, dtype=float).reshape(-1, 2)
-            closed = len(points) > 2 and np.hypot(*(points[0] - points[-1])) <= GAP * np.ptp(points, axis=0).max()
-            rings += [points] if closed else []
-            unused += not closed and len(points) > 1
-    return rings, (f"left out {counted(unused, 'open curve')}",) if unused else ()
 
 
 @named_keywords
@@ -314,11 +214,11 @@ def read_outline(path: str | Path, unit: str | float | None = None, part: str | 
         Naming the file, if it cannot be used.
     """
     path = existing(path)
-    readers = {".svg": _svg, ".dxf": _dxf}
+    readers = {".svg": read_svg, ".dxf": read_dxf}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"drawing {path} has the suffix {path.suffix!r}; known are {', '.join(readers)}")
-    return _outline(f"drawing {path}", lambda: reader(path, part), unit, corner)
+    return _outline(f"drawing {path}", lambda: Drawing(*reader(path, part)), unit, corner)
 
 
 @named_keywords
@@ -348,8 +248,7 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
         raise InputError(f"SVG path is {repr(path)[:80]}; it must be a text such as 'M 0 0 h 2 v -1 h -2 z'")
 
     def drawing():
-        svgelements = _library("svgelements")
-        rings, notes = _svg_rings(svgelements, [svgelements.Path(path)])
+        rings, notes = shape_rings([svg_library().Path(path)])
         return Drawing([ring * [1.0, -1.0] for ring in rings], None, notes)
 
     return _outline("SVG path", drawing, unit, corner)
@@ -442,10 +341,7 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwri
         raise InputError(f"write_outline: unit = {unit!r:.40} must be one of {', '.join(UNITS)}")
     rings = [ring / UNITS[unit] for ring in outline_of(mesh)]
     if path.suffix.lower() == ".dxf":
-        _library("ezdxf")
-        import ezdxf
-
-        drawing = ezdxf.new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
+        drawing = dxf_library().new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
         for ring in rings:
             drawing.modelspace().add_lwpolyline(ring.tolist(), close=True)
         write = drawing.saveas
