@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import topology
-from polyida.mesh.domains import Capsule, Chain, Domain, nearest
+from polyida.mesh.box_tree import EdgeTree, first_crossing, rings_around
+from polyida.mesh.domains import Capsule, Chain, Domain
 from polyida.mesh.dxf import dxf_library, read_dxf
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, unit_note, unit_size
@@ -19,7 +21,6 @@ from polyida.mesh.sections import ROUND, centre, signed_area
 from polyida.mesh.svg import read_svg, shape_rings, svg_library
 from polyida.validation import floats, is_number, named_keywords
 
-AT_ONCE = 2_000_000  # pairs of points and edges in memory
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
 STRAIGHT = 0.05  # of the ring's length: a longer edge is no chord of a curve
 REENTRANT = np.radians(160.0)  # turn of the sharpest corner that cells can surround
@@ -56,17 +57,7 @@ class Outline(Domain):
         rings = {"outline": _points(points, "outline", 1.0)}
         rings |= {f"outline hole {i}": _points(hole, f"outline hole {i}", -1.0) for i, hole in enumerate(holes)}
         _require_apart(rings)
-        (_, outer), *inners = rings.items()
-
-        def contains(ring, point):
-            return _depth(point, ring, np.roll(ring, -1, axis=0) - ring)[0] > 0.0
-
-        for name, inner in inners:
-            if not contains(outer, inner[:1]):
-                raise InputError(f"{name} at {inner[0].tolist()} is not within the outline")
-            for other, around in inners:
-                if other != name and contains(around, inner[:1]):
-                    raise InputError(f"{name} at {inner[0].tolist()} is within {other}; what lies in a hole is a part of its own")
+        _require_nested(rings)
         self._rings = [_Ring(ring, np.radians(corner), sign) for ring, sign in zip(rings.values(), [1.0] + [-1.0] * len(rings))]
         self.lower, self.upper = self._rings[0].box
         self.walls = [wall for ring in self._rings for wall in ring.walls]
@@ -77,7 +68,11 @@ class Outline(Domain):
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the signed distance, (n,), m: negative inside, exact everywhere."""
-        return np.max([ring.distance(points) for ring in self._rings], axis=0)
+        return self._boundary.distance(points)
+
+    @cached_property
+    def _boundary(self):
+        return _Boundary(self._rings)
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
         """Return the (n,) mask of points on the boundary. No two walls coincide here: the distance suffices, also in acute corners."""
@@ -111,12 +106,36 @@ class _Ring:
             ring = np.concatenate([ring, ring[:1]])
             self.walls = [Chain(ring[a : b + 1], False, (outward[a], outward[b])) for a, b in zip(ends[:-1], ends[1:])]
 
+
+class _Boundary:
+    """All rings as one set of edges and circles: the nearest piece tells the distance and, by its side, what is inside."""
+
+    def __init__(self, rings):
+        chords = [ring for ring in rings if not ring.circle]
+        circles = [ring.walls[0] for ring in rings if ring.circle]
+        start = np.concatenate([np.zeros((0, 2)), *(ring.points for ring in chords)])
+        along = np.concatenate([np.zeros((0, 2)), *(ring.edges for ring in chords)])
+        self.sign = np.array([wall.sign for wall in circles])
+        self.tree = EdgeTree(start, along, [wall.start for wall in circles], [wall.radius for wall in circles])
+        outward = np.column_stack([along[:, 1], -along[:, 0]]) / np.hypot(*along.T)[:, None]
+        sizes = [len(ring.points) for ring in chords]
+        before, after = topology.preceding(np.cumsum([0, *sizes])), topology.following(np.cumsum([0, *sizes]))
+        self.outward, self.at_start, self.at_end = outward, outward + outward[before], outward + outward[after]
+
     def distance(self, points):
-        if self.circle:
-            return self.walls[0].distance(points)
-        parts = np.array_split(points, max(1, -(-len(points) * len(self.points) // AT_ONCE)))
-        inside = -1.0 if signed_area(self.points) > 0 else 1.0
-        return inside * np.concatenate([_depth(part, self.points, self.edges) for part in parts])
+        tree, edges = self.tree, len(self.outward)
+        piece = tree.nearest(points)
+        signed = np.empty(len(points))
+        at_edge = np.flatnonzero(piece < edges)
+        here, edge = points[at_edge], piece[at_edge]
+        share = tree.shares(here, edge)[:, None]
+        away = here - tree.start[edge] - share * tree.along[edge]
+        normal = np.where(share == 0.0, self.at_start[edge], np.where(share == 1.0, self.at_end[edge], self.outward[edge]))
+        signed[at_edge] = np.where(np.sum(away * normal, axis=1) > 0.0, 1.0, -1.0) * np.hypot(*away.T)
+        at_circle = np.flatnonzero(piece >= edges)
+        circle = piece[at_circle] - edges
+        signed[at_circle] = self.sign[circle] * (np.hypot(*(points[at_circle] - tree.middle[circle]).T) - tree.radius[circle])
+        return signed
 
 
 def _points(corners, what, orientation):
@@ -141,40 +160,39 @@ def _points(corners, what, orientation):
     return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
 
 
-def _depth(points, start, along):
-    """(n,) distance to the nearest edge of a ring, negative outside: if a ray crosses an even number of edges."""
-    edge, share = nearest(points, start, along)
-    away = np.hypot(*(points - start[edge] - share[:, None] * along[edge]).T)
-    above = points[:, 1:] >= start[:, 1]
-    point, edge = np.nonzero(above != np.roll(above, -1, axis=1))
-    to = points[point] - start[edge]
-    left = along[edge, 0] * to[:, 1] > along[edge, 1] * to[:, 0]
-    crossed = np.bincount(point[left == above[point, edge]], minlength=len(points))
-    return np.where(crossed % 2, away, -away)
+def _segments(rings):
+    """(start, end, number of the ring) of the edges of all rings."""
+    start = np.concatenate(list(rings.values()))
+    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings.values()])
+    return start, end, np.repeat(np.arange(len(rings)), [len(ring) for ring in rings.values()])
 
 
 def _require_apart(rings):
     """Raise InputError for the first two edges, of one or two rings, that meet and are not neighbours."""
-    names, sizes = list(rings), [len(ring) for ring in rings.values()]
-    start = np.concatenate(list(rings.values()))
-    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings.values()])
-    after = np.concatenate([first + np.roll(np.arange(n), -1) for n, first in zip(sizes, np.cumsum([0, *sizes]))])
-    owner = np.repeat(np.arange(len(rings)), sizes)
-    low, high = np.minimum(start, end), np.maximum(start, end)
+    names, (start, end, owner) = list(rings), _segments(rings)
+    firsts = np.flatnonzero(np.diff(owner, prepend=-1))
+    after = np.arange(1, len(start) + 1)
+    after[np.append(firsts[1:], len(start)) - 1] = firsts
+    if met := first_crossing(start, end, after):
+        edge, other = met
+        which = "itself" if owner[edge] == owner[other] else names[owner[other]]
+        place = (0.5 * (start[other] + end[other])).tolist()
+        raise InputError(f"{names[owner[edge]]} crosses or touches {which} near {place}; its edges may only meet at their ends, in order")
 
-    def side(p, q, r):
-        return np.sign(topology.cross(q - p, r - p))
 
-    for i in range(len(start)):
-        others = np.arange(i + 1, len(start))
-        others = others[(low[others] <= high[i]).all(axis=1) & (low[i] <= high[others]).all(axis=1)]
-        others = others[(others != after[i]) & (after[others] != i)]
-        a, b, c, d = start[i], end[i], start[others], end[others]
-        met = others[(side(a, b, c) * side(a, b, d) <= 0) & (side(c, d, a) * side(c, d, b) <= 0)]
-        if met.size:
-            which = "itself" if owner[i] == owner[met[0]] else names[owner[met[0]]]
-            place = (0.5 * (start[met[0]] + end[met[0]])).tolist()
-            raise InputError(f"{names[owner[i]]} crosses or touches {which} near {place}; its edges may only meet at their ends, in order")
+def _require_nested(rings):
+    """Raise InputError unless all holes are within the outline, and none within another; the rings do not meet."""
+    names, firsts = list(rings), np.array([ring[0] for ring in rings.values()])
+    around = [set() for _ in names]
+    for hole, other in rings_around(firsts, *_segments(rings)).tolist():
+        around[hole].add(other)
+    for hole in range(1, len(names)):
+        if 0 not in around[hole]:
+            raise InputError(f"{names[hole]} at {firsts[hole].tolist()} is not within the outline")
+        if others := around[hole] - {0, hole}:
+            raise InputError(
+                f"{names[hole]} at {firsts[hole].tolist()} is within {names[min(others)]}; what lies in a hole is a part of its own"
+            )
 
 
 @dataclass(frozen=True, eq=False)
