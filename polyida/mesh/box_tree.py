@@ -65,11 +65,12 @@ class BoxTree:
                 continue
             piece = self.order[node]
             found = distance(point, piece)
-            order = np.lexsort((piece, found, point))
-            chosen = order[np.flatnonzero(np.diff(point[order], prepend=-1))]
-            at = point[chosen]
-            better = (found[chosen] < away[at]) | ((found[chosen] == away[at]) & (piece[chosen] < best[at]))
-            best[at[better]], away[at[better]] = piece[chosen[better]], found[chosen[better]]
+            first = np.flatnonzero(np.diff(point, prepend=-1))  # pairs are sorted by their points
+            size, least = np.diff(np.append(first, len(point))), np.minimum.reduceat(found, first)
+            chosen = np.minimum.reduceat(np.where(found == np.repeat(least, size), piece, self.count), first)
+            at = point[first]
+            better = (least < away[at]) | ((least == away[at]) & (chosen < best[at]))
+            best[at[better]], away[at[better]] = chosen[better], least[better]
         return best
 
 
@@ -95,7 +96,7 @@ class EdgeTree:
         length = np.hypot(*self.along.T)
         parts = 1 + (length / length.mean()).astype(int) if len(length) else np.zeros(0, int)
         edge = np.repeat(np.arange(len(parts)), parts)
-        share = (np.arange(len(edge)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[edge]
+        share = (np.arange(len(edge)) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / parts[edge]  # the ends are those of two edges
         angle = 2 * np.pi * np.arange(ON_CIRCLE) / ON_CIRCLE
         rims = self.middle[:, None] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         self.owner = np.concatenate([edge, np.repeat(np.arange(len(self.start), self.count), ON_CIRCLE)])
