@@ -1,9 +1,5 @@
-"""From file data to a PolygonMesh: RawMesh before any check, its unit, its repair, and a guard for untrusted files."""
+"""From file data to a PolygonMesh: RawMesh before any check, its unit and its repair."""
 
-import contextlib
-import io
-import threading
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -77,31 +73,6 @@ def unit_note(points, unit, of_file):
 def counted(count, what):
     """Return '1 cell', '2 cells'."""
     return f"{count} {what}" + ("" if count == 1 else "s")
-
-
-_ONE_AT_A_TIME = threading.Lock()  # output, warnings and memory limit belong to the whole process
-
-
-@contextlib.contextmanager
-def guarded(file_size):
-    """Limit memory to 2 GiB and 200 times the file beyond the present use, drop warnings, and yield a StringIO with all printed text."""
-    printed, limits = io.StringIO(), None
-    with _ONE_AT_A_TIME, contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with contextlib.suppress(ImportError, OSError, ValueError):  # not on every system
-            import resource
-
-            with open("/proc/self/statm", encoding="ascii") as statm:
-                used = int(statm.read().split()[0]) * resource.getpagesize()
-            soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-            bounds = [bound for bound in (used + 2**31 + 200 * file_size, soft, hard) if bound != resource.RLIM_INFINITY]
-            resource.setrlimit(resource.RLIMIT_AS, (min(bounds), hard))
-            limits = soft, hard
-        try:
-            yield printed
-        finally:
-            if limits:
-                resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 def repaired(raw, tolerance, scale=1.0, numbered=True):
