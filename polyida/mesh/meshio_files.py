@@ -116,7 +116,7 @@ def _largest_binary_tag(content, sizes_of_eight):
     place = content.find(b"$Nodes\n") + 7
     blocks, largest = int.from_bytes(content[place : place + 8], "little"), 0
     place += 32 if sizes_of_eight else 16
-    for _ in range(blocks):
+    for _ in range(min(blocks, len(content) // 20)):
         count = int.from_bytes(content[place + 12 : place + 20], "little")
         place += 20
         if not 0 < count <= len(content) // (32 if sizes_of_eight else 28):

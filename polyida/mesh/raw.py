@@ -13,6 +13,7 @@ from polyida.validation import is_number, is_one_of, named_keywords
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 WIDE = 20.0  # m: a wider part of a mechanism was probably drawn in millimetres
 WITHIN = 1e-6  # of an edge's length: a node that is nearer lies within the edge
+LARGEST = 1e100  # coordinates, in the file's unit
 FLAT = 1e-9  # variation of z relative to the size of the mesh
 
 
@@ -208,6 +209,11 @@ def _flat(points, used, notes):
     bad = np.flatnonzero(~np.isfinite(corner).all(axis=1))
     if bad.size:
         raise InputError(f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; all coordinates must be finite")
+    bad = np.flatnonzero((np.abs(corner) > LARGEST).any(axis=1))
+    if bad.size:
+        raise InputError(
+            f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; coordinates must be at most {LARGEST:g}, so that areas are finite"
+        )
     z = corner[:, 2]
     size = float(np.ptp(corner, axis=0).max())
     if np.ptp(z) > FLAT * size:
