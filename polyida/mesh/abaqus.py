@@ -205,6 +205,8 @@ class _File:
         self.rows_of_instance = rows
 
     def take_end_instance(self, options, rows):
+        if self.assembly is None or self.scope in (self.main, self.assembly) or self.scope in self.parts.values():
+            raise InputError("there is no *INSTANCE before it")
         self.scope.points = placed(self.scope, self.rows_of_instance)
         self.assembly.add(self.scope)
         self.scope = self.assembly

@@ -14,6 +14,7 @@ class Assembly:
 
     def __init__(self):
         self.instances, self.sets = {}, {}  # by their names in capitals
+        self.element_sets = {}  # {name in capitals: {(instance, number of an element): None}}
         self.points, self.cells, self.notes = [], [], []
         self.references = set()  # numbers of the assembly's own nodes
         self.turned = set()
@@ -88,19 +89,44 @@ class Assembly:
         if "INSTANCE" in options:
             instance = self._instance(options["INSTANCE"])
             nodes = [instance.first + node for node in instance.members(options, rows)]
+        elif "ELSET" in options:
+            members = self._elements(options["ELSET"], f"set {name!r}")
+            nodes = [instance.first + node for instance, number in members for node in instance.nodes_of_elements([number])]
         else:
             nodes = [node for target in targets(options, rows) for node in self._of(target, f"set {name!r}")]
         if nodes:
             self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(nodes))
 
     def take_elset(self, options, rows):
-        if "INSTANCE" not in options:
-            self.notes.append(f"left out the element set {options.get('ELSET')!r} of the assembly")
-            return
-        instance = self._instance(options["INSTANCE"])
-        if nodes := instance.line_nodes(options, rows):
-            name = options.get("ELSET", "")
-            self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(instance.first + node for node in nodes))
+        name = options.get("ELSET", "")
+        what = f"set {name!r}"
+        if "INSTANCE" in options:
+            instance = self._instance(options["INSTANCE"])
+            members = [(instance, number) for target in targets(options, rows) for number in instance.element_numbers(target, what)]
+        else:
+            members = [member for target in targets(options, rows) for member in self._elements(target, what)]
+        self.element_sets.setdefault(name.upper(), {}).update(dict.fromkeys(members))
+        nodes = [
+            instance.first + node
+            for instance, number in members
+            if number in instance.lower
+            for node in instance.nodes_of_elements([number])
+        ]
+        if nodes:
+            self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(nodes))
+
+    def _elements(self, target, what):
+        """Pairs (instance, number of an element) of an element set of the assembly, or of 'A-1.7' and 'A-1.Set' of an instance."""
+        target = str(target).replace('"', "")
+        if target.upper() in self.element_sets:
+            return list(self.element_sets[target.upper()])
+        owner, point, name = target.partition(".")
+        if point and owner.upper() in self.instances:
+            instance = self.instances[owner.upper()]
+            return [(instance, number) for number in instance.element_numbers(name, what)]
+        if target.isdecimal():
+            return []  # an element of the assembly itself, which is no plane cell
+        raise InputError(f"{what} names the element set {target!r}, which no *ELSET before it gives")
 
     def take_transform(self, options, rows):
         self.turned.update(self.find(options.get("NSET", ""), "it") or [])

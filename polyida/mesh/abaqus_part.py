@@ -16,6 +16,7 @@ LOWER = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D
 BARS_OF_A_BOUNDARY = "T3D"  # Gmsh writes the curves of a plane mesh so
 CORNERS = {3: 3, 6: 3, 4: 4, 8: 4, 9: 4}
 MOST = 10_000_000  # generated numbers
+FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")  # the exponent of 1.D-3
 OUT_OF_PLANE = 1e-9  # relative to a length
 
 
@@ -29,7 +30,7 @@ def targets(options, rows):
 
 def numbers(row, count):
     """The first numbers of a row of texts; what is missing is 0."""
-    return [float(text or 0) for text in [*row, *["0"] * count][:count]]
+    return [float(FORTRAN.sub("e", text) or 0) for text in [*row, *["0"] * count][:count]]
 
 
 def _require_few(count):
@@ -81,13 +82,22 @@ class Part:
         """Nodes of a block *NSET."""
         what = f"set {options.get('NSET', '')!r}"
         if "ELSET" in options:
-            return self._of_elements(self._elements(options["ELSET"], what))
+            return self.nodes_of_elements(self.element_numbers(options["ELSET"], what))
         return [node for target in targets(options, rows) for node in self.nodes(target, what)]
 
-    def line_nodes(self, options, rows):
-        """Nodes of the lines and points in a block *ELSET."""
-        members = [number for target in targets(options, rows) for number in self._elements(target, f"set {options.get('ELSET', '')!r}")]
-        return self._of_elements(number for number in members if number in self.lower)
+    def element_numbers(self, target, what):
+        """Numbers of the elements of an element number or of a set's name; a number that no element has is kept."""
+        target = str(target).strip('"')
+        if target.isdecimal():
+            return [int(target)]
+        if target.upper() not in self.element_sets:
+            raise InputError(f"{what} names the element set {target!r}, which no *ELSET before it gives")
+        return list(self.element_sets[target.upper()][1])
+
+    def nodes_of_elements(self, members):
+        """Nodes of elements by number, each once."""
+        nodes = (self.places[node] for number in members for node in self.elements.get(number, []))
+        return list(dict.fromkeys(nodes))
 
     def sections(self):
         """{name: nodes} of the node sets, and of the element sets of lines and points without a node set of their name."""
@@ -204,7 +214,11 @@ class Part:
 
     def take_elset(self, options, rows):
         what = f"set {options.get('ELSET', '')!r}"
-        _join(self.element_sets, options.get("ELSET", ""), [n for target in targets(options, rows) for n in self._elements(target, what)])
+        _join(
+            self.element_sets,
+            options.get("ELSET", ""),
+            [n for target in targets(options, rows) for n in self.element_numbers(target, what)],
+        )
 
     def take_solid_section(self, options, rows):
         """Bars with a section are more than the boundary of cells."""
@@ -269,22 +283,9 @@ class Part:
             else f"the set {target!r}, which no *NSET before it gives"
         )
 
-    def _elements(self, target, what):
-        """Numbers of the elements of an element number or of a set's name; a number that no element has is kept."""
-        target = str(target).strip('"')
-        if target.isdecimal():
-            return [int(target)]
-        if target.upper() not in self.element_sets:
-            raise InputError(f"{what} names the element set {target!r}, which no *ELSET before it gives")
-        return list(self.element_sets[target.upper()][1])
-
-    def _of_elements(self, members):
-        nodes = (self.places[node] for number in members for node in self.elements.get(number, []))
-        return list(dict.fromkeys(nodes))
-
     def _of_lines(self, name):
         _, members = self.element_sets.get(name.upper(), (name, {}))
-        return self._of_elements(number for number in members if number in self.lower)
+        return self.nodes_of_elements(number for number in members if number in self.lower)
 
 
 def _steps(length, step):

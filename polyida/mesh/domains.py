@@ -5,11 +5,13 @@ Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Opti
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
+from polyida.mesh.box_tree import FEW, EdgeTree
 from polyida.validation import named_keywords, positive, vector2
 
 
@@ -134,12 +136,33 @@ class Chain:
     def _nearest(self, points):
         """(nearest position (n, 2); unit direction of the chain there (n, 2); (n,) -1 before the start, 1 beyond the end, else 0)."""
         along = np.diff(self.vertices, axis=0)
+        piece, share = self._nearest_of_many(points) if len(along) > FEW else self._nearest_of_few(points)
+        foot = self.vertices[piece] + share[:, None] * along[piece]
+        return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
+
+    def _nearest_of_few(self, points):
+        along = np.diff(self.vertices, axis=0)
         low, high = np.zeros(len(along)), np.ones(len(along))
         if not self.closed:
             low[0], high[-1] = -np.inf, np.inf
-        piece, share = nearest(points, self.vertices[:-1], along, low, high)
-        foot = self.vertices[piece] + share[:, None] * along[piece]
-        return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
+        return nearest(points, self.vertices[:-1], along, low, high)
+
+    @cached_property
+    def _edges(self):
+        return EdgeTree(self.vertices[:-1], np.diff(self.vertices, axis=0))
+
+    def _nearest_of_many(self, points):
+        piece = self._edges.nearest(points)
+        share = self._edges.shares(points, piece)
+        if self.closed:
+            return piece, share
+        last = len(self.vertices) - 2
+        ends, along = [0, last], np.diff(self.vertices, axis=0)
+        end, beyond = nearest(points, self.vertices[ends], along[ends], np.array([-np.inf, 0.0]), np.array([1.0, np.inf]))
+        ends = np.array(ends)[end]
+        away = [np.hypot(*(points - self.vertices[p] - s[:, None] * along[p]).T) for p, s in ((piece, share), (ends, beyond))]
+        continued = away[1] < away[0]
+        return np.where(continued, ends, piece), np.where(continued, beyond, share)
 
     def distance(self, points):
         foot, along, _ = self._nearest(points)

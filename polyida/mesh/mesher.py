@@ -331,16 +331,15 @@ def _snapped(seeds, diagram, domain, size, corners):
     points[rim], rank[rim] = _to_boundary(points[rim], domain), 1
     # nodes that touch two walls move to their intersection, unless one of the walls is not part of the boundary there
     extent = float(np.max(domain.upper - domain.lower))
-    for i, first in enumerate(domain.walls):
-        for j, second in enumerate(domain.walls[:i]):
-            both = np.flatnonzero(touched[:, i] & touched[:, j])
-            if both.size:
-                meeting = meet(points[both], first, second)
-                real = np.linalg.norm(meeting - points[both], axis=1) < 0.5 * size(points[both])
-                if not domain.convex:
-                    real &= (np.linalg.norm(meeting[:, None] - corners, axis=2) < 1e-6 * extent).any(axis=1)
-                points[both[real]] = meeting[real]
-                rank[both[real]] = 2
+    of_two = touched[touched.sum(axis=1) > 1].astype(np.float32)
+    for i, j in np.argwhere(np.tril(of_two.T @ of_two, -1)):
+        both = np.flatnonzero(touched[:, i] & touched[:, j])
+        meeting = meet(points[both], domain.walls[i], domain.walls[j])
+        real = np.linalg.norm(meeting - points[both], axis=1) < 0.5 * size(points[both])
+        if not domain.convex:
+            real &= (np.linalg.norm(meeting[:, None] - corners, axis=2) < 1e-6 * extent).any(axis=1)
+        points[both[real]] = meeting[real]
+        rank[both[real]] = 2
     return cleanup.compact(points, cell[order], corner[order], rank)
 
 
@@ -348,9 +347,17 @@ def _to_boundary(points, domain):
     """Each point projected on the nearest wall that is part of the boundary there; other points do not move."""
     shifted = np.array([project(points, wall) for wall in domain.walls])
     away = np.linalg.norm(shifted - points, axis=2)
-    away[~np.array([domain.on_boundary(image) for image in shifted])] = np.inf
-    nearest = away.argmin(axis=0)
-    return np.where(np.isinf(away.min(axis=0))[:, None], points, shifted[nearest, np.arange(len(points))])
+    placed, left = points.copy(), np.arange(len(points))
+    while left.size:  # the nearest wall first; where its image is not on the boundary, the next one
+        wall = away[:, left].argmin(axis=0)
+        known = np.isfinite(away[wall, left])
+        wall, left = wall[known], left[known]
+        images = shifted[wall, left]
+        on = domain.on_boundary(images)
+        placed[left[on]] = images[on]
+        away[wall[~on], left[~on]] = np.inf
+        left = left[~on]
+    return placed
 
 
 @dataclass(frozen=True)
@@ -385,16 +392,18 @@ def _bounded_cells(seeds, domain, size, reach):
 
     span, n = float(np.linalg.norm(domain.upper - domain.lower)), len(seeds)
     while True:
-        images, index = [], []
+        images, index, behind = [], [], []
         for i, wall in enumerate(domain.walls):
             distance = wall.distance(seeds)
             near = (np.abs(distance) < reach) & wall.faces(seeds)
             distance = distance[near]
             image = seeds[near] - 2.0 * distance[:, None] * wall.normal(seeds[near])
-            image = image[domain.distance(image) > 0.9 * np.abs(distance)]
             images.append(image)
             index.append(np.full(len(image), i))
+            behind.append(0.9 * np.abs(distance))
         images, index = np.concatenate(images), np.concatenate(index)
+        outside = domain.distance(images) > np.concatenate(behind)  # of all walls at once
+        images, index = images[outside], index[outside]
         if not domain.convex and len(images):  # images of seeds on both sides of a re-entrant corner may coincide
             different = np.ones(len(images), dtype=bool)
             different[cKDTree(images).query_pairs(1e-9 * reach, output_type="ndarray").max(axis=1)] = False

@@ -4,29 +4,34 @@ Files are untrusted: every failure inside meshio becomes an InputError. Sections
 nodes, else of points. Source: the Gmsh reference manual, MSH file format, versions 2.2 and 4.1.
 """
 
+import re
+import threading
 from urllib.parse import quote, unquote
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.raw import RawMesh, guarded
+from polyida.mesh.raw import RawMesh
 from polyida.mesh.sections import edges_within
 
 CORNERS = {"triangle": 3, "quad": 4}
 LOWER = {"vertex": 0, "line": 1}
 PREFIX = "section:"
+WHOLE = re.compile(rb"(?<![\w.+-])\d{8,}(?![\w.])")
+MOST = 30_000_000  # numbers and counts in a text file, if the file is shorter: larger ones take memory and time without use
 
 
 def reader(kind, advice=""):
     """Return a function read(path) -> RawMesh for one of meshio's formats; advice: for the message that a file cannot be read."""
 
     def read(path):
-        content = _quietly(path, lambda meshio: path.read_bytes(), f"read as {kind}")
+        content = path.read_bytes()
         if b"$PartitionedEntities" in content or content.count(b"<Piece") > 1:  # meshio fails, or loses all cells but the last piece's
             raise InputError(f"it cannot be read as {kind}: it is divided among processes; write it as one piece")
         if b"$ParametricNodes" in content:
             raise InputError(f"it cannot be read as {kind}: its $ParametricNodes are not known; save with Mesh.SaveParametric = 0 in Gmsh")
-        data = _quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice)
+        _require_sane(content, kind)
+        data = _quietly(lambda meshio: getattr(meshio, kind).read(str(path)), f"read as {kind}", advice)
         plane, notes, foreign = [], [], set()
         for block in data.cells:
             family = _family(block.type)
@@ -51,23 +56,79 @@ def writer(kind):
         blocks = [(names.get(cells.shape[1], "polygon"), cells) for cells in runs(mesh)]
         masks = {PREFIX + quote(name, safe=""): np.isin(np.arange(mesh.n_nodes), nodes) * 1.0 for name, nodes in mesh.sections.items()}
         points = np.column_stack([mesh.points, np.zeros(mesh.n_nodes)])
-        _quietly(path, lambda meshio: meshio.Mesh(points, blocks, point_data=masks).write(path, kind), f"written as {kind}")
+        _quietly(lambda meshio: meshio.Mesh(points, blocks, point_data=masks).write(path, kind), f"written as {kind}")
 
     return write
 
 
-def _quietly(path, action, what, advice=""):
-    """Call action(meshio) without its output; for a bad file meshio may print, warn, exit or raise any exception."""
-    import meshio
-
-    printed = None
+def _quietly(action, what, advice=""):
+    """Return action(meshio) without meshio's messages; for a bad file meshio may raise any exception."""
+    meshio = _silent_meshio()
+    _THIS_THREAD.silent = True
     try:
-        with guarded(path.stat().st_size if path.exists() else 2**28) as printed:
-            return action(meshio)
+        return action(meshio)
     except (Exception, SystemExit) as error:  # noqa: BLE001, the file is the cause, whatever the exception
-        text = " ".join((printed.getvalue() if isinstance(error, SystemExit) else str(error)).split())[:200]
-        detail = text or "no reason given" if isinstance(error, SystemExit) else f"{type(error).__name__}{': ' * bool(text)}{text}"
-        raise InputError(f"it cannot be {what}: {detail}{advice}") from None
+        text = " ".join(str(error).split())[:200]
+        raise InputError(f"it cannot be {what}: {type(error).__name__}{': ' * bool(text)}{text}{advice}") from None
+    finally:
+        _THIS_THREAD.silent = False
+
+
+_THIS_THREAD = threading.local()  # silent: True while it reads or writes here
+
+
+def _silent_meshio():
+    """Return meshio, whose console is silent in threads that read or write here; output of other threads and of users' own calls stays."""
+    import meshio
+    from meshio import _common
+    from rich.console import Console
+
+    if getattr(_common, "Console", None) is Console:  # as long as meshio prints in this way
+
+        class Silent(Console):
+            def print(self, *args, **kwargs):
+                if not getattr(_THIS_THREAD, "silent", False):
+                    super().print(*args, **kwargs)
+
+        _common.Console = Silent
+    return meshio
+
+
+def _require_sane(content, kind):
+    """Raise InputError for counts and numbers of nodes in a file that would take all memory; vtu and obj have none."""
+    if kind not in ("gmsh", "vtk", "medit"):
+        return
+    most = max(MOST, len(content))
+    text = content
+    if kind == "gmsh" and (binary := re.search(rb"\$MeshFormat\s+(\S+)\s+1\s", content[:200])):
+        if binary[1].startswith(b"4"):
+            largest = _largest_binary_tag(content, binary[1] != b"4" and not binary[1].startswith(b"4.0"))
+            if largest > most:
+                raise InputError(f"it cannot be read: it names node {largest}, too large a number for a file of {len(content)} bytes")
+        text = b"\n".join(re.findall(rb"\$[A-Za-z]+\r?\n[ \d]+\r?\n", content))
+    for number in WHOLE.finditer(text):
+        if int(number[0]) > most:
+            raise InputError(f"it cannot be read: it has the number {number[0].decode():.40}, too large for a file of {len(content)} bytes")
+
+
+def _largest_binary_tag(content, sizes_of_eight):
+    """The largest node number in a binary Gmsh file of version 4: int tags with their nodes before 4.1, then blocks of size_t."""
+    place = content.find(b"$Nodes\n") + 7
+    blocks, largest = int.from_bytes(content[place : place + 8], "little"), 0
+    place += 32 if sizes_of_eight else 16
+    for _ in range(min(blocks, len(content) // 20)):
+        count = int.from_bytes(content[place + 12 : place + 20], "little")
+        place += 20
+        if not 0 < count <= len(content) // (32 if sizes_of_eight else 28):
+            if count:
+                raise InputError(f"it cannot be read: it has a block of {count} nodes, too many for a file of {len(content)} bytes")
+            continue
+        dtype = np.dtype("<u8") if sizes_of_eight else np.dtype([("tag", "<i4"), ("place", "<f8", 3)])
+        tags = np.frombuffer(content[place : place + count * dtype.itemsize], dtype)
+        tags = tags if sizes_of_eight else tags["tag"]
+        largest = max(largest, int(tags.max(initial=0)))
+        place += count * (32 if sizes_of_eight else 28)
+    return largest
 
 
 def _family(kind):

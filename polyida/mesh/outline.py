@@ -1,11 +1,9 @@
 """A domain from a closed outline with holes: from coordinates, SVG files (svgelements) or DXF files (ezdxf)."""
 
-import logging
-import re
 import warnings
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +11,16 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import topology
-from polyida.mesh.domains import Capsule, Chain, Domain, nearest
+from polyida.mesh.box_tree import EdgeTree, first_crossing, rings_around
+from polyida.mesh.domains import Capsule, Chain, Domain
+from polyida.mesh.dxf import dxf_library, read_dxf
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.raw import MeshWarning, counted, guarded, unit_note, unit_size
+from polyida.mesh.raw import MeshWarning, unit_note, unit_size
 from polyida.mesh.read_write import existing, path_of, put
 from polyida.mesh.sections import ROUND, centre, signed_area
-from polyida.validation import floats, is_number, library, named_keywords
+from polyida.mesh.svg import read_svg, shape_rings, svg_library
+from polyida.validation import floats, is_number, named_keywords
 
-AT_ONCE = 2_000_000  # pairs of points and edges in memory
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
 STRAIGHT = 0.05  # of the ring's length: a longer edge is no chord of a curve
 REENTRANT = np.radians(160.0)  # turn of the sharpest corner that cells can surround
@@ -57,17 +57,7 @@ class Outline(Domain):
         rings = {"outline": _points(points, "outline", 1.0)}
         rings |= {f"outline hole {i}": _points(hole, f"outline hole {i}", -1.0) for i, hole in enumerate(holes)}
         _require_apart(rings)
-        (_, outer), *inners = rings.items()
-
-        def contains(ring, point):
-            return _depth(point, ring, np.roll(ring, -1, axis=0) - ring)[0] > 0.0
-
-        for name, inner in inners:
-            if not contains(outer, inner[:1]):
-                raise InputError(f"{name} at {inner[0].tolist()} is not within the outline")
-            for other, around in inners:
-                if other != name and contains(around, inner[:1]):
-                    raise InputError(f"{name} at {inner[0].tolist()} is within {other}; what lies in a hole is a part of its own")
+        _require_nested(rings)
         self._rings = [_Ring(ring, np.radians(corner), sign) for ring, sign in zip(rings.values(), [1.0] + [-1.0] * len(rings))]
         self.lower, self.upper = self._rings[0].box
         self.walls = [wall for ring in self._rings for wall in ring.walls]
@@ -78,7 +68,11 @@ class Outline(Domain):
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the signed distance, (n,), m: negative inside, exact everywhere."""
-        return np.max([ring.distance(points) for ring in self._rings], axis=0)
+        return self._boundary.distance(points)
+
+    @cached_property
+    def _boundary(self):
+        return _Boundary(self._rings)
 
     def on_boundary(self, points: np.ndarray) -> np.ndarray:
         """Return the (n,) mask of points on the boundary. No two walls coincide here: the distance suffices, also in acute corners."""
@@ -112,12 +106,36 @@ class _Ring:
             ring = np.concatenate([ring, ring[:1]])
             self.walls = [Chain(ring[a : b + 1], False, (outward[a], outward[b])) for a, b in zip(ends[:-1], ends[1:])]
 
+
+class _Boundary:
+    """All rings as one set of edges and circles: the nearest piece tells the distance and, by its side, what is inside."""
+
+    def __init__(self, rings):
+        chords = [ring for ring in rings if not ring.circle]
+        circles = [ring.walls[0] for ring in rings if ring.circle]
+        start = np.concatenate([np.zeros((0, 2)), *(ring.points for ring in chords)])
+        along = np.concatenate([np.zeros((0, 2)), *(ring.edges for ring in chords)])
+        self.sign = np.array([wall.sign for wall in circles])
+        self.tree = EdgeTree(start, along, [wall.start for wall in circles], [wall.radius for wall in circles])
+        outward = np.column_stack([along[:, 1], -along[:, 0]]) / np.hypot(*along.T)[:, None]
+        sizes = [len(ring.points) for ring in chords]
+        before, after = topology.preceding(np.cumsum([0, *sizes])), topology.following(np.cumsum([0, *sizes]))
+        self.outward, self.at_start, self.at_end = outward, outward + outward[before], outward + outward[after]
+
     def distance(self, points):
-        if self.circle:
-            return self.walls[0].distance(points)
-        parts = np.array_split(points, max(1, -(-len(points) * len(self.points) // AT_ONCE)))
-        inside = -1.0 if signed_area(self.points) > 0 else 1.0
-        return inside * np.concatenate([_depth(part, self.points, self.edges) for part in parts])
+        tree, edges = self.tree, len(self.outward)
+        piece = tree.nearest(points)
+        signed = np.empty(len(points))
+        at_edge = np.flatnonzero(piece < edges)
+        here, edge = points[at_edge], piece[at_edge]
+        share = tree.shares(here, edge)[:, None]
+        away = here - tree.start[edge] - share * tree.along[edge]
+        normal = np.where(share == 0.0, self.at_start[edge], np.where(share == 1.0, self.at_end[edge], self.outward[edge]))
+        signed[at_edge] = np.where(np.sum(away * normal, axis=1) > 0.0, 1.0, -1.0) * np.hypot(*away.T)
+        at_circle = np.flatnonzero(piece >= edges)
+        circle = piece[at_circle] - edges
+        signed[at_circle] = self.sign[circle] * (np.hypot(*(points[at_circle] - tree.middle[circle]).T) - tree.radius[circle])
+        return signed
 
 
 def _points(corners, what, orientation):
@@ -142,45 +160,39 @@ def _points(corners, what, orientation):
     return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
 
 
-def _depth(points, start, along):
-    """(n,) distance to the nearest edge of a ring, negative outside: if a ray crosses an even number of edges."""
-    edge, share = nearest(points, start, along)
-    away = np.hypot(*(points - start[edge] - share[:, None] * along[edge]).T)
-    above = points[:, 1:] >= start[:, 1]
-    point, edge = np.nonzero(above != np.roll(above, -1, axis=1))
-    to = points[point] - start[edge]
-    left = along[edge, 0] * to[:, 1] > along[edge, 1] * to[:, 0]
-    crossed = np.bincount(point[left == above[point, edge]], minlength=len(points))
-    return np.where(crossed % 2, away, -away)
+def _segments(rings):
+    """(start, end, number of the ring) of the edges of all rings."""
+    start = np.concatenate(list(rings.values()))
+    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings.values()])
+    return start, end, np.repeat(np.arange(len(rings)), [len(ring) for ring in rings.values()])
 
 
 def _require_apart(rings):
     """Raise InputError for the first two edges, of one or two rings, that meet and are not neighbours."""
-    names, sizes = list(rings), [len(ring) for ring in rings.values()]
-    start = np.concatenate(list(rings.values()))
-    end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings.values()])
-    after = np.concatenate([first + np.roll(np.arange(n), -1) for n, first in zip(sizes, np.cumsum([0, *sizes]))])
-    owner = np.repeat(np.arange(len(rings)), sizes)
-    low, high = np.minimum(start, end), np.maximum(start, end)
-
-    def side(p, q, r):
-        return np.sign(topology.cross(q - p, r - p))
-
-    for i in range(len(start)):
-        others = np.arange(i + 1, len(start))
-        others = others[(low[others] <= high[i]).all(axis=1) & (low[i] <= high[others]).all(axis=1)]
-        others = others[(others != after[i]) & (after[others] != i)]
-        a, b, c, d = start[i], end[i], start[others], end[others]
-        met = others[(side(a, b, c) * side(a, b, d) <= 0) & (side(c, d, a) * side(c, d, b) <= 0)]
-        if met.size:
-            which = "itself" if owner[i] == owner[met[0]] else names[owner[met[0]]]
-            place = (0.5 * (start[met[0]] + end[met[0]])).tolist()
-            raise InputError(f"{names[owner[i]]} crosses or touches {which} near {place}; its edges may only meet at their ends, in order")
+    names, (start, end, owner) = list(rings), _segments(rings)
+    firsts = np.flatnonzero(np.diff(owner, prepend=-1))
+    after = np.arange(1, len(start) + 1)
+    after[np.append(firsts[1:], len(start)) - 1] = firsts
+    if met := first_crossing(start, end, after):
+        edge, other = met
+        which = "itself" if owner[edge] == owner[other] else names[owner[other]]
+        place = (0.5 * (start[other] + end[other])).tolist()
+        raise InputError(f"{names[owner[edge]]} crosses or touches {which} near {place}; its edges may only meet at their ends, in order")
 
 
-CHORDS = 24  # for each curved piece, at most a quarter or half of a circle
-GAP = 1e-6  # of the drawing's size, between ends of curves that join
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}  # m, units of SVG
+def _require_nested(rings):
+    """Raise InputError unless all holes are within the outline, and none within another; the rings do not meet."""
+    names, firsts = list(rings), np.array([ring[0] for ring in rings.values()])
+    around = [set() for _ in names]
+    for hole, other in rings_around(firsts, *_segments(rings)).tolist():
+        around[hole].add(other)
+    for hole in range(1, len(names)):
+        if 0 not in around[hole]:
+            raise InputError(f"{names[hole]} at {firsts[hole].tolist()} is not within the outline")
+        if others := around[hole] - {0, hole}:
+            raise InputError(
+                f"{names[hole]} at {firsts[hole].tolist()} is within {names[min(others)]}; what lies in a hole is a part of its own"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,100 +202,6 @@ class Drawing:
     rings: list[np.ndarray]
     metres: float | None = None
     notes: tuple = ()
-
-
-def _library(name):
-    return library(name, f"it needs {name}: pip install 'polyida[mesh]'")
-
-
-def _dxf(path, part):
-    """Drawing of the model space, or of its layer `part`."""
-    _library("ezdxf")
-    from ezdxf import edgeminer, readfile, units
-    from ezdxf.disassemble import recursive_decompose
-
-    log = logging.getLogger("ezdxf")  # it quotes bytes that are no letters; errors come as exceptions
-    disabled, log.disabled = log.disabled, True
-    try:
-        with guarded(path.stat().st_size):
-            document = readfile(path)
-            entities = list(recursive_decompose(document.modelspace()))
-    finally:
-        log.disabled = disabled
-    layers = sorted({entity.dxf.layer for entity in entities})
-    if part is not None and part not in layers:
-        raise InputError(f"has nothing on the layer {part!r}; there are {', '.join(map(repr, layers)) or 'none'}")
-
-    def curves_of(entity):
-        kind = entity.dxftype()
-        if kind in ("LWPOLYLINE", "POLYLINE"):
-            return [curve for piece in entity.virtual_entities() for curve in curves_of(piece)]
-        if kind == "LINE":
-            points = [entity.dxf.start, entity.dxf.end]
-        elif kind == "CIRCLE":
-            points = entity.vertices(np.linspace(0.0, 360.0, 4 * CHORDS + 1))
-        elif kind == "ARC":
-            points = entity.vertices(entity.angles(2 * CHORDS))
-        elif kind == "ELLIPSE":
-            points = entity.vertices(entity.params(4 * CHORDS + 1))
-        elif kind == "SPLINE":
-            points = entity.construction_tool().approximate(4 * CHORDS)
-        else:
-            return []
-        return [np.array([[point[0], point[1]] for point in map(tuple, points)], dtype=float)]
-
-    curves, skipped = [], Counter()
-    for entity in (entity for entity in entities if part in (None, entity.dxf.layer)):
-        pieces = curves_of(entity)
-        curves += pieces
-        skipped[entity.dxftype()] += not pieces
-    notes = [f"left out {count} {kind}" for kind, count in skipped.items() if count]
-    gap = GAP * float(np.ptp(np.concatenate(curves), axis=0).max()) if curves else 0.0
-    closed = [np.hypot(*(curve[0] - curve[-1])) <= gap for curve in curves]
-    rings = [curve for curve, ring in zip(curves, closed) if ring]
-    edges = [edgeminer.make_edge(curve[0], curve[-1], payload=curve) for curve, ring in zip(curves, closed) if not ring]
-    unused = len(edges)
-    for chain in edgeminer.find_all_simple_chains(edgeminer.Deposit(edges, gap_tol=gap)) if edges else ():
-        if edgeminer.is_loop(chain, gap_tol=gap):
-            rings.append(np.concatenate([(edge.payload[::-1] if edge.is_reverse else edge.payload)[:-1] for edge in chain]))
-            unused -= len(chain)
-    notes += [f"left out {counted(unused, 'open curve')}"] if unused else []
-    return Drawing(rings, units.conversion_factor(document.units, units.M) if document.units else None, tuple(notes))
-
-
-def _svg(path, part):
-    """Drawing of an SVG file, or of its element with the id `part`, in user units, y upwards. Raises InputError for an unknown id."""
-    svgelements = _library("svgelements")
-    with guarded(path.stat().st_size):
-        tree = svgelements.SVG.parse(str(path))
-    pixels = svgelements.Matrix(tree.viewbox_transform).a if tree.viewbox_transform else 1.0
-    height = tree.height if tree.values.get("height") or tree.viewbox else 0.0
-    root = tree if part is None else tree.get_element_by_id(part)
-    if root is None:
-        known = [element.id for element in tree.elements() if getattr(element, "id", None)]
-        raise InputError(f"has no element with the id {part!r}; there are {', '.join(map(repr, known[:20])) or 'none'}")
-    elements = root.select() if isinstance(root, svgelements.Group) else [root]
-    rings, notes = _svg_rings(svgelements, [shape for shape in elements if isinstance(shape, svgelements.Shape)])
-    width = re.fullmatch(r"([\d.]+)(\w+)", str(tree.values.get("width", "")).strip())
-    metres = float(width[1]) * LENGTHS[width[2]] * pixels / tree.width if width and width[2] in LENGTHS else None
-    return Drawing([(ring * [1.0, -1.0] + [0.0, height]) / pixels for ring in rings], metres, notes)
-
-
-def _svg_rings(svgelements, shapes):
-    """(closed curves as (n, 2), notes)."""
-    rings, unused = [], 0
-    for shape in shapes:
-        for curve in svgelements.Path(shape).as_subpaths():
-            points = []  # ends of straight pieces, CHORDS points on each curved piece
-            for piece in curve:
-                straight = isinstance(piece, (svgelements.Move, svgelements.Line, svgelements.Close))
-                ends = [piece.end] if straight else [piece.point(share) for share in (np.arange(CHORDS) + 1.0) / CHORDS]
-                points += [[end.x, end.y] for end in ends if end is not None]
-            points = np.array(points, dtype=float).reshape(-1, 2)
-            closed = len(points) > 2 and np.hypot(*(points[0] - points[-1])) <= GAP * np.ptp(points, axis=0).max()
-            rings += [points] if closed else []
-            unused += not closed and len(points) > 1
-    return rings, (f"left out {counted(unused, 'open curve')}",) if unused else ()
 
 
 @named_keywords
@@ -314,11 +232,11 @@ def read_outline(path: str | Path, unit: str | float | None = None, part: str | 
         Naming the file, if it cannot be used.
     """
     path = existing(path)
-    readers = {".svg": _svg, ".dxf": _dxf}
+    readers = {".svg": read_svg, ".dxf": read_dxf}
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"drawing {path} has the suffix {path.suffix!r}; known are {', '.join(readers)}")
-    return _outline(f"drawing {path}", lambda: reader(path, part), unit, corner)
+    return _outline(f"drawing {path}", lambda: Drawing(*reader(path, part)), unit, corner)
 
 
 @named_keywords
@@ -348,8 +266,7 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
         raise InputError(f"SVG path is {repr(path)[:80]}; it must be a text such as 'M 0 0 h 2 v -1 h -2 z'")
 
     def drawing():
-        svgelements = _library("svgelements")
-        rings, notes = _svg_rings(svgelements, [svgelements.Path(path)])
+        rings, notes = shape_rings([svg_library().Path(path)])
         return Drawing([ring * [1.0, -1.0] for ring in rings], None, notes)
 
     return _outline("SVG path", drawing, unit, corner)
@@ -442,10 +359,7 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwri
         raise InputError(f"write_outline: unit = {unit!r:.40} must be one of {', '.join(UNITS)}")
     rings = [ring / UNITS[unit] for ring in outline_of(mesh)]
     if path.suffix.lower() == ".dxf":
-        _library("ezdxf")
-        import ezdxf
-
-        drawing = ezdxf.new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
+        drawing = dxf_library().new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS
         for ring in rings:
             drawing.modelspace().add_lwpolyline(ring.tolist(), close=True)
         write = drawing.saveas

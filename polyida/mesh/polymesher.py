@@ -5,11 +5,14 @@ Fx, Fy). Section, a cell array of rows (name, row of nodes), is an extension of 
 Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012) and PolyTop, ibid.
 """
 
+import math
+
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.raw import RawMesh, guarded
+from polyida.mesh.raw import RawMesh
 
+LARGEST = 1100  # numbers for each byte of a file: zlib makes at most 1032 bytes of one
 NAMES = {"Node": ("node",), "Element": ("element", "elem"), "Supp": ("supp",), "Load": ("load",), "Section": ("section",)}
 
 
@@ -50,13 +53,18 @@ def write_mat(mesh, path):
 
 def _variables(path):
     """{name in NAMES: value} of the variables of a file, or of the fields of the first structure with Node and Element."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
-        with guarded(path.stat().st_size):
-            data = loadmat(path, appendmat=False)
+        most = LARGEST * (path.stat().st_size + 1)
+        for name, shape, _ in whosmat(path, appendmat=False):
+            if not 0 <= math.prod(shape) <= most or min(shape, default=0) < 0:
+                raise InputError(f"{name!r:.80} has the shape {shape}, which the file is too short for")
+        data = loadmat(path, appendmat=False)
     except NotImplementedError:
         raise InputError("it is a MATLAB file of version 7.3; save it by save(name, 'Node', 'Element', 'Supp', 'Load', '-v7')") from None
+    except InputError:
+        raise
     except Exception as error:  # noqa: BLE001, the file is the cause, whatever the exception
         raise InputError(f"it cannot be read as a MATLAB file: {type(error).__name__}: {' '.join(str(error).split())[:200]}") from None
     data = {name: value for name, value in data.items() if not name.startswith("__")}

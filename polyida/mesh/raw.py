@@ -1,9 +1,5 @@
-"""From file data to a PolygonMesh: RawMesh before any check, its unit, its repair, and a guard for untrusted files."""
+"""From file data to a PolygonMesh: RawMesh before any check, its unit and its repair."""
 
-import contextlib
-import io
-import threading
-import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -17,6 +13,7 @@ from polyida.validation import is_number, is_one_of, named_keywords
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 WIDE = 20.0  # m: a wider part of a mechanism was probably drawn in millimetres
 WITHIN = 1e-6  # of an edge's length: a node that is nearer lies within the edge
+LARGEST = 1e100  # coordinates, in the file's unit
 FLAT = 1e-9  # variation of z relative to the size of the mesh
 
 
@@ -77,31 +74,6 @@ def unit_note(points, unit, of_file):
 def counted(count, what):
     """Return '1 cell', '2 cells'."""
     return f"{count} {what}" + ("" if count == 1 else "s")
-
-
-_ONE_AT_A_TIME = threading.Lock()  # output, warnings and memory limit belong to the whole process
-
-
-@contextlib.contextmanager
-def guarded(file_size):
-    """Limit memory to 2 GiB and 200 times the file beyond the present use, drop warnings, and yield a StringIO with all printed text."""
-    printed, limits = io.StringIO(), None
-    with _ONE_AT_A_TIME, contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with contextlib.suppress(ImportError, OSError, ValueError):  # not on every system
-            import resource
-
-            with open("/proc/self/statm", encoding="ascii") as statm:
-                used = int(statm.read().split()[0]) * resource.getpagesize()
-            soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-            bounds = [bound for bound in (used + 2**31 + 200 * file_size, soft, hard) if bound != resource.RLIM_INFINITY]
-            resource.setrlimit(resource.RLIMIT_AS, (min(bounds), hard))
-            limits = soft, hard
-        try:
-            yield printed
-        finally:
-            if limits:
-                resource.setrlimit(resource.RLIMIT_AS, limits)
 
 
 def repaired(raw, tolerance, scale=1.0, numbered=True):
@@ -237,6 +209,11 @@ def _flat(points, used, notes):
     bad = np.flatnonzero(~np.isfinite(corner).all(axis=1))
     if bad.size:
         raise InputError(f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; all coordinates must be finite")
+    bad = np.flatnonzero((np.abs(corner) > LARGEST).any(axis=1))
+    if bad.size:
+        raise InputError(
+            f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; coordinates must be at most {LARGEST:g}, so that areas are finite"
+        )
     z = corner[:, 2]
     size = float(np.ptp(corner, axis=0).max())
     if np.ptp(z) > FLAT * size:

@@ -133,6 +133,16 @@ class TestRepair:
         assert mesh.n_nodes == corners and mesh.area == pytest.approx(0.5 if corners == 3 else 1.0)
 
 
+def gmsh_binary(path, version):
+    meshio.Mesh(flat(SQUARES), [("triangle", [[0, 1, 4], [0, 4, 3]])]).write(path, file_format="gmsh", binary=True)
+    if version == "4.0":
+        from meshio.gmsh import _gmsh40
+
+        mesh = meshio.Mesh(flat(SQUARES), [("triangle", np.array([[0, 1, 4], [0, 4, 3]]))])
+        _gmsh40.write(path, mesh, float_fmt=".16e", binary=True)
+    return path
+
+
 class TestBadFiles:
     @pytest.mark.parametrize(
         "name, content, message",
@@ -174,6 +184,56 @@ class TestBadFiles:
         path.write_text("\n".join(lines))
         with pytest.raises(InputError, match="sparse.msh"):
             read(path)
+
+    def test_huge_counts_end_before_they_take_memory_or_time(self, tmp_path):
+        for name, content in (
+            ("pass.mesh", b"MeshVersionFormatted 2\nDimension 2\nOther\n99999999999\n1\n"),
+            ("tags.msh", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$NodeData\n99999999999\n"),
+            ("grid.vtk", b"# vtk DataFile Version 4.2\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 99999999 9999999 1\n"),
+        ):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(InputError, match="has the number 99999999+, too large for a file of"):
+                read(tmp_path / name)
+
+    @pytest.mark.parametrize("version", ["4.0", "4.1"])
+    def test_a_huge_node_number_in_a_binary_file(self, tmp_path, version):
+        path = gmsh_binary(tmp_path / "plate.msh", version)
+        assert read(path).n_cells == 2
+        content = path.read_bytes()
+        place = content.index(b"$Nodes\n") + 7 + (32 + 20 if version == "4.1" else 16 + 20)
+        path.write_bytes(content[: place + 3] + b"\x7f" + content[place + 4 :])
+        with pytest.raises(InputError, match="names node 21307064.*, too large a number"):
+            read(path)
+
+    def test_other_threads_keep_their_output_and_limits(self, tmp_path, capfd, monkeypatch):
+        import sys
+        import threading
+
+        from meshio import _common
+
+        out = sys.stdout
+
+        def of_another_thread():
+            print("step 7")
+            _common.warn("of another")
+
+        def loud(path):
+            assert sys.stdout is out
+            _common.warn("of this")
+            other = threading.Thread(target=of_another_thread)
+            other.start()
+            other.join()
+            raise SystemExit(1)
+
+        monkeypatch.setattr(meshio.vtk, "read", loud)
+        path = tmp_path / "plate.vtk"
+        path.write_text("# vtk DataFile\n")
+        with pytest.raises(InputError, match="cannot be read as vtk: SystemExit: 1"):
+            read(path)
+        printed = capfd.readouterr()
+        assert printed.out == "step 7\n" and "of another" in printed.err and "of this" not in printed.err
+        _common.warn("of the user")
+        assert "of the user" in capfd.readouterr().err
 
     def test_solids_are_refused(self, tmp_path):
         path = gmsh(tmp_path / "solid.msh", np.random.default_rng(0).random((4, 3)), [("tetra", [[0, 1, 2, 3]])])

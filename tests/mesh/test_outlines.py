@@ -95,6 +95,62 @@ class TestOutline:
             make()
 
 
+def wavy(count, turn=0.0):
+    angle = 2 * np.pi * np.arange(count) / count + turn
+    radius = 1.0 + 0.2 * np.cos(7 * angle)
+    return radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def comb(teeth, turn):
+    x, y = np.repeat(np.arange(teeth), 2), np.tile([0, teeth, teeth, 0], teeth)[: 2 * teeth]
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.concatenate([np.column_stack([x, y]), [[teeth - 0.5, -1.0], [0.0, -1.0]]]) @ [[cos, sin], [-sin, cos]]
+
+
+class TestManyPoints:
+    """A tree of boxes finds what comparing all edges finds."""
+
+    @pytest.mark.parametrize(
+        "points, holes",
+        [
+            (wavy(3000), []),
+            (comb(150, 0.4), []),
+            (wavy(200), [0.05 * wavy(40) + [0.3 * i, 0.3 * j] for i in (-1, 0, 1) for j in (-1, 0, 1)]),
+        ],
+    )
+    def test_distances_are_those_of_all_edges(self, points, holes):
+        outline = Outline(points, holes)
+        rng = np.random.default_rng(1)
+        places = outline.lower + rng.random((300, 2)) * (outline.upper - outline.lower)
+        rings = [points, *holes]
+        start, end = np.concatenate(rings), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+        to, along = places[:, None] - start, end - start
+        share = np.clip((to * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+        away = np.linalg.norm(to - share[..., None] * along, axis=2).min(axis=1)
+        above = places[:, None, 1] >= start[:, 1], places[:, None, 1] >= end[:, 1]
+        left = along[:, 0] * to[..., 1] > along[:, 1] * to[..., 0]
+        inside = ((above[0] != above[1]) & (left == above[0])).sum(axis=1) % 2 == 1
+        assert outline.distance(places) == pytest.approx(np.where(inside, -away, away), abs=1e-12)
+
+    def test_the_first_crossing_is_named(self):
+        points = wavy(20_000)
+        points[5000:5300] *= 0.3  # back and forth, through nothing
+        points[15000:15300] *= -0.5  # through the part of the other side
+        with pytest.raises(InputError, match=r"outline crosses or touches itself near"):
+            Outline(points)
+
+    def test_the_place_of_holes_among_many(self):
+        holes = [circle(32, 0.3, (i + 0.5, j + 0.5)) for i in range(20) for j in range(20)]
+        square = [(0, 0), (20, 0), (20, 20), (0, 20)]
+        assert len(Outline(square, holes).walls) == 404
+        with pytest.raises(InputError, match=r"hole 400 at \[7.*\] is within outline hole 147"):
+            Outline(square, [*holes, circle(16, 0.1, (7.5, 7.5))])
+        with pytest.raises(InputError, match="hole 400 at .* is not within the outline"):
+            Outline(square, [*holes, circle(16, 0.1, (22, 7.5))])
+        with pytest.raises(InputError, match="hole 0 crosses or touches outline hole 400"):
+            Outline(square, [*holes, circle(16, 0.3, (0.6, 0.5))])
+
+
 SVG = """<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 200 100">
 <g id="plate" transform="translate(10,0)"><path id="rim" d="M0,0 H180 V80 H0 Z M20,20 a10,10 0 1 0 20,0 a10,10 0 1 0 -20,0 z"/></g>
 <circle id="eye" cx="100" cy="40" r="10"/><path d="M 0 0 L 5 5"/></svg>"""
