@@ -8,7 +8,6 @@ It starts from extrapolated a and lam, each by the polynomial that would have be
 the contraction measured in earlier steps leaves less than the tolerance.
 """
 
-
 from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
