@@ -54,7 +54,7 @@ def pytest_sessionstart(session):
     """
     prepare()
     if not hasattr(session.config, "workerinput"):
-        started = [subprocess.Popen([sys.executable, Path(__file__).parent / "warm_up.py", name]) for name in ("alpha", "radau")]
+        started = [subprocess.Popen([sys.executable, Path(__file__).parent / "warm_up.py", name]) for name in ("alpha", "radau", "own")]
         assert [process.wait() for process in started] == [0] * len(started)
 
 

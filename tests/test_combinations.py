@@ -1,5 +1,6 @@
 """A fixed sample of random scenes (combinations.py), and seeds that have failed."""
 
+import combinations_parts as parts
 import combinations_scenes as scenes
 import pytest
 from combinations import CHECKS, Case, outcome
@@ -26,6 +27,6 @@ def test_it_holds_in_a_random_scene(seed, kind):
 
 def test_a_scene_that_is_not_the_same_is_found(monkeypatch):
     """A spring whose stiffness forgets the units of the world."""
-    monkeypatch.setitem(scenes.PARTS, "Band", lambda made, random: [scenes.Band(*scenes._two(made, random), 2000.0)])
+    monkeypatch.setitem(parts.PARTS, "Band", lambda made, random: [parts.Band(*parts._two(made, random), 2000.0)])
     recipe = scenes.Recipe(1, (("RigidBody", 1), ("RigidBody", 2)), (("Revolute", 3), ("Revolute", 4)), (("Band", 5),))
     assert outcome(Case(recipe), "units")[0] == "failed"

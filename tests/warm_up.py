@@ -1,6 +1,6 @@
-"""Compile the kernels that many tests need: `python warm_up.py name` for a name of METHODS.
+"""Compile the kernels that many tests need: `python warm_up.py name` for a name of METHODS, or "own".
 
-A process that compiles a kernel first compiles all that it is made of, which takes longer than the rest.
+A process that compiles a kernel first compiles all that it is made of, which takes longer than the rest, and keeps memory until its end.
 """
 
 import sys
@@ -24,7 +24,14 @@ def model(level):
     return scene.build()
 
 
-def main(name):
+def of_a_user():
+    """Short runs of a model that is no scene."""
+    pendulum = pi.problems.get("pendulum").model
+    for integrator in (ALPHA, pi.IDA()):
+        assert pi.solve(pendulum, 2e-3, integrator, q0=[-1.0, 0.0]).success
+
+
+def of_scenes(name):
     """Short runs of all methods of a name."""
     for integrator, level in product(METHODS[name], (None, pi.Rigid)):
         run = pi.solve(model(level), 2e-3, integrator)
@@ -34,4 +41,5 @@ def main(name):
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    name = sys.argv[1]
+    of_a_user() if name == "own" else of_scenes(name)

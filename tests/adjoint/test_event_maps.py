@@ -218,3 +218,15 @@ def test_parameters_that_move_a_given_start_are_refused():
     assert pi.gradient(run, last(1), parameters=["spring.stiffness"])
     with pytest.raises(pi.InputError, match="'bar.inertia' .* constraints of the state that the run begins with"):
         pi.gradient(run, last(1), parameters=["bar.inertia"])
+
+
+def test_a_mean_over_time_through_an_event_at_a_place():
+    """x = v t until it is d, then d + v/2 s up to the end, s = 1 - d/v: the mean of x^2 is d^3/(3 v) + d^2 s + d v s^2/2 + v^2 s^3/12."""
+    scene, one = body(speed=1.0)
+    d, v, left, by_v = 0.3, 1.0, 0.7, 0.3
+    slower = pi.Event(lambda s: s.position(one.at("c"))[0] - d, lambda s: 0.5 * s.v, name="slower")
+    run = pi.solve(scene.build(), 1.0, RADAU, events=slower)
+    J = pi.objective.Deviation(one.at("c"), (0.0, 0.0))
+    of_time = (d**2 + d * v * left + v**2 * left**2 / 4) * by_v
+    exact = -(d**3) / (3 * v**2) + d * left**2 / 2 + v * left**3 / 6 + of_time
+    assert pi.gradient(run, J, ["v0"])["v0"][0] == pytest.approx(exact, rel=1e-4)

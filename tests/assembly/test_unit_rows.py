@@ -10,6 +10,7 @@ from polyida.assembly.independence import SHARE, UnitRows
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
+from polyida.model.guarded import Compiled, guard
 
 
 def bars(points, links):
@@ -76,3 +77,40 @@ def test_a_state_keeps_the_reference_only_if_the_spectral_norm_of_the_change_all
         else:
             assert 0.0 < proof.workspace.least[0] <= least(rows) * (1 + 1e-6)
     assert kept["by the spectral norm alone"] > 0 and kept["all"] < 30
+
+
+@pi.compiled
+class Crank(pi.Model):
+    """A crank of radius `radius`, a rod, and a line through the origin whose slope is `rate` t, on which the rod's end runs."""
+
+    name, n, m = "crank", 4, 3
+
+    def __init__(self, radius, rate):
+        self.radius, self.rate = radius, rate
+
+    def mass(self, q):
+        return np.eye(4)
+
+    def force(self, t, q, v):
+        return np.zeros(4)
+
+    def phi(self, t, q):
+        pin, end = q[:2], q[2:]
+        return np.array([(pin @ pin) / self.radius - self.radius, (end - pin) @ (end - pin) - 1.0, end[1] - self.rate * t * end[0]])
+
+    def phi_q(self, t, q):
+        x, y, w, z = q[0] / self.radius, q[1] / self.radius, q[2] - q[0], q[3] - q[1]
+        return np.array([[2.0 * x, 2.0 * y, 0.0, 0.0], [-2.0 * w, -2.0 * z, 2.0 * w, 2.0 * z], [0.0, 0.0, -self.rate * t, 1.0]])
+
+
+def test_of_a_compiled_model_every_state_is_examined_with_the_numbers_of_self_and_at_its_own_time():
+    model, angles, times = guard(Crank(0.25, 3.0)), np.linspace(0.3, 0.32, 5), np.linspace(0.1, 0.11, 5)
+    places = np.stack([0.25 * np.cos(angles), 0.25 * np.sin(angles), np.cos(angles) + 1.0, 3.0 * times], axis=1)
+    states = [State(t, q, np.zeros(4), np.zeros(4), np.zeros(3)) for t, q in zip(times, places)]
+    proof = UnitRows(model, states[0], Compiled(model, ("phi_q",)))
+    assert proof.begin(states[0])
+    exact = rows_of(model.phi_q(times[0], places[0]), proof.sizes)
+    assert least(exact) / np.sqrt(3.0) * (1 - 1e-6) <= proof.workspace.least[0] <= least(exact) * (1 + 1e-6)
+    assert list(proof.unproven(SimpleNamespace(t=times[1:], q=places[1:], state=lambda k: states[k + 1]))) == []
+    exact = dense(rows_of(model.phi_q(times[-1], places[-1]), proof.sizes).unit)
+    np.testing.assert_allclose(proof.workspace.rows[1].reshape(3, 4)[:, : exact.shape[1]], exact, rtol=1e-12, atol=1e-12)

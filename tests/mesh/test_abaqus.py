@@ -132,6 +132,11 @@ def test_sets_of_lines_are_sections_and_those_of_cells_are_not(inp):
     assert "body" not in mesh.sections and "ALL" not in mesh.sections
 
 
+def test_a_keyword_goes_on_in_the_next_lines(inp):
+    mesh = read(inp(PART.replace("*Nset, nset=Root, generate", "*Nset,\nnset=Root,\ngenerate")))
+    assert places(mesh, "Root") == [[0, 0], [0, 1]]
+
+
 @pytest.mark.parametrize(
     "old, new, message",
     [

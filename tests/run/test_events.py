@@ -460,3 +460,12 @@ def test_a_driven_mechanism_bounces_off_nothing(integrator):
         wall = pi.Event(lambda s, end=end: s.position(end)[1] - 0.2, pi.Impact(0.6), name="wall")
         run = pi.solve(scene.build(), 0.1, integrator, events=[wall])
         assert run.status == "events" and "the joints do not let `when` change" in run.message and len(run.events) == 0
+
+
+def test_a_ball_is_reflected_by_a_round_wall():
+    """It leaves (0.6, 0) along y and meets the circle of radius 1 m at (0.6, 0.8), where it has 0.8 m/s along the normal (0.6, 0.8)."""
+    scene = pi.Scene()
+    ball = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, origin=(0.6, 0.0), velocity=(0.0, 1.0), name="ball"))
+    wall = pi.Event(lambda s: 1.0 - s.position(ball.at("c")) @ s.position(ball.at("c")), pi.Impact(1.0), name="wall")
+    run = pi.solve(scene.build(), 0.9, pi.GeneralizedAlpha(h=0.01), events=wall)
+    np.testing.assert_allclose(run.v[-1][:2], [-0.96, -0.28], atol=1e-6)
