@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.files import remove_left_over, replacing, write_file
 from polyida.show import plates
-from polyida.validation import is_whole, named_keywords
+from polyida.validation import is_whole, named_keywords, path_of
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -58,12 +58,11 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
     Points are current positions, m. Point data: displacement, m, and velocity, m/s. Cell data: von Mises stress and Cauchy stress
     (xx, yy, xy), Pa, and the number of the plate.
     """
-    if not isinstance(folder, (str, Path)) or not str(folder):
-        raise InputError(f"export folder {folder!r} must be the path of a folder")
+    folder = path_of("export", "folder", folder)
     plates.require_run("export", run, overwrite)
     if not run.model.drawn:
         raise InputError("export: no body of the scene has a mesh")
-    folder, cells = Path(folder), _CellBlocks(run.model)
+    cells = _CellBlocks(run.model)
     if frames is None:
         indices = np.arange(len(run.t))
     elif is_whole(frames):
