@@ -4,6 +4,10 @@ A good call is made of `GOOD`, good values by the names of arguments, and of `CA
 with an argument that neither of them knows is named by `test_fuzz.py`.
 """
 
+import inspect
+import signal
+import warnings
+from contextlib import contextmanager
 from fractions import Fraction
 from functools import cache
 
@@ -28,13 +32,6 @@ class NoArray:
         raise RuntimeError("this array stays where it is")
 
 
-class NoText:
-    """Something that cannot even be shown."""
-
-    def __repr__(self):
-        raise RuntimeError("no text")
-
-
 CIRCLE: list = []
 CIRCLE.append(CIRCLE)
 BAD = {
@@ -56,7 +53,6 @@ BAD = {
     "NUL": "a\0b",
     "long": "x" * 5000,
     "no array": NoArray(),
-    "no text": NoText(),
     "huge": 10**400,
     "2**62": 2**62,
     "list of nan": [np.nan, np.nan],
@@ -218,9 +214,18 @@ CALLS = {  # what else a good call takes
     "EdgeTraction": {"at": lambda: PLATE.section("right")},
     "Force": {"force": (1.0, 0.0)},
     "compiled": {"given": lambda: size},
-    "LinearController": {"A": np.zeros((1, 1))},
+    "LinearController": {"A": np.zeros((1, 1)), "B": np.ones((1, 1)), "C": np.ones((1, 1))},
     "cross": {name: lambda: END.d for name in "ab"},
     "dot": {name: lambda: END.d for name in "ab"},
+    "Remove": {"parts": ("pin",)},
+    "RigidBody.edges": {"names": ("left", "right")},
+    "Rigid.edges": {"names": ("center", "left")},
+    "Reduced.edges": {"names": ("center", "left")},
+    "SceneModel.with_factors": {"factors": {"board": (np.ones(8), None)}},
+    "SceneModel.parameter": {"name": "tip.mass"},
+    "SceneModel.replaced": {"name": "tip.mass", "value": 1.0},
+    "SceneModel.attachment": {"name": "tip"},
+    "SceneModel.position": {"name": "tip", "q": lambda: np.zeros(30)},
     "RowLaw": {"row": 0},
     "Events.index": {"value": 0},
     "Event": {"when": lambda: len},
@@ -237,7 +242,6 @@ CALLS = {  # what else a good call takes
     "equilibrium_path": PLATES | {"count": 2},
     "State": {"t": 0.0} | {name: lambda: np.zeros(2) for name in ("q", "v", "a", "lam")},
     "resume": {"t_end": 4e-3},
-    "design.solid": {"design": lambda: None, "build": lambda: weight},
     "mesh.Link": {"height": 0.2, "pin_radius": 0.02},
     "mesh.Outline": {"points": [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]},
     "mesh.PolygonMesh": {"nodes": MESH.nodes, "offsets": MESH.offsets},
@@ -330,7 +334,7 @@ INSTANCES = {  # an object of each class whose methods users call
     "Reduced": pi.Reduced(PLATE, modes=2),
     "Material": MATERIAL,
     "Scene": pi.Scene,
-    "SceneModel": model,
+    "SceneModel": plate_model,
     "Trajectory": run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
@@ -353,6 +357,158 @@ INSTANCES = {  # an object of each class whose methods users call
     "Sweep": sweep,
     "RunPlots": lambda: pi.show.RunPlots(plate_run()),
     "Gradient": lambda: pi.gradient(run(), pi.objective.Deviation("load", (0.0, 0.0))),
-    "RunExport": None,
 }
-INSTANCES.pop("RunExport")
+
+NOT_CALLED = {  # handed out, made in every step, or to be derived from
+    *("Model", "Integrator", "Joint", "ForceElement", "Controller", "Body", "StepMatrix", "objective.Objective", "mesh.Domain"),
+    *("Trajectory", "Events", "Counts", "Needs", "Modes", "StateSpace", "FrequencyResponse", "ErrorBars", "EquilibriumPath", "Gradient"),
+    *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
+    *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
+    "threads",  # of the whole process
+    "design.solid",  # takes a design that minimise found
+}
+BY_USERS = {"at", "edges", "node", "rim", "section", "parameter", "replaced", "position", "attachment", "with_factors"}
+BY_POLYIDA = {  # methods that polyida calls, with values of its own: those of the classes to be derived from, and these
+    name
+    for kind in (pi.Model, pi.Body, pi.Joint, pi.ForceElement, pi.Controller, pi.Integrator, pi.objective.Objective, pi.mesh.Domain)
+    for name in dir(kind)
+    if name not in BY_USERS
+} | {"over", "write", "page", "pictures", "report_pictures", "report_tables", "assemble", "require_sides", "pieces", "modes", "from_data"}
+SLOW = ("report", "minimise", "animation", "work_precision", "step_sizes", "conditioning", "energy", "drift", "error_of", "check_gradient")
+FEW = ("nan", "-1", "text", "ragged", "surrogate", "long", "no array", "cube")  # values for what takes long where it accepts them
+TOO_LONG = 300  # s: it hangs
+
+
+def callables(module=pi, before=""):
+    """{name: function or class} of the public names of a module and its modules."""
+    found = {}
+    for name in module.__all__:
+        value = getattr(module, name)
+        if inspect.ismodule(value):
+            found |= callables(value, f"{before}{name}.")
+        elif callable(value) and not (inspect.isclass(value) and issubclass(value, BaseException)):
+            found[before + name] = value
+    return {name: value for name, value in found.items() if name not in NOT_CALLED}
+
+
+def methods():
+    """{class.method: how to get it} of the methods that users call."""
+    found = {}
+    for kind, instance in INSTANCES.items():
+        for name, value in inspect.getmembers_static(classes()[kind]):
+            is_method = inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))
+            if is_method and not name.startswith("_") and name not in BY_POLYIDA and (kind != "SceneModel" or name in BY_USERS):
+                found[f"{kind}.{name}"] = instance
+    return found
+
+
+@cache
+def classes():
+    """{name: class} of the public classes, and of models of scenes."""
+    found, modules = {"SceneModel": type(plate_model())}, [pi]
+    while modules:
+        module = modules.pop()
+        for name in module.__all__:
+            value = getattr(module, name)
+            if inspect.ismodule(value):
+                modules.append(value)
+            elif inspect.isclass(value):
+                found[name] = value
+    return found
+
+
+def made(value):
+    """The value, or what it makes: functions, and classes without a call in sight, are called."""
+    return value() if inspect.isfunction(value) or hasattr(value, "cache_info") or value is pi.Scene else value
+
+
+def function_of(name):
+    """The function, class or bound method of a name."""
+    known = callables()
+    if name in known:
+        return known[name]
+    kind, _, method = name.rpartition(".")
+    return getattr(made(INSTANCES[kind]), method)
+
+
+def good_call(name, function):
+    """{argument: good value}. Raises LookupError for an argument that has none."""
+    given, values = CALLS.get(name, {}), {}
+    for key, parameter in inspect.signature(function).parameters.items():
+        if key in given:
+            values[key] = made(given[key])
+        elif parameter.default is parameter.empty and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            if key not in GOOD:
+                raise LookupError(f"{name}: no good value of {key!r} is known; give one in CALLS")
+            values[key] = made(GOOD[key])
+    return values
+
+
+def call(function, values):
+    """Call a function with {argument: value}; those of *arguments and **keywords are a tuple and a dictionary."""
+    values, parameters = dict(values), inspect.signature(function).parameters.values()
+    several = [p.name for p in parameters if p.kind == p.VAR_POSITIONAL and p.name in values]
+    named = [p.name for p in parameters if p.kind == p.VAR_KEYWORD and p.name in values]
+    positional = [value for name in several for value in values.pop(name)]
+    keywords = {key: value for name in named for key, value in values.pop(name).items()}
+    return function(*positional, **values, **keywords)
+
+
+def changes(name, function, good):
+    """(argument, name of the bad value, {argument: value}) of each call with one bad value."""
+    bad = {key: BAD[key] for key in FEW} if name.rpartition(".")[2] in SLOW else BAD
+    for key, parameter in inspect.signature(function).parameters.items():
+        for label, value in bad.items():
+            if parameter.kind == parameter.VAR_POSITIONAL:
+                value = (value,)
+            elif parameter.kind == parameter.VAR_KEYWORD:
+                value = {name: value for name in good.get(key, ())}
+            yield key, label, good | {key: value}
+
+
+class Hangs(BaseException):
+    """A call that does not end."""
+
+
+@contextmanager
+def limited():
+    """Context in which a warning of numpy is an error, and in which a call that hangs is stopped."""
+
+    def stop(*_):
+        raise Hangs
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(TOO_LONG)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", "(overflow|invalid value|divide by zero) encountered", RuntimeWarning)
+            yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def is_nan(result, depth=3):
+    """True if numbers of a result are nan; of a run, if it says that it is done."""
+    if isinstance(result, pi.Trajectory):
+        return result.success and not np.isfinite(result.q).all()
+    if isinstance(result, (float, complex)):
+        return result != result
+    if isinstance(result, np.ndarray):
+        return result.dtype.kind in "fc" and bool(np.isnan(result).any())
+    entries = result.values() if isinstance(result, dict) else result if isinstance(result, (list, tuple)) else ()
+    return depth > 0 and any(is_nan(entry, depth - 1) for entry in entries)
+
+
+def answer(function, values):
+    """None for a result without nan, an InputError, or a StepFailure that the function promises; else what came instead."""
+    try:
+        with limited():
+            return "nan" if is_nan(call(function, values)) else None
+    except pi.InputError:
+        return None
+    except pi.StepFailure as failure:
+        return None if "StepFailure" in (function.__doc__ or "") else f"StepFailure: {failure}"
+    except (Exception, Hangs) as error:  # noqa: BLE001, what else may come is what is looked for
+        return f"{type(error).__name__}: {str(error)[:120]}"

@@ -146,8 +146,12 @@ def read_open(descriptor, path):
 class StoredMemory(dict):
     """What an integrator kept for its next step, from a file. An entry that it needs and that is not there is an InputError."""
 
+    def __init__(self, path, entries):
+        super().__init__(entries)
+        self.path = path
+
     def __missing__(self, name):
-        raise InputError(f"the state to go on from is damaged: it has no {name!r}")
+        raise InputError(f"{self.path}: the state to go on from is damaged: it has no {name!r}")
 
 
 class Stored:
@@ -276,7 +280,7 @@ class Stored:
         return datasets
 
     def _restart(self, names, parts):
-        stored, memory = self.record["restart"], StoredMemory(zip(names, parts[5:]))
+        stored, memory = self.record["restart"], StoredMemory(self.path, zip(names, parts[5:]))
         state = State(float(parts[0]), *parts[1:5], memory)
         if not 0 <= int(stored["frames"]) <= self.count:
             raise InputError("the state to go on from is damaged")

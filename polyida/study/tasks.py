@@ -64,7 +64,8 @@ class Study:
     options: dict = field(default_factory=dict)
 
     def __post_init__(self):
-        if not isinstance(self.name, str) or self.name != path_of("Study", "name", self.name).name or "\\" in self.name:
+        path = path_of("Study", "name", self.name)
+        if not isinstance(self.name, str) or self.name != path.name or self.name == ".." or "\\" in self.name:
             raise InputError(f"Study: name = {self.name!r:.100} must be a text that can be the name of a folder")
 
 
