@@ -76,6 +76,13 @@ def model():
     return scene.build()
 
 
+def scene_of_a_bar():
+    """A scene with a body."""
+    scene = pi.Scene()
+    scene.add(BAR)
+    return scene
+
+
 @cache
 def plate_model():
     """A plate on a clamp."""
@@ -124,7 +131,6 @@ def state():
     return pi.static(plate_model())
 
 
-@cache
 def saved():
     """A file of the run of the bar, in the current folder."""
     run().save("run.h5", overwrite=True)
@@ -214,18 +220,12 @@ CALLS = {  # what else a good call takes
     "EdgeTraction": {"at": lambda: PLATE.section("right")},
     "Force": {"force": (1.0, 0.0)},
     "compiled": {"given": lambda: size},
-    "LinearController": {"A": np.zeros((1, 1)), "B": np.ones((1, 1)), "C": np.ones((1, 1))},
+    "LinearController": {"A": np.zeros((1, 1)), "B": np.ones((1, 1)), "C": np.ones((1, 1)), "D": np.ones((1, 1))},
     "cross": {name: lambda: END.d for name in "ab"},
     "dot": {name: lambda: END.d for name in "ab"},
     "Remove": {"parts": ("pin",)},
     "RigidBody.edges": {"names": ("left", "right")},
-    "Rigid.edges": {"names": ("center", "left")},
-    "Reduced.edges": {"names": ("center", "left")},
     "SceneModel.with_factors": {"factors": {"board": (np.ones(8), None)}},
-    "SceneModel.parameter": {"name": "tip.mass"},
-    "SceneModel.replaced": {"name": "tip.mass", "value": 1.0},
-    "SceneModel.attachment": {"name": "tip"},
-    "SceneModel.position": {"name": "tip", "q": lambda: np.zeros(30)},
     "RowLaw": {"row": 0},
     "Events.index": {"value": 0},
     "Event": {"when": lambda: len},
@@ -305,9 +305,11 @@ CALLS = {  # what else a good call takes
     "Rigid.point_of": {"weights": [1.0, 0.0]},
     "Reduced.point_of": {"weights": lambda: [1.0, *np.zeros(3)]},
     "RigidBody.at": {"name": "right"},
-    "Trajectory.position": {"name": "load"},
+    "Trajectory.position": {"name": "tip"},
+    "Trajectory.wrench": {"name": "root"},
+    "Trajectory.unique": {"name": "root"},
     "Trajectory.save": {"path": "saved.h5", "overwrite": True},
-    "Trajectory.reaction": {"name": "pin"},
+    "Trajectory.reaction": {"name": "root"},
     "Trajectory.section_forces": {"plate": "board", "at": (0.5, 0.0)},
     "StateSpace.displacements": {"x": [0.0, 0.0]},
     "StateSpace.response": {"frequencies": [1.0]},
@@ -333,9 +335,9 @@ INSTANCES = {  # an object of each class whose methods users call
     "Rigid": pi.Rigid(PLATE),
     "Reduced": pi.Reduced(PLATE, modes=2),
     "Material": MATERIAL,
-    "Scene": pi.Scene,
+    "Scene": scene_of_a_bar,
     "SceneModel": plate_model,
-    "Trajectory": run,
+    "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
     "FrequencyResponse": lambda: pi.frequency_response(
@@ -367,13 +369,27 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
     "threads",  # of the whole process
     "design.solid",  # takes a design that minimise found
 }
-BY_USERS = {"at", "edges", "node", "rim", "section", "parameter", "replaced", "position", "attachment", "with_factors"}
+BY_USERS = {"at", "edges", "node", "rim", "section", "with_factors"}
 BY_POLYIDA = {  # methods that polyida calls, with values of its own: those of the classes to be derived from, and these
     name
     for kind in (pi.Model, pi.Body, pi.Joint, pi.ForceElement, pi.Controller, pi.Integrator, pi.objective.Objective, pi.mesh.Domain)
     for name in dir(kind)
-    if name not in BY_USERS
-} | {"over", "write", "page", "pictures", "report_pictures", "report_tables", "assemble", "require_sides", "pieces", "modes", "from_data"}
+    if name not in BY_USERS and not name.startswith("_")
+} | {
+    "over",
+    "write",
+    "page",
+    "pictures",
+    "report_pictures",
+    "report_tables",
+    "assemble",
+    "require_sides",
+    "pieces",
+    "modes",
+    "known_model",
+    "angle",
+    "from_data",
+}
 SLOW = ("report", "minimise", "animation", "work_precision", "step_sizes", "conditioning", "energy", "drift", "error_of", "check_gradient")
 FEW = ("nan", "-1", "text", "ragged", "surrogate", "long", "no array", "cube")  # values for what takes long where it accepts them
 TOO_LONG = 300  # s: it hangs

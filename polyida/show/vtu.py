@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.files import remove_left_over, replacing, write_file
 from polyida.show import plates
-from polyida.validation import is_whole, named_keywords, path_of
+from polyida.validation import as_array, is_whole, named_keywords, path_of
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -68,7 +68,8 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
     elif is_whole(frames):
         indices = plates.spread(run, frames)
     else:
-        indices = np.atleast_1d(frames) if np.ndim(frames) else np.zeros(0)
+        indices = as_array(frames)
+        indices = np.zeros(0) if indices is None or not indices.ndim else indices
         if indices.dtype.kind not in "iu" or not indices.size or not (np.abs(indices + 0.5) < len(run.t)).all():
             raise InputError(f"export: frames = {frames!r} must be how many, or indices of the run's {len(run.t)} frames")
     if folder.exists() and not folder.is_dir():
