@@ -367,6 +367,9 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
     *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
     *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
     "threads",  # of the whole process
+    "Profile.at",  # in every step
+    "ErrorBars.plot_cells",  # takes estimates of the mesh
+    *("Rigid.edges", "Reduced.edges"),  # a plate has one named point
     "design.solid",  # takes a design that minimise found
 }
 BY_USERS = {"at", "edges", "node", "rim", "section", "with_factors"}
@@ -413,7 +416,13 @@ def methods():
     for kind, instance in INSTANCES.items():
         for name, value in inspect.getmembers_static(classes()[kind]):
             is_method = inspect.isfunction(value) or isinstance(value, (classmethod, staticmethod))
-            if is_method and not name.startswith("_") and name not in BY_POLYIDA and (kind != "SceneModel" or name in BY_USERS):
+            if (
+                is_method
+                and f"{kind}.{name}" not in NOT_CALLED
+                and not name.startswith("_")
+                and name not in BY_POLYIDA
+                and (kind != "SceneModel" or name in BY_USERS)
+            ):
                 found[f"{kind}.{name}"] = instance
     return found
 

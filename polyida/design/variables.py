@@ -83,7 +83,8 @@ class Densities:
 
     def bound(self, model: Any) -> DensityMap:
         """Return the map from the variables of this plate of a model to its factors."""
-        known = {body.name: body for body in model.bodies} if model.is_scene else {}
+        bodies = model.bodies if getattr(model, "is_scene", False) else ()
+        known = {body.name: body for body in bodies}
         if self.plate not in known:
             raise InputError(f"Densities: no full plate is called {self.plate!r:.80}; known: {', '.join(map(repr, known)) or 'none'}")
         mesh, shape = known[self.plate].mesh, np.shape(self.start)
