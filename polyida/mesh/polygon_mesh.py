@@ -251,7 +251,7 @@ def moved(mesh: PolygonMesh, points: "ArrayLike") -> PolygonMesh:
         As PolygonMesh: if a cell turns inside out or cells overlap.
     """
     instance("moved", "mesh", mesh, PolygonMesh)
-    return PolygonMesh(points, mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
+    return PolygonMesh(checks.point_array(points), mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
 
 
 @named_keywords
