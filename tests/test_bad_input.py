@@ -346,7 +346,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: factors(board=(1.0, -0.5)), "mass of 'board' is -0.5: factors must be positive"),
     (lambda: condition(ALPHA, "none", "p"), "unknown = 'p' must be one of"),
     (lambda: condition(IDA, "none", "v", h=1e-3), "unknown = 'v' must be 'q'"),
-    (lambda: condition(IDA, "none", h=-1), "h = -1 must be a positive step"),
+    (lambda: condition(IDA, "none", h=-1), "h = -1 must be a positive number of seconds"),
     (lambda: condition(IDA), "h = None must be a positive step"),
     (lambda: condition(pi.GeneralizedAlpha()), "h = None must be a positive step in s: GeneralizedAlpha"),
     (lambda: condition(ALPHA, mode="real"), "must be None for GeneralizedAlpha"),
