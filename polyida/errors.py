@@ -27,6 +27,14 @@ def printable(text):
     return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
+def text_of(error):
+    """The text of an exception; of one whose own text fails, that it has none."""
+    try:
+        return str(error)
+    except Exception:  # noqa: BLE001, a user's class may raise anything
+        return "an exception that cannot be shown"
+
+
 class InputError(ValueError):
     """A wrong input, detected before the run: the message names the part, the value and what would be right.
 

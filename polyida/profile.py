@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.model.differences import around, within
 from polyida.reprs import cut
-from polyida.validation import floats, is_number, named_keywords, takes
+from polyida.validation import floats, instance, is_number, named_keywords, number, positive, takes
 
 __all__ = ["Profile", "constant", "difference", "from_function", "linear", "polynomial", "quintic", "ramp", "scaled", "sine"]
 
@@ -127,8 +127,8 @@ def _with_derivatives(c):
 def _horner(c, t):
     """`c0 + c1 t + ...` at a time, or at each of an array: for one time several times faster than numpy's."""
     total = c[-1] + 0.0 * t
-    for number in c[-2::-1]:
-        total = total * t + number
+    for coefficient in c[-2::-1]:
+        total = total * t + coefficient
     return total
 
 
@@ -190,14 +190,12 @@ def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Pro
 
 def _require_numbers(kind, **values):
     for name, value in values.items():
-        if not is_number(value):
-            raise InputError(f"profile.{kind}: {name} = {value!r} must be a finite number")
+        number(f"profile.{kind}", name, value, "its unit")
 
 
 def _move(start, end, duration, begin, kind):
     _require_numbers(kind, start=start, end=end, duration=duration, begin=begin)
-    if not duration > 0:
-        raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
+    duration = positive(f"profile.{kind}", "duration", duration, "seconds")
     shape, first, second = _with_derivatives(SHAPES[kind])
     start, end, duration, begin = map(float, (start, end, duration, begin))
     span = end - start
@@ -341,6 +339,8 @@ def difference(first: Profile, second: Profile) -> Profile:
     Profile
         The difference.
     """
+    for name, value in (("first", first), ("second", second)):
+        instance("profile.difference", name, value, Profile)
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
     pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
     value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
@@ -366,6 +366,7 @@ def scaled(profile: Profile, factor: float) -> Profile:
     Profile
         The product.
     """
+    instance("profile.scaled", "profile", profile, Profile)
     _require_numbers("scaled", factor=factor)
     value, d1, d2 = (partial(_times, f, float(factor)) for f in (profile.value, profile.d1, profile.d2))
     return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest, takes_arrays=bool(profile.formula or profile.takes_arrays))

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any
 
+from polyida.errors import InputError
+
 parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
     "RigidBody": "polyida.body.rigid_body:RigidBody",
@@ -99,6 +101,8 @@ def name_of(kind: type) -> str:
     str
         Its key in `parts` or `integrators`, or `module.name` if it has none.
     """
+    if not isinstance(kind, type):
+        raise InputError(f"name_of: kind = {kind!r:.100} must be a class")
     known = {key: name for book in (parts, integrators) for name, key in book.items()}
     return known.get(kind) or known.get(_place_of(kind)) or f"{kind.__module__}.{kind.__qualname__}"
 
@@ -116,7 +120,9 @@ def find(book: dict[str, Any], name: str) -> Any:
     object or None
         The value; None for an unknown name.
     """
-    known = book.get(name)
+    if not isinstance(book, dict):
+        raise InputError(f"find: book = {book!r:.100} must be a dictionary of this module")
+    known = book.get(name) if isinstance(name, str) else None
     if isinstance(known, str):
         module, _, attribute = known.partition(":")
         known = import_module(module)

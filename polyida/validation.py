@@ -2,12 +2,14 @@
 
 import math
 import operator
+import os
 import sys
 from collections.abc import Callable
 from functools import lru_cache, wraps
 from importlib import import_module
 from inspect import Parameter, isclass, signature
 from numbers import Real
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +17,8 @@ import numpy as np
 from polyida.errors import InputError
 
 Public = TypeVar("Public", bound=Callable[..., Any])
+
+SMALLEST, LARGEST = 1e-150, 1e150  # of a quantity with a unit: its square, and one over it, are numbers too
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by a right angle: the imaginary unit as a matrix of (x, y)
 LEAST_RTOL = 4 * sys.float_info.epsilon  # least relative tolerance of a run: four units of round-off; SUNDIALS refuses less than one
@@ -80,10 +84,20 @@ def settle(part, **values):
         object.__setattr__(part, name, value)
 
 
+def as_array(value):
+    """The value as an array of numpy; None if it cannot be one: a ragged list, a tensor that refuses."""
+    try:
+        return np.asarray(value)
+    except Exception:  # noqa: BLE001, `__array__` of another package may raise anything
+        return None
+
+
 def reals(value):
     """The value as an array of floats, finite or not; None for anything else: text, ragged lists, complex numbers."""
+    array = as_array(value)
+    if array is None:
+        return None
     try:
-        array = np.asarray(value)
         numbers = array.dtype.kind in "iuf" or (array.dtype.kind == "O" and all(isinstance(x, Real) for x in array.flat))
         return array.astype(float) if numbers else None
     except (TypeError, ValueError, OverflowError):
@@ -98,11 +112,8 @@ def floats(value):
 
 def complexes(value):
     """The value as an array of complex numbers, finite or not; None for anything else."""
-    try:
-        array = np.asarray(value)
-        return array.astype(complex) if array.dtype.kind in "iufcb" else None
-    except (TypeError, ValueError, OverflowError):
-        return None
+    array = as_array(value)
+    return array.astype(complex) if array is not None and array.dtype.kind in "iufcb" else None
 
 
 def is_flag(value):
@@ -139,7 +150,9 @@ def complex_of_pairs(pairs):
 def positive(part, name, value, unit):
     """The value as a float; InputError, with part and value, unless it is a finite number above zero."""
     if not is_number(value) or value <= 0:
-        raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a positive number of {unit}")
+    if not SMALLEST <= value <= LARGEST:
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a number of {unit} from {SMALLEST:g} to {LARGEST:g}")
     return float(value)
 
 
@@ -147,7 +160,9 @@ def number(part, name, value, unit, least=-math.inf):
     """The value as a float; InputError, with part and value, unless it is a finite number of `least` or more."""
     if not (is_number(value) and value >= least):
         least = "" if least == -math.inf else f", {least:g} or more"
-        raise InputError(f"{part}: {name} = {value!r} must be a finite number of {unit}{least}")
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a finite number of {unit}{least}")
+    if abs(value) > LARGEST:
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a number of {unit} up to {LARGEST:g}")
     return float(value)
 
 
@@ -175,9 +190,57 @@ def whole(part, name, value, least=1):
 def vector2(part, name, value):
     """The value as two floats; InputError, with part and value, for anything else."""
     pair = floats(value)
-    if pair is None or pair.shape != (2,):
-        raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
+    if pair is None or pair.shape != (2,) or np.abs(pair).max() > LARGEST:
+        raise InputError(f"{part}: {name} = {value!r:.200} must be two finite numbers, up to {LARGEST:g}")
     return pair
+
+
+def vector(part, name, value, size=None):
+    """The value as a vector of finite floats, of a size if it is given; InputError, with part and value, for anything else."""
+    numbers = floats(value)
+    good = numbers is not None and numbers.ndim == 1 and (size is None or len(numbers) == size)
+    if not good or np.abs(numbers).max(initial=0.0) > LARGEST:
+        right = "a list of finite numbers" if size is None else f"{size} finite numbers"
+        raise InputError(f"{part}: {name} = {value!r:.200} must be {right}")
+    return numbers
+
+
+def index(part, name, value, count, what):
+    """The value as an index; InputError, with part and value, unless it is a whole number from -count to count - 1."""
+    if not is_whole(value, -count, count - 1):
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a whole number; there are {count} {what}")
+    return operator.index(value)
+
+
+def listed(part, name, value):
+    """The value as a list; InputError, with part and value, for what has no entries, and for a text."""
+    try:
+        if isinstance(value, str):
+            raise TypeError
+        return list(value)
+    except TypeError:
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a list") from None
+
+
+def instance(part, name, value, kind):
+    """The value; InputError, with part and value, unless it is an instance of a class."""
+    if not isinstance(value, kind):
+        raise InputError(f"{part}: {name} = {value!r:.100} must be a {kind.__name__}")
+    return value
+
+
+def path_of(part, name, value):
+    """The value as a Path; InputError, with part and value, unless a file or folder can have such a name."""
+    try:
+        path = Path(value)
+        path.exists()  # an OSError for a name that is too long, in Python 3.11 also a ValueError for a NUL
+        os.fsencode(path)
+        good = bool(os.fspath(value)) and "\0" not in str(path)
+    except (TypeError, ValueError, OSError):
+        good = False
+    if not good:
+        raise InputError(f"{part}: {name} = {value!r:.100} must be the path of a file or folder")
+    return path
 
 
 class KeywordError(InputError, TypeError):

@@ -16,7 +16,7 @@ from polyida.element import cell_products as kernels
 from polyida.errors import InputError
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES
-from polyida.validation import read_only, reals
+from polyida.validation import LARGEST, read_only, reals
 
 OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # cached properties of a model that depend on the factors
 WHAT = ("stiffness", "mass")
@@ -72,7 +72,7 @@ def _factor(name, what, factor, cells):
     if array is None or array.shape not in ((), (cells,)):
         shape = "" if array is None else f", of shape {array.shape},"
         raise InputError(f"{label} = {factor!r:.100}{shape} must be a positive number, or one for each of its {cells} cells, ({cells},)")
-    wrong = np.flatnonzero(~((array > 0) & (array < np.inf)))
+    wrong = np.flatnonzero(~((array > 0) & (array <= LARGEST)))
     if wrong.size:
         raise InputError(f"{label} is {array.flat[wrong[0]]:g}{f' in cell {wrong[0]}' * array.ndim}: factors must be positive and finite")
     return read_only(np.array(np.broadcast_to(array, cells)))

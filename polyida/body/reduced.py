@@ -275,6 +275,8 @@ def missing_fields(run: "Trajectory", name: str, count: int = 3) -> np.ndarray:
     --------
     >>> better = pi.Reduced(plate, modes=5, fields=pi.missing_fields(run, "rod"))
     """
+    if not hasattr(run, "known_model"):
+        raise InputError(f"missing_fields: {run!r:.100} is no run; give what solve or load returns")
     model = run.known_model("missing_fields")
     known = {
         one.name: one for one in (model.few if model.is_scene else ()) if isinstance(one.body, _InModes) and one.name not in model.strains

@@ -121,7 +121,7 @@ class RigidBody(Body):
         length, mass = positive(label, "length", length, "metres"), positive(label, "mass", mass, "kilograms")
         points = {"left": (0.0, 0.0), "center": (length / 2, 0.0), "right": (length, 0.0)}
         pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
-        return cls(mass, mass * length**2 / 12, points, center=points["center"], **pose)
+        return cls(mass, mass * length * length / 12, points, center=points["center"], **pose)
 
     @classmethod
     def from_mesh(

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass
 from datetime import timedelta
+from importlib.util import find_spec
+from pathlib import Path
 
 from polyida.errors import InputError, printable
 
@@ -18,15 +20,33 @@ GC_THRESHOLDS = (100_000, 20, 20)
 
 
 def prepare():
-    """Replace letters that the terminal cannot show; collect garbage rarely, and not at the end.
+    """Replace letters that the terminal cannot show; collect garbage rarely, and not at the end. What cannot be used is left aside.
+
+    Output without a stream (`>&-`, pythonw) goes nowhere. MPLBACKEND is dropped if matplotlib has no such backend, for it would not start, and
+    COLUMNS if it is no width, for nothing would be shown.
 
     The compiler and matplotlib create some 500 000 permanent objects; scanning them takes 1.5 s of `polyida compare`.
     """
     gc.set_threshold(*GC_THRESHOLDS)
     atexit.register(gc.freeze)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, until the end of the process
+    if not _is_backend(os.environ.get("MPLBACKEND", "")):
+        del os.environ["MPLBACKEND"]
+    columns = os.environ.get("COLUMNS", "80")
+    if not columns.isdecimal() or int(columns) == 0:
+        del os.environ["COLUMNS"]
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, ValueError):  # a stream that replaces that of the terminal
             stream.reconfigure(errors="replace")
+
+
+def _is_backend(name):
+    """False if matplotlib would refuse a name. It is not imported, which takes long."""
+    if not name or name.startswith("module://") or (found := find_spec("matplotlib")) is None:
+        return True
+    return (Path(found.origin).parent / "backends" / f"backend_{name.lower()}.py").exists()
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import MeshWarning, PolygonMesh, sections, topology
-from polyida.validation import floats, is_number, is_one_of, named_keywords
+from polyida.validation import SMALLEST, floats, is_number, is_one_of, named_keywords, number, positive
 
 
 @named_keywords
@@ -44,8 +44,7 @@ def ramp(rho: ArrayLike, q: float = 20.0, void: float = 1e-3) -> tuple[np.ndarra
     Rational approximation of material properties: Stolpe, Svanberg, Struct. Multidisc. Optim. 22 (2001).
     """
     rho, void = _densities("ramp", rho), _fraction("ramp", "void", void)
-    if not (is_number(q) and q >= 0):
-        raise InputError(f"ramp: q = {q!r} must be a number of at least 0")
+    q = number("ramp", "q", q, "no unit", 0.0)
     below = 1.0 + q * (1.0 - rho)
     return void + (1.0 - void) * rho / below, (1.0 - void) * (1.0 + q) / below**2
 
@@ -111,8 +110,8 @@ def mass(rho: ArrayLike, low: float = 0.0, void: float = 1e-3) -> tuple[np.ndarr
     Polynomial of Du, Olhoff, Struct. Multidisc. Optim. 34 (2007).
     """
     rho, void = _densities("mass", rho), _fraction("mass", "void", void)
-    if not (is_number(low) and 0 <= low < 1):
-        raise InputError(f"mass: low = {low!r} must be at least 0 and below 1")
+    if not (is_number(low) and (low == 0 or SMALLEST <= low < 1)):
+        raise InputError(f"mass: low = {low!r:.100} must be 0, or from {SMALLEST:g} to 1")
     part = np.where(rho < low, rho / (low or 1.0), 1.0)
     value = np.where(rho < low, low * (6.0 - 5.0 * part) * part**6, rho)
     return void + (1.0 - void) * value, (1.0 - void) * (36.0 - 35.0 * part) * part**5
@@ -146,8 +145,7 @@ def project(rho: ArrayLike, beta: float, eta: float = 0.5) -> tuple[np.ndarray, 
     Wang, Lazarov, Sigmund, Struct. Multidisc. Optim. 43 (2011).
     """
     rho, eta = _densities("project", rho), _fraction("project", "eta", eta)
-    if not (is_number(beta) and beta > 0):
-        raise InputError(f"project: beta = {beta!r} must be a positive number")
+    beta = positive("project", "beta", beta, "no unit")
     shifted, low = np.tanh(beta * (rho - eta)), np.tanh(beta * eta)
     span = low + np.tanh(beta * (1.0 - eta))
     return (low + shifted) / span, beta * (1.0 - shifted**2) / span

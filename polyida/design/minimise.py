@@ -21,7 +21,7 @@ from polyida.errors import InputError
 from polyida.files import replacing
 from polyida.objective.objective import Limit, Objective
 from polyida.progress import teller
-from polyida.validation import is_number, library, named_keywords, whole
+from polyida.validation import is_number, library, listed, named_keywords, path_of, whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,7 +191,7 @@ def minimise(
     """
     problem = Problem(objective, limits, variables, cases, executor)
     densities = any(isinstance(one, Densities) for one in problem.variables)
-    stages = list(stages) if stages is not None else [*(OF_DENSITIES if densities else OF_SIZES)]
+    stages = listed("minimise", "stages", stages) if stages is not None else [*(OF_DENSITIES if densities else OF_SIZES)]
     if not stages or not all(isinstance(stage, Stage) for stage in stages):
         raise InputError(f"minimise: stages = {stages!r:.100} must be a list of at least one pi.design.Stage")
     nlopt = library("nlopt", "minimise: the optimiser is missing; pip install 'polyida[design]'")
@@ -364,7 +364,7 @@ class _Store:
     """A folder with a file for each evaluation, or nothing. read: number of evaluations that were there."""
 
     def __init__(self, folder):
-        self.folder, self.known = None if folder is None else Path(folder), {}
+        self.folder, self.known = None if folder is None else path_of("minimise", "folder", folder), {}
         if self.folder is not None:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,7 @@ from polyida.design.variables import BuiltSize, BuiltSizeMap, Densities, Sharpne
 from polyida.errors import InputError, StepFailure
 from polyida.model import Model
 from polyida.objective.objective import Limit, Objective, require_objective
-from polyida.validation import named_keywords
+from polyida.validation import instance, listed, named_keywords, vector
 
 
 class FailedRun(Exception):
@@ -180,6 +180,8 @@ class Problem:
         cases: Case | Sequence[Case],
         executor: Executor | None = None,
     ) -> None:
+        if executor is not None and not hasattr(executor, "submit"):
+            raise InputError(f"design: executor = {executor!r:.100} must be a concurrent.futures.Executor, or None")
         self.objective, self.executor = require_objective("design", objective), executor
         self.limits = _listed("limits", limits, Limit, "pi.objective.Limit(objective, upper)")
         self.variables = _listed("variables", variables, (Densities, Size), "pi.design.Densities or pi.design.Size")
@@ -214,7 +216,8 @@ class Problem:
 
     def setting(self, x: NDArray, sharp: Sharpness = Sharpness()) -> Setting:  # noqa: B008, an immutable default
         """Return what an evaluation at x needs."""
-        return Setting(self.maps, tuple(np.split(np.asarray(x, float), self.splits)), sharp)
+        x = vector("Problem", "x", x, sum(one.size for one in self.maps))
+        return Setting(self.maps, tuple(np.split(x, self.splits)), instance("Problem", "sharp", sharp, Sharpness))
 
     def values(self, x: NDArray, sharp: Sharpness = Sharpness()) -> dict[str, Any]:  # noqa: B008
         """Return {variable: its densities or number}.
@@ -272,7 +275,7 @@ def label_of(objective):
 
 
 def _listed(what, values, kind, advice):
-    entries = list(values) if isinstance(values, Iterable) and not isinstance(values, (str, dict)) else None
-    if entries is None or not all(isinstance(one, kind) for one in entries):
+    entries = listed("design", what, values)
+    if not all(isinstance(one, kind) for one in entries):
         raise InputError(f"design: {what} = {values!r:.100} must be a list of {advice}")
     return entries

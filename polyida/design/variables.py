@@ -17,7 +17,7 @@ from polyida.design.densities import cells_along, mass, project, ramp
 from polyida.errors import InputError
 from polyida.mesh import density_filter
 from polyida.model.differences import along
-from polyida.validation import floats, is_flag, is_number, named_keywords, settle
+from polyida.validation import floats, is_flag, is_number, listed, named_keywords, number, settle
 
 
 @named_keywords
@@ -72,7 +72,8 @@ class Densities:
         start = floats(self.start)
         if start is None or start.ndim > 1 or not ((start >= 0) & (start <= 1)).all():
             raise InputError(f"Densities of {self.plate!r}: start = {self.start!r:.80} must be a number from 0 to 1, or one for each cell")
-        settle(self, start=start, keep=(self.keep,) if isinstance(self.keep, str) else tuple(self.keep))
+        keep = [self.keep] if isinstance(self.keep, str) else listed(f"Densities of {self.plate!r}", "keep", self.keep)
+        settle(self, start=start, keep=tuple(keep))
         ramp(0.5, void=self.void)
 
     @property
@@ -82,7 +83,8 @@ class Densities:
 
     def bound(self, model: Any) -> DensityMap:
         """Return the map from the variables of this plate of a model to its factors."""
-        known = {body.name: body for body in model.bodies} if model.is_scene else {}
+        bodies = model.bodies if getattr(model, "is_scene", False) else ()
+        known = {body.name: body for body in bodies}
         if self.plate not in known:
             raise InputError(f"Densities: no full plate is called {self.plate!r:.80}; known: {', '.join(map(repr, known)) or 'none'}")
         mesh, shape = known[self.plate].mesh, np.shape(self.start)
@@ -171,6 +173,7 @@ class Size:
 
     def value(self, x: float) -> float:
         """Return the number at x, 0 to 1."""
+        x = number(f"Size {self.name!r}", "x", x, "its range")
         return float(self.lower * (self.upper / self.lower) ** x if self.log else self.lower + x * (self.upper - self.lower))
 
     def rate(self, x: float) -> float:

@@ -11,7 +11,7 @@ from polyida.force.force_element import ForceElement, takes_three, with_checked_
 from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Attachment, ground, require_attachment, require_directions, require_sides
 from polyida.profile import Profile, as_profile, constant
-from polyida.validation import flag, labelled, named_keywords, settle, vector2
+from polyida.validation import flag, labelled, listed, named_keywords, settle, vector2
 
 
 @named_keywords
@@ -248,7 +248,7 @@ class Force(ForceElement):
             raise InputError(f"{self.label}: {self.at!r} has no direction to follow; {self.at.advice}")
         if takes_three(self.force):
             return
-        if not isinstance(self.force, (tuple, list, np.ndarray)) or len(self.force) != 2:
+        if len(listed(self.label, "force", self.force)) != 2:
             raise InputError(f"{self.label}: force = {self.force!r} must be a pair of numbers or profiles, or a function of (t, x, v)")
         settle(self, force=tuple(as_profile(component, self.label) for component in self.force))
 

@@ -26,9 +26,10 @@ from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard
 from polyida.reprs import brief
-from polyida.validation import is_number, is_whole, named_keywords
+from polyida.validation import is_whole, named_keywords, number
 
 ITERATIONS = 4  # of a step of the right length
+LEAST_FIRST = 1e-14  # of the factor, or of 1: a shorter step does not change it
 LONGEST = 64.0  # times the first step
 FARTHEST = 0.1  # of the model's extent: the longest step
 SHORTEST = 2.0**-16  # of the first step
@@ -245,11 +246,12 @@ def equilibrium_path(
         path = equilibrium_path(elastic, load if force is None else force, t, q, first, until, count, start, tolerance, max_iterations)
         return replace(path, model=model, states=tuple(relaxed(scene, state) for state in path.states))
     loading = whole_load("equilibrium_path", guarded, t, tolerance, max_iterations)
-    for name, value in (("first", first), ("until", until), ("start", start)):
-        if not is_number(value):
-            raise InputError(f"equilibrium_path: {name} = {value!r} must be a finite number, a factor of the load")
-    if not first > 0:
-        raise InputError(f"equilibrium_path: first = {first!r} must be positive")
+    first, until, start = (
+        number("equilibrium_path", name, value, "a factor of the load")
+        for name, value in (("first", first), ("until", until), ("start", start))
+    )
+    if not first > LEAST_FIRST * max(1.0, abs(start)):
+        raise InputError(f"equilibrium_path: first = {first!r} must be positive, more than the round-off of start")
     if not until > start:
         raise InputError(f"equilibrium_path: until = {until!r} must be greater than start = {start!r}")
     if not is_whole(count, 2):

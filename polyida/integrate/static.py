@@ -30,6 +30,7 @@ FREE = "the structure can move freely, or nearly so: hold it by joints or a clam
 FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
 REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 SLOW = 0.3  # contraction above which a model's own step matrix is made anew
+MOST_STEPS = 10**6  # of the load
 HALVINGS = 10  # of a part of the load, in a row
 LOOSE = 1e-11  # smallest singular value, in units of K and phi_q, of the motions of a body that is held
 RESISTS = 1e-6  # of force times way: a force element that does less work does not resist a motion
@@ -351,8 +352,8 @@ def static(
         q = vector_of("q0", q0, model)[: 2 * model.n_factored]
         return relaxed(model, static(model.elastic(relaxed=True), t, q, steps, tolerance, max_iterations, linear))
     loading = whole_load("static", model, t, tolerance, max_iterations)
-    if not is_whole(steps):
-        raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
+    if not is_whole(steps, most=MOST_STEPS):
+        raise InputError(f"static: steps = {steps!r:.100} must be a whole number from 1 to {MOST_STEPS}")
     if not is_flag(linear):
         raise InputError(f"static: linear = {linear!r} must be True or False")
     q = start_of_unknowns(model, q0)

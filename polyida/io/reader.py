@@ -143,6 +143,17 @@ def read_open(descriptor, path):
         return Stored(h5py.File(source, "r"), path, source.size)
 
 
+class StoredMemory(dict):
+    """What an integrator kept for its next step, from a file. An entry that it needs and that is not there is an InputError."""
+
+    def __init__(self, path, entries):
+        super().__init__(entries)
+        self.path = path
+
+    def __missing__(self, name):
+        raise InputError(f"{self.path}: the state to go on from is damaged: it has no {name!r}")
+
+
 class Stored:
     """An open file, checked: plain data `about`, the last complete `record`, `restart`, the state to continue from, or None.
 
@@ -269,7 +280,8 @@ class Stored:
         return datasets
 
     def _restart(self, names, parts):
-        stored, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
+        stored, memory = self.record["restart"], StoredMemory(self.path, zip(names, parts[5:]))
+        state = State(float(parts[0]), *parts[1:5], memory)
         if not 0 <= int(stored["frames"]) <= self.count:
             raise InputError("the state to go on from is damaged")
         return Restart(state, int(stored["frames"]), counts_of(stored["counts"]).as_dict())

@@ -28,8 +28,8 @@ def fixed_angle(a, b, angle=0.0, offset=None):
 
 
 def require_friction(joint):
-    """Raise InputError unless the joint's `friction` is a number of at least 0."""
-    number(joint.label, "friction", joint.friction, "no unit", 0.0)
+    """Make the joint's `friction` a float. Raise InputError unless it is a number of at least 0."""
+    settle(joint, friction=number(joint.label, "friction", joint.friction, "no unit", 0.0))
 
 
 def sliding(a, b):

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.mesh import topology
-from polyida.validation import floats, is_flag, is_whole, reals
+from polyida.validation import LARGEST, as_array, floats, is_flag, is_whole, reals
 
 
 def _frozen(array, dtype):
@@ -22,18 +22,17 @@ def point_array(points):
         raise InputError(f"mesh points must be an (n, 2) array of numbers, not {repr(points)[:80]}")
     if array.ndim != 2 or array.shape[1] != 2:
         raise InputError(f"mesh points have shape {array.shape}, they must be (n, 2)")
-    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(array) <= LARGEST).all(axis=1))
     if bad.size:
-        raise InputError(f"mesh point {bad[0]} is {array[bad[0]].tolist()}; all coordinates must be finite")
+        raise InputError(f"mesh point {bad[0]} is {array[bad[0]].tolist()}; all coordinates must be finite, up to {LARGEST:g}")
     return _frozen(array, np.float64)
 
 
 def index_array(values, what):
     """Return a read-only one-dimensional int32 copy. Raise InputError for anything but a list of integers."""
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise InputError(f"{what} must be a list of integers: {error}") from None
+    array = as_array(values)
+    if array is None:
+        raise InputError(f"{what} must be a list of integers, not {repr(values)[:80]}")
     if array.size == 0:
         array = array.astype(np.int32)
     if array.ndim != 1 or array.dtype.kind not in "iu":

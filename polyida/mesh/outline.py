@@ -19,7 +19,7 @@ from polyida.mesh.raw import MeshWarning, unit_note, unit_size
 from polyida.mesh.read_write import existing, path_of, put
 from polyida.mesh.sections import ROUND, centre, signed_area
 from polyida.mesh.svg import read_svg, shape_rings, svg_library
-from polyida.validation import floats, is_number, named_keywords
+from polyida.validation import floats, instance, is_number, listed, named_keywords, one_of
 
 FOLD = np.pi - 1e-6  # rad, turn of a spike without width
 STRAIGHT = 0.05  # of the ring's length: a longer edge is no chord of a curve
@@ -52,13 +52,12 @@ class Outline(Domain):
     def __init__(self, points: "ArrayLike", holes: "Iterable[ArrayLike]" = (), corner: float = 15.0) -> None:
         if not is_number(corner) or not 0.0 < corner < 180.0:
             raise InputError(f"outline corner is {corner!r}; it must be an angle between 0 and 180 degrees")
-        if not isinstance(holes, Iterable) or isinstance(holes, (str, bytes, dict)):
-            raise InputError(f"outline holes are {repr(holes)[:80]}; they must be a list of (n, 2) arrays")
+        holes = listed("outline", "holes", holes)
         rings = {"outline": _points(points, "outline", 1.0)}
         rings |= {f"outline hole {i}": _points(hole, f"outline hole {i}", -1.0) for i, hole in enumerate(holes)}
         _require_apart(rings)
         _require_nested(rings)
-        self._rings = [_Ring(ring, np.radians(corner), sign) for ring, sign in zip(rings.values(), [1.0] + [-1.0] * len(rings))]
+        self._rings = [_Ring(ring, np.radians(float(corner)), sign) for ring, sign in zip(rings.values(), [1.0] + [-1.0] * len(rings))]
         self.lower, self.upper = self._rings[0].box
         self.walls = [wall for ring in self._rings for wall in ring.walls]
 
@@ -307,6 +306,7 @@ def outline_of(mesh: PolygonMesh) -> list[np.ndarray]:
         Corners in order, without those on straight lines, the first not repeated: outer rings counter-clockwise, holes clockwise. Where two cells
         meet in a corner only, the rings keep the cells apart.
     """
+    instance("outline_of", "mesh", mesh, PolygonMesh)
     after: dict[int, list[int]] = {}
     for begin, end in mesh.boundary_edges.tolist():
         after.setdefault(begin, []).append(end)
@@ -355,8 +355,7 @@ def write_outline(mesh: PolygonMesh, path: str | Path, unit: str = "mm", overwri
         For an existing file without overwrite=True, for another ending or unit, or if ezdxf is not installed.
     """
     path = path_of(path)
-    if unit not in UNITS:
-        raise InputError(f"write_outline: unit = {unit!r:.40} must be one of {', '.join(UNITS)}")
+    one_of("write_outline", "unit", unit, UNITS)
     rings = [ring / UNITS[unit] for ring in outline_of(mesh)]
     if path.suffix.lower() == ".dxf":
         drawing = dxf_library().new(units={"m": 6, "cm": 5, "mm": 4}[unit])  # codes of $INSUNITS

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
 from polyida.mesh.sections import Section, edges_within, select
-from polyida.validation import floats, is_number, named_keywords, settle
+from polyida.validation import floats, index, instance, named_keywords, number, positive, settle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,9 +117,7 @@ class PolygonMesh:
 
     def cell(self, i: int) -> np.ndarray:
         """Return the corner nodes of cell i, counter-clockwise."""
-        if not -self.n_cells <= i < self.n_cells:
-            raise InputError(f"mesh has cells 0..{self.n_cells - 1}, not {i}")
-        i = i % self.n_cells
+        i = index("mesh.cell", "i", i, self.n_cells, "cells") % self.n_cells
         return self.nodes[self.offsets[i] : self.offsets[i + 1]]
 
     @cached_property
@@ -215,6 +213,7 @@ class PolygonMesh:
 
     def require_convex(self, tolerance: float = 1e-6) -> None:
         """Raise InputError naming the first corner whose exterior angle has a sine of at most the tolerance."""
+        tolerance = number("require_convex", "tolerance", tolerance, "a sine")
         turn = topology.turns(self.points, self.nodes, self.offsets)
         bad = np.flatnonzero(~((np.sin(turn) > tolerance) & (turn > 0)))
         if bad.size:
@@ -251,7 +250,8 @@ def moved(mesh: PolygonMesh, points: "ArrayLike") -> PolygonMesh:
     InputError
         As PolygonMesh: if a cell turns inside out or cells overlap.
     """
-    return PolygonMesh(np.asarray(points), mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
+    instance("moved", "mesh", mesh, PolygonMesh)
+    return PolygonMesh(checks.point_array(points), mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
 
 
 @named_keywords
@@ -286,8 +286,7 @@ def density_filter(mesh: PolygonMesh, radius: float) -> "csr_array":
 
     if not isinstance(mesh, PolygonMesh):
         raise InputError(f"density_filter: mesh is {type(mesh).__name__}, a polyida mesh is needed")
-    if not (is_number(radius) and radius > 0):
-        raise InputError(f"density_filter: radius = {radius!r} must be a positive number of metres")
+    radius = positive("density_filter", "radius", radius, "metres")
     i, j = cKDTree(mesh.cell_centroids).query_pairs(radius, output_type="ndarray").T
     hat = radius - np.linalg.norm(mesh.cell_centroids[i] - mesh.cell_centroids[j], axis=1)
     own = np.arange(mesh.n_cells)

@@ -8,12 +8,12 @@ import numpy as np
 from polyida.errors import InputError, NamingWarning
 from polyida.mesh import checks, sections, topology
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.validation import is_number, is_one_of, named_keywords
+from polyida.validation import LARGEST, SMALLEST, as_array, is_number, is_one_of, listed, named_keywords
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 WIDE = 20.0  # m: a wider part of a mechanism was probably drawn in millimetres
 WITHIN = 1e-6  # of an edge's length: a node that is nearer lies within the edge
-LARGEST = 1e100  # coordinates, in the file's unit
+LARGEST_COORDINATE = 1e100  # coordinates, in the file's unit
 FLAT = 1e-9  # variation of z relative to the size of the mesh
 
 
@@ -58,7 +58,7 @@ def unit_size(unit, of_file=None):
         return of_file or 1.0
     if is_one_of(unit, METRES):
         return METRES[unit]
-    if is_number(unit) and unit > 0:
+    if is_number(unit) and SMALLEST <= unit <= LARGEST:
         return float(unit)
     raise InputError(f"unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
 
@@ -174,11 +174,9 @@ def _unjoined(mesh):
 def _joined(cells):
     """(corners of all cells, offsets) of lists of point numbers and of arrays of cells with the same number of corners."""
     blocks, number = [], 0
-    for cell in cells:
-        try:
-            array = np.atleast_2d(np.asarray(cell))
-        except ValueError:
-            array = np.empty((0, 0, 0))
+    for cell in listed("mesh", "cells", cells):
+        array = as_array(cell)
+        array = np.empty((0, 0, 0)) if array is None else np.atleast_2d(array)
         whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and np.array_equal(array, np.round(array)))
         if array.ndim != 2 or not whole or (len(array) and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
             raise InputError(f"cell {number} is {repr(cell)[:80]}; it must be a list of at least 3 nodes by number")
@@ -209,10 +207,10 @@ def _flat(points, used, notes):
     bad = np.flatnonzero(~np.isfinite(corner).all(axis=1))
     if bad.size:
         raise InputError(f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; all coordinates must be finite")
-    bad = np.flatnonzero((np.abs(corner) > LARGEST).any(axis=1))
+    bad = np.flatnonzero((np.abs(corner) > LARGEST_COORDINATE).any(axis=1))
     if bad.size:
         raise InputError(
-            f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; coordinates must be at most {LARGEST:g}, so that areas are finite"
+            f"point {used[bad[0]]} is {corner[bad[0]].tolist()}; coordinates must be at most {LARGEST_COORDINATE:g}, so that areas are finite"
         )
     z = corner[:, 2]
     size = float(np.ptp(corner, axis=0).max())

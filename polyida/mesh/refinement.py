@@ -10,7 +10,7 @@ from polyida.mesh.mesher import numbered, polygonize, voronoi_polygons
 from polyida.mesh.outline import Outline, outline_of
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import edges_within
-from polyida.validation import named_keywords
+from polyida.validation import as_array, named_keywords
 
 PARTS = 4  # cells in place of one that is refined
 BLEND = 40  # largest number of iterations that follow the wanted sizes of cells
@@ -48,7 +48,8 @@ def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
     """
     if not isinstance(mesh, PolygonMesh):
         raise InputError(f"refine: mesh is {type(mesh).__name__}, it must be a PolygonMesh")
-    chosen, array = np.zeros(mesh.n_cells, bool), np.asarray(cells)
+    chosen, array = np.zeros(mesh.n_cells, bool), as_array(cells)
+    array = np.zeros(0) if array is None else array
     whole = array.dtype.kind in "iu" and array.ndim == 1 and array.size and array.min() >= 0 and array.max() < mesh.n_cells
     if not (whole or (array.dtype == bool and array.shape == chosen.shape)):
         raise InputError(

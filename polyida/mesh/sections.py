@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
+from polyida.validation import as_array
 
 ON_CIRCLE = 4  # corners that determine that a rim is a circle: three always lie on one
 ROUND = 1e-6  # distance of corners from their circle, relative to the radius: files may be in single precision
@@ -59,10 +60,10 @@ def select(mesh, selector):
         if nodes.size == 0:
             raise InputError(f"section function {getattr(selector, '__name__', selector)!r} selects no boundary node; {known}")
     else:
-        try:
-            chosen = np.atleast_1d(np.asarray(selector))
-        except ValueError as error:
-            raise InputError(f"section {selector!r} must be a name, a function or node indices: {error}") from None
+        chosen = as_array(selector)
+        if chosen is None:
+            raise InputError(f"section {selector!r:.100} must be a name, a function or node indices")
+        chosen = np.atleast_1d(chosen)
         if chosen.size == 0:
             raise InputError(f"section by index selects no node; {known}")
         nodes, name = checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"

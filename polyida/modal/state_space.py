@@ -27,7 +27,7 @@ from polyida.modal.modes import Modes, normalised
 from polyida.model import Model, differences
 from polyida.reprs import brief
 from polyida.results.motion import reaction_of
-from polyida.validation import floats, is_one_of, is_whole, named_keywords
+from polyida.validation import LARGEST, complexes, floats, is_number, is_one_of, is_whole, named_keywords, vector
 
 STEADY = 1e-100  # rad/s, in place of 0 where there are first-order states: their integrals, which are coordinates, grow without bound at 0
 MAX_VIOLATION = 1e-6  # of |B| |x|: modes that violate the constraints by more belong to another state
@@ -233,12 +233,16 @@ class StateSpace:
 
     def response(self, frequencies: ArrayLike) -> NDArray:
         """Return `C (i omega - A)^-1 B + D` at frequencies (k,), Hz: complex, (k, outputs, inputs)."""
-        one = np.eye(len(self.A))
-        return np.array([self.C @ np.linalg.solve(2j * np.pi * f * one - self.A, self.B) + self.D for f in np.atleast_1d(frequencies)])
+        one, known = np.eye(len(self.A)), [frequencies] if is_number(frequencies) else frequencies
+        known = vector("StateSpace.response", "frequencies", known)
+        return np.array([self.C @ np.linalg.solve(2j * np.pi * f * one - self.A, self.B) + self.D for f in known])
 
     def displacements(self, x: ArrayLike) -> NDArray:
         """Return changes of q (..., n), m, for states x (..., states)."""
-        x, d, k = np.asarray(x), len(self.shapes) - len(self.motors), len(self.states)
+        x, d, k = complexes(x), len(self.shapes) - len(self.motors), len(self.states)
+        if x is None or x.shape[-1:] != (len(self.A),) or not np.isfinite(x).all():
+            raise InputError(f"StateSpace.displacements: x must be finite numbers, (..., {len(self.A)})")
+        x = x if x.imag.any() else x.real
         return np.concatenate([x[..., :d], x[..., 2 * d + k : 2 * d + k + len(self.motors)]], axis=-1) @ self.shapes
 
 
@@ -403,7 +407,7 @@ def frequency_response(
     """
     system = linear_system("frequency_response", model, state)
     at = floats(frequencies)
-    if at is None or at.ndim > 1 or not at.size:
+    if at is None or at.ndim > 1 or not at.size or np.abs(at).max() > LARGEST:
         raise InputError(f"frequency_response: frequencies = {str(frequencies)[:80]} must be finite numbers in Hz, at least one")
     inputs = inputs_of("frequency_response", system.model, system.state, input if isinstance(input, dict) else [input])
     if len(inputs) != 1:

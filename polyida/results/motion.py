@@ -11,7 +11,7 @@ from polyida.element import kernels
 from polyida.errors import InputError
 from polyida.io.layout import blocks, each
 from polyida.joint.joint import Joint
-from polyida.validation import floats, library, named_keywords
+from polyida.validation import LARGEST, floats, library, named_keywords
 
 
 class Motion(NamedTuple):
@@ -92,7 +92,9 @@ def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
     stresses, out = floats(stress), floats(zz)
     if stresses is None or not stresses.ndim or stresses.shape[-1] != 3:
         raise InputError(f"von_mises: stress = {stress!r} must be finite numbers (..., 3): xx, yy, xy")
-    if out is None or out.shape not in ((), stresses.shape[:-1]):
+    if np.abs(stresses).max(initial=0.0) > LARGEST:
+        raise InputError(f"von_mises: stress = {stress!r:.100} must be numbers up to {LARGEST:g}")
+    if out is None or out.shape not in ((), stresses.shape[:-1]) or np.abs(out).max(initial=0.0) > LARGEST:
         raise InputError(f"von_mises: zz = {zz!r} must be a finite number, or one for each of the stresses {stresses.shape[:-1]}")
     xx, yy, xy = np.moveaxis(stresses, -1, 0)
     return np.sqrt(((xx - yy) ** 2 + (yy - out) ** 2 + (out - xx) ** 2) / 2 + 3 * xy * xy)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.environment import one_blas_thread
@@ -27,10 +28,19 @@ from polyida.run.modes import Modes
 from polyida.run.run import Run
 from polyida.run.solve import require_run
 from polyida.sensor import Sensor, Sensors
-from polyida.validation import is_number, named_keywords, require_bytes
+from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, require_bytes
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
+
+PLAN = {  # what a file says on its run, and what that is
+    "t_end": is_number,
+    "every": is_whole,
+    "output": lambda times: times is None or np.ndim(floats(times)) == 1,
+    "until": is_flag,
+    "flush_every": is_whole,
+    "fsync": is_flag,
+}
 
 
 @named_keywords
@@ -96,7 +106,7 @@ def resume(
             with naming(path):
                 if damage := stored.check():
                     raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
-                plan, restart = _plan(stored, t_end, until), stored.restart
+                plan, restart, machine = _plan(stored, t_end, until), stored.restart, dict(stored.about["machine"])
                 model, integrator, happenings, past = _model_and_integrator(stored, model, integrator, events)
             mode = happenings.mode if happenings else guard(model)
             if until is not None and until is not False:
@@ -105,7 +115,6 @@ def resume(
                 require_sensors("resume", sensors, mode)
             require_run(mode, plan["t_end"], restart.state.t, integrator).require_reach(mode, restart.state, plan["t_end"])
             recorder = _recorder(stored, mode, sensors)
-            machine = dict(stored.about["machine"])
             file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
             with file.publishing(True):
                 store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
@@ -152,12 +161,15 @@ def _model_and_integrator(stored, model, integrator, events):
 
 def _plan(stored, t_end, until):
     """The plan of the run with the new end."""
-    plan, restart = dict(stored.about["plan"]), stored.restart
-    if restart is None or "t_end" not in plan:
+    plan, restart = stored.about["plan"], stored.restart
+    if restart is None or not plan:
         raise InputError("it holds no state to go on from")
+    for name, is_good in PLAN.items():
+        if name not in plan or not is_good(plan[name]):
+            raise InputError(f"its plan is damaged: {name} = {plan.get(name)!r:.100}")
     if until is None and plan["until"]:
         raise InputError("the run had a function `until`, which no file holds; give until=, or until=False to go on without")
-    plan |= {"t_end": plan["t_end"] if t_end is None else float(t_end), "until": bool(until)}
+    plan = plan | {"t_end": plan["t_end"] if t_end is None else float(t_end), "until": bool(until)}
     if not restart.state.t < plan["t_end"]:
         raise InputError(f"the run has reached t = {restart.state.t:.9g} s; give a later t_end to go on")
     return plan

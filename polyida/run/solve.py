@@ -137,7 +137,7 @@ def solve(
         raise InputError(f"solve: t_end and the integrator are exchanged: t_end = {integrator!r} stands before the integrator")
     happenings = None
     laws = isinstance(model, Model) and guard(model).row_laws
-    if events:
+    if not (events is None or events is False or (isinstance(events, (list, tuple)) and not events)):
         model, events = prepared("solve", model, events)
         if not declared(integrator).takes_laws:
             require_no_laws(

@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.files import disk_errors, remove_left_over, replacing
+from polyida.progress import require_progress
 from polyida.show import plates
 from polyida.show.style import (
     INK,
@@ -23,7 +24,7 @@ from polyida.show.style import (
     show_to_scale,
     stress_colorbar,
 )
-from polyida.validation import library, named_keywords
+from polyida.validation import library, named_keywords, path_of, positive
 
 GIF_FRAMES, MP4_RATE = 80, 25  # default number of frames of a GIF; frames per second of an MP4
 
@@ -65,10 +66,8 @@ def animation(
     InputError
         For another suffix, an existing file, and for MP4 if imageio-ffmpeg is not installed.
     """
-    if not isinstance(path, (str, Path)):
-        raise InputError(f"animation {path!r} must be the path of a file")
+    path = path_of("animation", "path", path)
     plates.require_run("animation", run, overwrite)
-    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise InputError(f"animation {path}: only .gif and .mp4 can be written")
@@ -76,7 +75,9 @@ def animation(
         _ffmpeg()
     if path.exists() and not overwrite:
         raise InputError(f"animation {path} exists: choose another name, or pass overwrite=True (--overwrite)")
-    seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
+    require_progress("animation", progress)
+    width = positive("animation", "width", width, "inches")
+    seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else positive("animation", "seconds", seconds, "seconds")
     default = GIF_FRAMES if suffix == ".gif" else max(1, round(MP4_RATE * seconds))
     indices = plates.spread(run, default if frames is None else frames)
     picture = FramePicture(run, indices, width)

@@ -9,6 +9,7 @@ from polyida.validation import flag, is_whole
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 AMPLITUDE = 0.12  # largest displacement of a drawn shape, relative to the size of the scene
+MOST_FRAMES = 10**6  # of an animation or a picture
 MAX_EDGES = 2000  # cells; edges of more cells would hide them
 PROBE = 1e-5  # of the extent: displacement from which the scale of a shape is measured
 ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
@@ -162,8 +163,8 @@ def frames_at(run, times):
 
 def spread(run, count):
     """At most `count` different frames evenly spread in time, the first and the last among them."""
-    if not is_whole(count):
-        raise InputError(f"frames = {count!r} must be a whole number, at least 1")
+    if not is_whole(count, most=MOST_FRAMES):
+        raise InputError(f"frames = {count!r:.100} must be a whole number, from 1 to {MOST_FRAMES}")
     return np.unique(frames_at(run, np.linspace(run.t[0], run.t[-1], count)))
 
 

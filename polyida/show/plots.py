@@ -34,6 +34,7 @@ from polyida.show.style import (
     show_to_scale,
     stress_colorbar,
 )
+from polyida.validation import vector
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +88,7 @@ def deformed(run, times=None, snapshots=6, width=6.4):
 
 
 def _frames(run, times, snapshots):
-    return plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
+    return plates.spread(run, snapshots) if times is None else plates.frames_at(run, vector("deformed", "times", times))
 
 
 def _bounds_of_frames(run, frames):

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.files import disk_errors, write_file
+from polyida.validation import instance, path_of, positive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,6 +63,7 @@ def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> tuple[Figu
     """
     from matplotlib.figure import Figure
 
+    width, height = positive("figure", "width", width, "inches"), positive("figure", "height", height, "inches")
     new = Figure(figsize=(width, height), layout="constrained")
     return new, new.subplots(**layout)
 
@@ -69,12 +72,19 @@ def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> tuple[Figu
 def on_axes(axes: Axes | None = None) -> Iterator[Axes]:
     """Context that gives the axes to draw on: `axes`, or new pyplot axes in the style of this package if `axes` is None."""
     if axes is not None:
-        yield axes
+        yield require_axes(axes)
         return
     from matplotlib import pyplot
 
     with settings():
         yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
+
+
+def require_axes(axes: Any) -> Axes:
+    """The axes. Raises InputError for anything else."""
+    from matplotlib.axes import Axes
+
+    return instance("plot", "axes", axes, Axes)
 
 
 def line_style(i: int) -> dict:
@@ -118,7 +128,12 @@ def save(figure: Figure, path: str | Path) -> Path:
     path : Path
         The file; equal figures give equal files.
     """
-    path = Path(path)
+    from matplotlib.figure import Figure
+
+    instance("save", "figure", figure, Figure)
+    path = path_of("save", "path", path)
+    if path.suffix[1:].lower() not in figure.canvas.get_supported_filetypes():
+        raise InputError(f"save: {str(path)!r:.100} must end in .png, .pdf or .svg")
     with disk_errors(f"figure {path}"):
         write_file(path, rendered(figure, path.suffix[1:]))
     return path

@@ -18,7 +18,7 @@ from polyida.errors import InputError
 from polyida.files import OLD, disk_errors, remove_left_over, replacing, write_file
 from polyida.io.layout import HAS_LOCKS, being_written, lock
 from polyida.show import plates
-from polyida.validation import is_whole, named_keywords
+from polyida.validation import as_array, is_whole, named_keywords, path_of
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -63,18 +63,18 @@ def vtu(run: Trajectory, folder: str | Path, overwrite: bool = False, frames: in
     Points are current positions, m. Point data: displacement, m, and velocity, m/s. Cell data: von Mises stress and Cauchy stress
     (xx, yy, xy), Pa, and the number of the plate.
     """
-    if not isinstance(folder, (str, Path)) or not str(folder):
-        raise InputError(f"export folder {folder!r} must be the path of a folder")
+    folder = path_of("export", "folder", folder)
     plates.require_run("export", run, overwrite)
     if not run.model.drawn:
         raise InputError("export: no body of the scene has a mesh")
-    folder, cells = Path(folder), _CellBlocks(run.model)
+    cells = _CellBlocks(run.model)
     if frames is None:
         indices = np.arange(len(run.t))
     elif is_whole(frames):
         indices = plates.spread(run, frames)
     else:
-        indices = np.atleast_1d(frames) if np.ndim(frames) else np.zeros(0)
+        indices = as_array(frames)
+        indices = np.zeros(0) if indices is None or not indices.ndim else indices
         if indices.dtype.kind not in "iu" or not indices.size or not (np.abs(indices + 0.5) < len(run.t)).all():
             raise InputError(f"export: frames = {frames!r} must be how many, or indices of the run's {len(run.t)} frames")
     if folder.exists() and not folder.is_dir():

@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.adjoint.error_bars import error_of
 from polyida.environment import one_blas_thread
-from polyida.errors import InputError, StepFailure
+from polyida.errors import InputError, StepFailure, text_of
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import Counts, States, between
 from polyida.jit import clock
@@ -364,5 +364,5 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
         except StepFailure as failure:
             message = str(failure)
         except (Exception, SystemExit) as error:  # noqa: BLE001 of a user's function
-            message = f"{type(error).__name__}: {error}"
+            message = f"{type(error).__name__}: {text_of(error)}"
     return ReferenceRun(integrator, times[: len(watched)], np.array(watched), np.array(x), function, counts, clock()[0] - begin, message)

@@ -34,7 +34,7 @@ from polyida.show.style import literal, marker_style, on_axes
 from polyida.study.ivp import require_labels, resolve_model, step_list
 from polyida.study.result import Result
 from polyida.study.rows import fit_slope, pick
-from polyida.validation import is_number, is_one_of, named_keywords, one_of
+from polyida.validation import flag, is_one_of, named_keywords, one_of, positive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,6 +91,8 @@ def condition_number(
 
     Higham, Tisseur, SIAM J. Matrix Anal. Appl. 21 (2000) 1185-1201, for the estimate.
     """
+    if exact is not None:
+        flag("condition_number", "exact", exact)
     with one_blas_thread():  # a second thread costs more than it saves in small matrices
         return condition(iteration_matrix(model, integrator, state, scaling, unknown, h, mode), exact)
 
@@ -110,12 +112,13 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
         raise InputError(f"condition_number: mode = {mode!r} must be one of {', '.join(MODES)}, or None")
     if mode == "real" and integrator.stages == 2:
         raise InputError("condition_number: mode = 'real' must be 'complex' for RadauIIA of two stages, which has no other")
+    h = None if h is None else positive("condition_number", "h", h, "seconds")
     state = require_state("condition_number", model, state)
     t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
     require_functions(model, t, q, v)
     integrator = integrator if scaling is None else replace(integrator, scaling=scaling)
     if isinstance(integrator, IDA):
-        if not (is_number(h) and h > 0):
+        if h is None:
             raise InputError(f"condition_number: h = {h!r} must be a positive step in s: IDA has none of its own")
         system = System(model, integrator.form, integrator.baumgarte_rate)
         matrix, s = of_ida.whole_matrix(system, t, *system.pack(state), 1 / h)

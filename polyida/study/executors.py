@@ -14,7 +14,7 @@ from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
-from polyida.errors import InputError
+from polyida.errors import InputError, text_of
 from polyida.jit import clock
 from polyida.reprs import short
 from polyida.run.run import interruptions
@@ -181,7 +181,7 @@ def run_as_row(function, arguments):
 
 def error_text(error):
     """An exception as the text of a row."""
-    return f"{type(error).__name__}: {error}"
+    return f"{type(error).__name__}: {text_of(error)}"
 
 
 def run_measured_case(function, arguments, sweep_id):

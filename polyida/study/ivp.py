@@ -16,7 +16,7 @@ from polyida.model.guarded import guard
 from polyida.reprs import numbers_and_texts
 from polyida.run.solve import require_run, solve
 from polyida.study.user_files import load_object, user_errors
-from polyida.validation import floats, is_number
+from polyida.validation import SMALLEST, floats, is_number
 
 PARTS = ("q", "v", "lam")  # of models without first-order states
 WARM_UP = 2e-4  # of t_end: duration of the warm-up run of an integrator that chooses its steps
@@ -201,8 +201,8 @@ def require_labels(study, integrators, values):
 def step_list(study, h):
     """The steps h, s, as a list, the longest first. Raises InputError for other values."""
     steps = floats(h)
-    if steps is None or steps.ndim != 1 or not steps.size or not (steps > 0).all():
-        raise InputError(f"{study}: h = {h!r} must be positive steps in s, at least one")
+    if steps is None or steps.ndim != 1 or not steps.size or not (steps >= SMALLEST).all():
+        raise InputError(f"{study}: h = {h!r:.200} must be positive steps in s, at least one")
     return sorted(steps.tolist(), reverse=True)
 
 

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from polyida.environment import machine_info
-from polyida.errors import InputError, printable
+from polyida.errors import InputError, printable, text_of
 from polyida.files import disk_errors, write_file
 from polyida.reprs import cut, table
 from polyida.results.motion import xarray
 from polyida.show import html
 from polyida.show.style import figure, settings
 from polyida.study.executors import to_json
+from polyida.validation import flag, instance, listed, path_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -55,7 +56,8 @@ class Result:
     minor_columns: tuple = ()  # that a narrow terminal leaves out first
 
     def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
-        self.rows, self.notes, self.histories = list(rows), list(notes), histories or {}
+        self.rows, self.notes = listed("Result", "rows", rows), listed("Result", "notes", notes)
+        self.histories = {} if histories is None else instance("Result", "histories", histories, dict)
 
     @property
     def labels(self) -> list[str]:
@@ -115,9 +117,8 @@ class Result:
         InputError
             If the folder is not empty or cannot be created.
         """
-        if not isinstance(folder, (str, Path)) or not str(folder) or "\0" in str(folder):
-            raise InputError(f"report: folder = {folder!r:.100} must be the path of a folder")
-        folder = Path(folder)
+        folder = path_of("report", "folder", folder)
+        flag("report", "overwrite", overwrite)
         if folder.exists() and not folder.is_dir():
             raise InputError(f"report: {folder} is a file; give a folder")
         if folder.is_dir() and any(folder.iterdir()) and not overwrite:
@@ -248,7 +249,7 @@ class StudyResult(Result):
             try:
                 yield function(rows)
             except Exception as error:  # noqa: BLE001, rows may lack anything
-                reason = str(error) if isinstance(error, LookupError) and " " in str(error) else f"{type(error).__name__}: {error}"
+                reason = str(error) if isinstance(error, LookupError) and " " in str(error) else f"{type(error).__name__}: {text_of(error)}"
                 failures.append(f"not computed: {function.__name__.strip('_')}: {reason}")
 
     @staticmethod

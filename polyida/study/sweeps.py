@@ -20,7 +20,7 @@ from polyida.show.style import FAILED, literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
 from polyida.study.result import Result
 from polyida.study.tasks import RowFolder, collect_rows, package_hash
-from polyida.validation import is_number, named_keywords
+from polyida.validation import is_number, named_keywords, one_of, path_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,6 +71,9 @@ class Sweep(Result):
         InputError
             If no case has both numbers.
         """
+        for name, value in (("x", x), ("y", y)):
+            if value is not None:
+                one_of("Sweep.plot", name, value, self.columns)
         first_x, first_y = self._first_numbers()
         x, y = x or first_x, y or first_y
         points = [(row[x], row[y]) for row in self.rows if is_number(row.get(x)) and is_number(row.get(y))]
@@ -237,10 +240,9 @@ def _row_folder(function, folder):
     """The RowFolder of a sweep with the identity of its code."""
     if folder is None:
         return RowFolder()
-    if not isinstance(folder, (str, Path)) or not str(folder) or "\0" in str(folder):
-        raise InputError(f"sweep: folder = {folder!r} must be the path of a folder")
+    folder = path_of("sweep", "folder", folder)
     try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"sweep: folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
     try:
@@ -248,7 +250,7 @@ def _row_folder(function, folder):
     except NoFingerprint as error:
         advice = "make it within the function, give what it is made of by the case, or sweep without a folder"
         raise InputError(f"sweep: {_name_of(function)} uses {error}; {advice}") from None
-    return RowFolder(Path(folder), f"{polyida.__version__} {package_hash()} {code}", retry_failed=True)
+    return RowFolder(folder, f"{polyida.__version__} {package_hash()} {code}", retry_failed=True)
 
 
 def _name_of(function):

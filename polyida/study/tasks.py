@@ -15,6 +15,7 @@ from pathlib import Path
 from polyida.errors import InputError
 from polyida.files import remove_left_over, write_file
 from polyida.study.executors import Isolated, SerialExecutor, error_text, run_as_row, to_json
+from polyida.validation import path_of
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class Study:
     headline: tuple = ()
     options: dict = field(default_factory=dict)
 
+    def __post_init__(self):
+        path = path_of("Study", "name", self.name)
+        if not isinstance(self.name, str) or self.name != path.name or self.name == ".." or "\\" in self.name:
+            raise InputError(f"Study: name = {self.name!r:.100} must be a text that can be the name of a folder")
+
 
 def task_key(study, task):
     """File name of a task: equal for equal values."""
@@ -87,7 +93,8 @@ def package_hash(folder=None):
     study_files = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
     for root, paths in ((package, package.rglob("*.py")), (folder, study_files)):
         for path in sorted(paths):
-            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+            if path.is_file() and not path.name.startswith("."):  # editors put links that lead nowhere beside a file
+                digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from polyida import registry
-from polyida.errors import InputError
+from polyida.errors import InputError, text_of
 
 
 class SceneFileError(InputError):
@@ -48,6 +48,7 @@ def run_file(path):
     """Execute a user's file and return its module. Raises InputError as `load_object` does."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
+    _require_text(path)
     with user_errors(path):
         # the module gets the name under which `import` finds it, if it does: then other processes and result files find its functions
         place, known = path.resolve(), None
@@ -61,6 +62,16 @@ def run_file(path):
         sys.modules[name] = module
         spec.loader.exec_module(module)
         return module
+
+
+def _require_text(path):
+    """Raise InputError unless a file is text of Python, in UTF-8 or in the encoding that it names."""
+    try:
+        text = importlib.util.decode_source(path.read_bytes())
+    except (SyntaxError, UnicodeError) as error:
+        raise InputError(f"{path}: it is no Python file in UTF-8 ({error}); save it with this encoding") from None
+    if "\0" in text:
+        raise InputError(f"{path}: it holds the character NUL; save it as text in UTF-8")
 
 
 @contextmanager
@@ -83,7 +94,7 @@ def user_errors(path):
         is_input = isinstance(error, InputError)
         kind = "" if is_input else f"{type(error).__name__}: "
         trace = traceback.format_list(frames) + ([] if is_syntax else traceback.format_exception_only(error))
-        message = f"{path}, line {frames[-1].lineno}: {kind}{error.msg if is_syntax else error}"
+        message = f"{path}, line {frames[-1].lineno}: {kind}{error.msg if is_syntax else text_of(error)}"
         raise SceneFileError(message, "" if is_input else "".join(trace).rstrip()) from error
 
 

@@ -85,7 +85,7 @@ class TestOutline:
                 lambda: Outline(ELL, holes=[[(0.5, 0.2), (0.5, 0.8), (0.6, 0.2)]]),
                 r"hole 0 cuts into .* corner of 9.46 degrees at \[0.5, 0.8\]",
             ),
-            (lambda: Outline(ELL, holes=3.0), "holes are 3.0"),
+            (lambda: Outline(ELL, holes=3.0), "holes = 3.0"),
             (lambda: Outline(ELL, corner=0.0), "corner is 0.0"),
             (lambda: polygonize(Outline(ELL, holes=[circle(32, 0.02, (0.5, 0.5))]), 8), "use more cells"),
         ],

@@ -134,7 +134,7 @@ class TestBadInput:
             (SQUARE + [0, np.inf], [0, 1, 2, 3], [0, 4], "finite"),
             (np.c_[SQUARE, SQUARE], [0, 1, 2, 3], [0, 4], "shape"),
             ("points", [0, 1, 2, 3], [0, 4], "points"),
-            (SQUARE * 1e200, [0, 1, 2, 3], [0, 4], "area"),
+            (SQUARE * 1e200, [0, 1, 2, 3], [0, 4], "up to 1e"),
             (SQUARE * [1, 0], [0, 1, 2, 3], [0, 4], "area"),
             (SQUARE, [0, 1, 2, 3, 0, 1, 2, 3], [0, 4, 8], "same side of the edge"),
             (np.array([[0, 0], [4, 0], [4, 3], [2, -1], [0, 3.0]]), [0, 1, 2, 3, 4], [0, 5], "crosses"),
