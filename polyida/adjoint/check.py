@@ -32,6 +32,7 @@ from polyida.validation import is_whole, named_keywords
 MIN_CHANGE = 1e-3  # of J over the parameter: smaller slopes do not serve as scale of errors
 CHANGE = 1e-3  # relative change of a parameter
 STEP = CHANGE / 7e-4  # about the same in units of the step of `along`
+HELD = 1e-2  # of these changes: where times of switches are held, differences have an error of their square root
 # (s, weight) of differences J(s) - J(0): their sum is dJ/ds, without errors of s^2 and s^3
 ONE_SIDED = (0.5, 16 / 3), (1.0, -2.0), (2.0, 1 / 6)
 TIGHT = 1e-11  # Newton's tolerance of repeated runs
@@ -70,9 +71,9 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     Notes
     -----
     A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of switches
-    are held: behind a stiff contact the differences are less accurate than the gradient. The error therefore contains that of the run's own
-    tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of the differences if the motion is strongly
-    nonlinear (1e-4 in a soft plate with large motions).
+    are held, and changes are a hundredth of these: behind a stiff contact the differences are less accurate than the gradient. The error
+    therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of
+    the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
 
     A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that of the
     steps over 1e-3.
@@ -88,6 +89,8 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     replayed: Any
     objective, replayed = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
     random, errors = np.random.default_rng(seed), {}
+    change = CHANGE * (HELD if isinstance(replayed, ReplayedRun) and replayed.model.switching else 1.0)
+    step = STEP * change / CHANGE
     for name in slopes:
         bounds, moves_kinks = EVERYWHERE, False
         if name == "v0":
@@ -96,13 +99,13 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
             parameter, direction = known[name], _direction(known[name].value, random)
             compute = lambda change, p=parameter: replayed.frames(p.replaced(p.value + change))  # noqa: E731
             bounds, moves_kinks = parameter.bounds, isinstance(run, Trajectory) and bool(parameter.kinks(float(run.t[0]), float(run.t[-1])))
-            if not all(replayed.can_start(parameter.replaced(parameter.value + s * direction)) for s, _ in central(STEP) if s > bounds[0]):
+            if not all(replayed.can_start(parameter.replaced(parameter.value + s * direction)) for s, _ in central(step) if s > bounds[0]):
                 continue
         value = lambda s, direction=direction, compute=compute: objective(compute(s * direction))  # noqa: E731
         if moves_kinks:
-            difference = sum(weight * (value(s * CHANGE) - value(-s * CHANGE)) for s, weight in ONE_SIDED) / (2 * CHANGE)
+            difference = sum(weight * (value(s * change) - value(-s * change)) for s, weight in ONE_SIDED) / (2 * change)
         else:
-            difference = float(along(value, STEP, bounds))
+            difference = float(along(value, step, bounds))
         slope = float(np.sum(slopes[name] * direction))
         errors[name] = abs(slope - difference) / max(abs(difference), MIN_CHANGE * abs(slopes.value), 1e-300)
     return errors
