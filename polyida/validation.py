@@ -2,6 +2,7 @@
 
 import math
 import operator
+import sys
 from collections.abc import Callable
 from functools import lru_cache, wraps
 from importlib import import_module
@@ -16,6 +17,7 @@ from polyida.errors import InputError
 Public = TypeVar("Public", bound=Callable[..., Any])
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # rotation by a right angle: the imaginary unit as a matrix of (x, y)
+LEAST_RTOL = 4 * sys.float_info.epsilon  # least relative tolerance of a run: four units of round-off; SUNDIALS refuses less than one
 
 
 def is_real(value):

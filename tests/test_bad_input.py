@@ -421,6 +421,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: swing(every=2, output=[0.05]), "every = 2 and output are given; output has the times of all frames"),
     (lambda: swing(q0="rest"), "q0 = 'rest': q0 must be"),
     (lambda: pi.IDA(rtol=1e-17), "rtol 1e-17 must lie between 8.9e-16, which double precision resolves, and 1"),
+    (lambda: pi.RadauIIA(rtol=1e-30), "RadauIIA: rtol = 1e-30 must be between 8.9e-16, which double precision resolves, and 1"),
     (lambda: own().plot.deformed(), "is no scene's model"),
     (lambda: own(kinks=named_kinks), "Own.kinks must return finite times"),
     (lambda: own(momenta=lambda self, q, v: 1.0).momentum, "Own.momenta must return three"),

@@ -80,21 +80,23 @@ def rigid_motions(model, q):
     return block_diag([coo_array(one) for one in columns], format="csr")
 
 
-def motions_as_a_whole(model, t, q):
-    """Velocities of q in the three motions of a free scene as one rigid body, (n, 3); (n, 0) if its constraints prevent any of them."""
-    z, T = complex_of_pairs(model.reference + q.reshape(-1, 2)), np.zeros(model.n // 2, complex)
-    placed = (*model.bodies, *model.few)
-    for one in placed:
+def motions_as_a_whole(model, q):
+    """Velocities of places q (k, n) in the three motions of a scene as one rigid body, (k, n, 3)."""
+    z, T = complex_of_pairs(model.reference + q.reshape(len(q), -1, 2)), np.zeros(model.n // 2, complex)
+    turned = np.zeros_like(z)
+    for one in (*model.bodies, *model.few):
         T[one.pairs] = one.translation
-    moving = T != 0.0
-    for one in placed:
-        moving[one.pairs] = True
-    motions = np.stack([pairs_of(unit).ravel() for unit in (T, 1j * T, np.where(moving, 1j * z, 0.0))], axis=1)
+        turned[:, one.pairs] = 1j * z[:, one.pairs]
+    units = (np.broadcast_to(T, z.shape), np.broadcast_to(1j * T, z.shape), turned)
+    return np.stack([pairs_of(unit).reshape(len(q), -1) for unit in units], axis=2)
+
+
+def moves_as_a_whole(model, t, q):
+    """True if no constraint prevents any of the three motions of a scene as one rigid body."""
     if not model.m:
-        return motions
-    B = model.phi_q(t, q)
-    held = np.abs(B @ motions).max() > NO_MASS * np.asarray(abs(B) @ abs(motions)).max()
-    return motions[:, :0] if held else motions
+        return True
+    motions, B = motions_as_a_whole(model, q[None])[0], model.phi_q(t, q)
+    return bool(np.abs(B @ motions).max() <= NO_MASS * np.asarray(abs(B) @ abs(motions)).max())
 
 
 def rows_of_motions(model, t, q, R):

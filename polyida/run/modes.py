@@ -37,6 +37,7 @@ AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
+NONE = np.zeros(0, np.int64)
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
 
@@ -63,7 +64,7 @@ class Modes(Happenings):
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
         self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
-        self.shared = self.watched = np.zeros(0, np.int64)
+        self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -152,9 +153,9 @@ class Modes(Happenings):
         if not self.contacts.turning:
             return None
         still, times = self.contacts.still(after.v), before.t + NODES * (after.t - before.t)
-        dwelling = self._dwelling(before, after, RESTS * still)
-        if len(dwelling):
-            return before.t, dwelling
+        self.dwelling = self._dwelling(before, after, RESTS * still)
+        if len(self.dwelling):
+            return before.t, self.dwelling
 
         def moving(t):
             return self.watched[np.abs(self._held_rates(between(before, after, t))[self.watched]) > MOVES * still]
@@ -173,7 +174,7 @@ class Modes(Happenings):
             state = between(before, after, before.t + s * (after.t - before.t))
             rates = self._held_rates(state)
             rows = [k for k in rows if abs(rates[k]) < least]
-        return rows
+        return np.array(rows, np.int64)
 
     def _held_rates(self, state):
         """Rates of the rows with laws at a state of a step, of velocities that satisfy the equations."""
@@ -282,13 +283,17 @@ class Modes(Happenings):
         self.mode, self._forces, self._held = self.modes[key], (None, None), (None, None)
         self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
 
-    def _settled(self, t, q, v, closed, begins=0.0):
-        """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest."""
+    def _settled(self, t, q, v, closed, begins=0.0, dwells=NONE):
+        """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest.
+
+        dwells: rows that equations hold at rest from now on.
+        """
         contacts = self.contacts
-        a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins)
+        a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins, dwells=dwells)
         rates = self.whole.phi_rate(t, q, v)[contacts.rows]
         bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
         slips = ~contacts.contact & (np.abs(rates) > contacts.still(v))
+        slips[dwells] = False
         status = np.where(slips & (status > 0), np.where(rates > 0.0, SLIPS_UP, SLIPS_DOWN), status)
         self.status = np.where(bounded & contacts.active(closed), status, 0)
         self._set_mode(t, q, v)
@@ -317,7 +322,8 @@ class Modes(Happenings):
             for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(listed)):
                 of_part = np.array([other == name for other in contacts.names])
                 happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
-        behind = self._settled(t, q, v, closed, self._begins(state, rates, closed, fired) if not hit.any() else 0.0)
+        dwells = np.intersect1d(self.dwelling, fired).astype(np.int64)
+        behind = self._settled(t, q, v, closed, self._begins(state, rates, closed, fired) if not hit.any() else 0.0, dwells)
         changed = np.flatnonzero(self.status != old)
         for k in changed if not happened else ():
             free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"

@@ -13,9 +13,8 @@ prepared instants, and addresses of contiguous float64 arrays. It returns a stat
 | RATE | q, v, rate, known | `phi_q v + phi_t`; known: True at the q of the last REACTION of this stage |
 | PROJECT | rows, x, from_zero | change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | status of a state: accepted or rejected |
-| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0, like KINETIC, if they are computed when they are asked for |
+| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0 if they are computed when they are asked for |
 | MIDDLE | states, lam, r, phi | r in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
-| KINETIC | v, energy | `v^T M v` |
 | STRAINS | past, now, state, numbers | state = 0: begin a step whose unknowns are without strains (assembly/condensation.py), else end it: fill the rows of the strains in state |
 
 Further entries serve the s stages of Radau IIA. The instant of a step's beginning is a multiple of s + 1; those of its stages follow.
@@ -52,6 +51,6 @@ The backward sweeps of generalized-alpha and Radau IIA have their own tables (ad
 INSTANTS = 1024
 STEPS = 256  # most steps of Radau IIA that are prepared together
 # constants of compiled code
-RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
-PREPARE, REACTION, ROWS, TURN, REAL, PAIR, INERTIA, MATRICES, SELECT, ADJOINT, BIAS, STRAINS = range(11, 23)
-ENTRIES = 23
+RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE = range(10)
+PREPARE, REACTION, ROWS, TURN, REAL, PAIR, INERTIA, MATRICES, SELECT, ADJOINT, BIAS, STRAINS = range(10, 22)
+ENTRIES = 22

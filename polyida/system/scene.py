@@ -34,9 +34,8 @@ H, TO_A, COSINE, INCREMENTAL, TO_V = range(5)  # of SceneWork.numbers
 
 @pack
 class Solid(NamedTuple):
-    """The bodies' masses and their inverses, with masses at points, in the form of Compact; workspace (nodes, 2), and zeros."""
+    """The inverses of the bodies' masses, with masses at points, in the form of Compact; workspace (nodes, 2), and zeros."""
 
-    mass: Compact
     inverse: Compact
     r: np.ndarray
     still: np.ndarray
@@ -247,7 +246,7 @@ class SceneTable:
             "points": np.zeros((6, model.n_points, 2)),
             "numbers": np.array([0.0, 0.0, 1.0, float(incremental), 0.0]),
             "level": np.zeros(len(links.row_constant)),
-            "solid": Solid(*[model.arrays.compact] * 2, *np.zeros((2, 0, 2))),
+            "solid": Solid(model.arrays.compact, *np.zeros((2, 0, 2))),
             "condensed": parts,
         }
         self.functions = self.work = None

@@ -208,3 +208,17 @@ def test_a_level_contact_without_friction_leaves_the_speed_along_it():
     scene.add(pi.PenaltyContact(ball.at("c"), pi.ground.at((0.0, 0.0)), 1e4))
     run = pi.solve(scene.build(), 0.25, pi.EnergyMomentum(h=5e-3))
     assert run.v[:, 1].max() > 0.5 and np.abs(run.v[:, 0] - 1.0).max() < 1e-9
+
+
+def test_frames_of_a_free_scene_are_made_at_once(monkeypatch):
+    """The compiled loop projects them: the rows of constraints are asked for once a stretch, not once a frame."""
+    scene = pi.Scene()
+    a = scene.add(pi.RigidBody(1.0, 0.1, {"p": (0.5, 0.0)}, velocity=(-1.2, 1.6), spin=1.0))
+    b = scene.add(pi.RigidBody(2.0, 0.3, {"p": (-0.5, 0.0)}, origin=(1.0, 0.0), velocity=(-1.2, 3.6), spin=3.0))
+    scene.add(pi.Revolute(a.at("p"), b.at("p")))
+    model, calls, phi_q = scene.build(), [], type(scene.build()).phi_q
+    monkeypatch.setattr(type(model), "phi_q", lambda *at: calls.append(at) or phi_q(*at))
+    run = pi.solve(model, 0.2, pi.EnergyMomentum(h=2e-3, tolerance=1e-12))
+    assert run.success and len(calls) < len(run) / 2
+    assert np.ptp(run.momentum, axis=0).max() < 1e-9 and np.ptp(run.angular_momentum) < 1e-9
+    assert np.ptp(run.energy.total) < 1e-9 and run.velocity_drift[1:].max() < 1e-12

@@ -55,6 +55,19 @@ def test_loss_of_friction_that_a_drive_moves(place, integrator):
     assert np.abs(run.reaction("drive")[dwells]).max() < 1e-6
 
 
+@pytest.mark.parametrize("integrator", [pi.IDA(rtol=1e-8), pi.RadauIIA(h=1e-2)], ids=lambda x: type(x).__name__)
+def test_a_drive_without_derivatives_may_dwell(integrator):
+    """Its second derivative is round-off in the dwell, from which no slip begins."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    moved = body(scene)
+    scene.add(pi.Prismatic(EAST, moved, friction=0.3, name="rubs"))
+    scene.add(pi.PrescribedPosition(moved, pi.profile.from_function(lambda t: float(FORWARD(t))), None, name="drive"))
+    run = pi.solve(scene.build(), 0.2, integrator)
+    assert run.success, run.message
+    assert run.energy.dissipated["rubs"][-1] == pytest.approx(0.3 * 2.0 * G * 0.1, rel=1e-6)
+    assert np.abs(run.reaction("drive")[run.t > 0.165]).max() < 1e-6  # the step before it may hold the end of the motion
+
+
 @pytest.mark.parametrize("integrator", [pi.NonsmoothAlpha(h=5e-4), pi.MoreauJean(h=5e-4)], ids=lambda x: type(x).__name__)
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_energy_that_a_guide_loses_in_the_impact_of_a_contact(integrator, restitution):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sksundae._cy_ida
 
 import polyida as pi
 from polyida import problems
@@ -269,6 +270,24 @@ def test_what_sundials_says_goes_into_the_message_and_what_a_model_prints_is_kep
         list(IDA().steps(Blind(), state, 1.0, Counts()))
     assert failure.value.t == 0.0 and failure.value.status == "newton"
     assert set(capsys.readouterr().out.split("\n")) == {"asked", ""}
+
+
+def test_a_flag_without_text_ends_the_run_with_its_frames(monkeypatch):
+    """The binding raises KeyError for a flag of SUNDIALS that it does not know; a user's own KeyError stays one."""
+
+    class Breaks(Oscillator):
+        def force(self, t, q, v):
+            return super().force(t, q, v) if t < 0.5 else np.full(2, np.nan)
+
+    class Raises(Oscillator):
+        def force(self, t, q, v):
+            return super().force(t, q, v) if t < 0.5 else {}[-4]
+
+    monkeypatch.delitem(sksundae._cy_ida.IDAMESSAGES, -4)
+    run = pi.solve(Breaks(), 1.0, IDA(), q0=np.ones(2))
+    assert run.status == "ida" and "force" in run.message and 0.4 < run.t[-1] < 0.5
+    with pytest.raises(KeyError):
+        pi.solve(Raises(), 1.0, IDA(), q0=np.ones(2))
 
 
 def test_index3_stops_at_the_cap():

@@ -13,8 +13,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_array
 
-from polyida.assembly.motion import motions_as_a_whole
+from polyida.assembly.motion import motions_as_a_whole, moves_as_a_whole
 from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, InputError, StepFailure
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.energy import loop
@@ -139,6 +140,16 @@ def _equal(one, other):
     return abs(one - other).max() <= SAME * (abs(one).max() + abs(other).max())
 
 
+def products(M, v):
+    """`M v` of velocities (k, n), M sparse; each is the same to the last bit whatever the others are."""
+    return np.ascontiguousarray((M @ v.T).T)
+
+
+def doubled_energies(M, v):
+    """`v^T M v` of velocities (k, n), as `products` has it."""
+    return (v[:, None, :] @ products(M, v)[:, :, None])[:, 0, 0]
+
+
 class Steps:
     """Steps of one h on one model; halvings: how often a step that fails is halved."""
 
@@ -146,6 +157,7 @@ class Steps:
         self.settings, self.model, self.h, self.counts, self.halvings = settings, model, h, counts, halvings
         self.c, self.system, self.table = np.array([4.0 / h**2, 2.0 / h]), None, table_of(model)
         self.extent = float(np.ptp(model.reference, axis=0).max()) if model.is_scene else 0.0
+        self.free = None  # True if no constraint prevents motions of the scene as a whole, as soon as it is asked
         self.now, self.rows, self.marks = np.zeros((loop.NOW, model.n)), np.zeros((loop.ROWS, model.m)), np.zeros(loop.MARKS)
         turning = model.m and model.needs.phi_q_varies
         self.kind = loop.PROJECTED if model.needs.driven else loop.FRAMES_PROJECTED if turning else loop.FREE
@@ -252,26 +264,33 @@ class Steps:
         return ends
 
     def projected(self, t, q, v_free):
-        """[v] at ends, projected onto their constraints and scaled to their kinetic energy, (k, n)."""
-        if self.table.complete and not self._as_a_whole(self._side(t[0]), q[0]).any():
-            v = v_free.copy()
-            self._call(loop.project_frames, t, q, v, np.zeros(self.model.m))
-            return [v]
-        velocities = []
-        for at, place, free in zip(map(self._side, t), q, v_free):
-            v, M = on_velocity(self.model, at, place, free), self.model.mass(place)
-            whole, energy = self._as_a_whole(at, place), free @ (M @ free)
-            common = whole @ np.linalg.lstsq(whole.T @ (M @ whole), whole.T @ (M @ v))[0]
-            inner, rest = v - common, energy - common @ (M @ common)
-            if not abs(rest - inner @ (M @ inner)) < SCALED * (inner @ (M @ inner)):
-                common, inner, rest = 0.0, v, energy
-            energy = inner @ (M @ inner)
-            velocities.append(common + inner * np.sqrt(rest / energy) if energy > 0.0 else v)
-        return [np.array(velocities)]
+        """[v] at ends, projected onto their constraints and scaled to their kinetic energy, (k, n).
 
-    def _as_a_whole(self, t, q):
-        """Velocities of q in the motions of a free scene as one rigid body, (n, 3), or (n, 0)."""
-        return motions_as_a_whole(self.model, t, q) if self.model.is_scene else np.zeros((self.model.n, 0))
+        The projection does not change the motion as a whole of a scene that no constraint holds; only the velocity beside it is scaled.
+        """
+        M, v = csc_array(self.model.mass(q[0])), v_free.copy()
+        if self.table.complete:
+            self._call(loop.project_frames, t, q, v, np.zeros(self.model.m))
+        else:
+            v[:] = [on_velocity(self.model, *end) for end in zip(map(self._side, t), q, v_free)]
+        common = self._common(t, q, v_free, M)
+        inner = doubled_energies(M, v - common)
+        alone = abs(doubled_energies(M, v_free - common) - inner) < SCALED * inner
+        common[~alone] = 0.0
+        before, after = doubled_energies(M, v_free - common), doubled_energies(M, v - common)
+        factors = np.sqrt(np.divide(before, after, out=np.ones(len(t)), where=after > 0.0))
+        return [common + factors[:, None] * (v - common)]
+
+    def _common(self, t, q, v, M):
+        """The parts of velocities (k, n) in which a free scene moves as one rigid body; zero if constraints hold it, or of a user's model."""
+        if self.free is None:
+            self.free = self.model.is_scene and moves_as_a_whole(self.model, self._side(t[0]), q[0])
+        if not self.free:
+            return np.zeros_like(v)
+        whole = motions_as_a_whole(self.model, q)
+        momenta = np.stack([products(M, whole[:, :, k]) for k in range(3)], axis=1)
+        rates = np.linalg.pinv(momenta @ whole, hermitian=True) @ (momenta @ v[:, :, None])
+        return (whole @ rates)[:, :, 0]
 
     def forces(self, t, q, v):
         """(a, lam) at ends: `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`."""

@@ -8,8 +8,6 @@ It starts from extrapolated a and lam, each by the polynomial that would have be
 the contraction measured in earlier steps leaves less than the tolerance.
 """
 
-import numpy as np
-
 from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
@@ -194,18 +192,11 @@ def stretch(f, w, first, c, h, tolerance, most, extent, kind, velocity_rows, now
 
 @entry
 def project_frames(f, w, first, qs, vs, rate):
-    """Project velocities (steps, n) onto their constraints and scale them to the kinetic energy that they had. Returns how it ended."""
-    energy = np.zeros(1)
+    """Project velocities (steps, n) onto their constraints. Returns how it ended."""
     for k in range(qs.shape[0]):
-        v = address(vs[k])
-        call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
-        before = energy[0]
-        ended = project(f, w, first + k, address(qs[k]), v, address(rate))
+        ended = project(f, w, first + k, address(qs[k]), address(vs[k]), address(rate))
         if ended != DONE:
             return ended
-        call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
-        if energy[0] > 0.0:
-            vs[k] *= np.sqrt(before / energy[0])
     return DONE
 
 

@@ -29,7 +29,7 @@ from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, put
 from polyida.model.guarded import OF_STEPS, unguarded
-from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
+from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
 from polyida.system import scene as of_scene
 from polyida.system.dense import END, ENDED, INNER, vector
@@ -95,23 +95,11 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
     return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
 
 
-@entry
-def own_kinetic(w, instant, v, energy, c, d, e, f):
-    """v^T M v."""
-    n, total = w.q.shape[0], 0.0
-    speed = vector(v, n)
-    for i in range(n):
-        for j in range(n):
-            total += speed[i] * w.M[i, j] * speed[j]
-    vector(energy, 1)[0] = total
-    return DONE
-
-
 @cache
 def own_addresses():
     """{number: address} of these functions, for every small model."""
     kind = typeof(small.example())
-    functions = {MIDDLE: own_middle, KINETIC: own_kinetic, ACCELERATION: small.acceleration}
+    functions = {MIDDLE: own_middle, ACCELERATION: small.acceleration}
     return {number: table_address(function, kind) for number, function in functions.items()}
 
 
@@ -292,18 +280,6 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
 
 
 @entry
-def kinetic(w, instant, v, energy, c, d, e, f):
-    """Write `v^T M v`, twice the kinetic energy, of a scene without plates to energy[0]."""
-    s, speed, total = w.solid, pairs(w, v), 0.0
-    clear(s.r)
-    compact.momentum(s.mass, speed, s.r)
-    for i in range(speed.shape[0]):
-        total += speed[i, 0] * s.r[i, 0] + speed[i, 1] * s.r[i, 1]
-    carray(pointer(energy), (1,))[0] = total
-    return DONE
-
-
-@entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` of a scene without plates."""
     s, links, drives, out, multipliers = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
@@ -328,8 +304,8 @@ class EnergyTable(SceneTable):
         super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0), False)
         self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not (model.bodies or model.strains)
         if self.complete:
-            self.entries = self.entries | {KINETIC: kinetic, ACCELERATION: acceleration}
-            self.w["solid"] = Solid(*model.once(masses), *np.zeros((2, model.n_nodes, 2)))
+            self.entries = self.entries | {ACCELERATION: acceleration}
+            self.w["solid"] = Solid(model.once(inverse_masses), *np.zeros((2, model.n_nodes, 2)))
 
     @property
     def workspace(self):
@@ -383,11 +359,8 @@ class PythonScene(MiddleTable, PythonTable):
         return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
 
 
-def masses(model):
-    """Masses of the bodies of a scene without plates, and their inverses."""
+def inverse_masses(model):
+    """The inverse masses of the bodies of a scene without plates."""
     each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.few, *model.states.values())]
-    compacts = []
-    for matrices in (each, [np.linalg.inv(mass) for mass in each]):
-        flat = np.concatenate([mass.ravel() for mass in matrices])
-        compacts.append(model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1)))
-    return compacts
+    flat = np.concatenate([np.linalg.inv(mass).ravel() for mass in each])
+    return model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1))

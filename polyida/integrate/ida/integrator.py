@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from traceback import extract_tb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +24,13 @@ from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.system import INSTANTS
-from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import LEAST_RTOL, floats, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
 # default rtol of a motion over that many lengths of the model; the error is about ten times
 AIM, LENGTHS, FLEXIBLE_LENGTHS = 1e-5, 3.0, 30.0
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
-LEAST_RTOL = 4 * sys.float_info.epsilon  # four units of round-off; SUNDIALS refuses less than one
 DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
 APPROACH = 3  # steps before a time at which a step must end are chosen so that they end there
@@ -289,7 +289,14 @@ class _Run:
         if self.standing >= STANDSTILL:
             raise self._failure("step too small", "the step has shrunk to the round-off of t")
         self.attempts, self.tried = 0, math.nan
-        result = self.solver.step(end, method="onestep", tstop=self._stop(end))
+        stop = self._stop(end)
+        try:
+            result = self.solver.step(end, method="onestep", tstop=stop)
+        except KeyError as error:
+            if not _of_binding(error):
+                raise
+            flag = f"IDA returned the flag {error.args[0]}, of which the binding knows no text"
+            raise self._failure("ida", printed.message.rstrip(".") or flag) from None
         if result.status < 0:
             reason = (printed.message or result.message).rstrip(".")
             raise self._failure(STATUS.get(result.status, "ida"), reason)
@@ -333,6 +340,11 @@ class _Run:
         if phi.size:
             seen |= {"worst constraint": self.model.constraint_name(int(phi.argmax())), "|phi|": float(phi.max())}
         return StepFailure(status, f"IDA: {reason}", self.t, **seen)
+
+
+def _of_binding(error):
+    """True if the binding itself raised an error, not a function of a user that it called."""
+    return extract_tb(error.__traceback__)[-1].filename.endswith("_cy_ida.pyx")
 
 
 class _ErrorLines:

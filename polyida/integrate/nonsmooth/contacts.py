@@ -241,11 +241,12 @@ class Contacts:
         a, lam, p, _ = self.accelerations(state.t, state.q, state.v, self.contact & (p > 0.0), p, status=status)
         return State(state.t, state.q, state.v, a, self.all(lam, p))
 
-    def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None):
+    def accelerations(self, t, q, v, closed, p=None, begins=0.0, status=None, dwells=()):
         """(a, lam of the equations, p, status): consistent accelerations and forces.
 
         closed: contacts that are closed and at rest. begins: 0, or the direction in which rows of friction at rest begin to slip. status: of
-        the rows, if it is known which stick; their rates are round-off then.
+        the rows, if it is known which stick; their rates are round-off then. dwells: numbers of rows of friction that equations hold at rest;
+        their accelerations are round-off, too, that of the second derivative of a motor's angle by differences for example.
         """
         model, group = self.model, self.group(self.active(closed))
         force, bias, rows = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0), group.rows
@@ -257,10 +258,12 @@ class Contacts:
         if status is not None:
             slip[status[rows] == STICKS] = 0.0
         slip = np.where(slip == 0.0, np.broadcast_to(begins, len(self.rows))[rows], slip)
+        at_rest = np.isin(rows, dwells)
+        slip[at_rest] = 0.0
         B, start = self.slopes(t, q, rows), np.zeros(len(rows)) if p is None else p[rows]
         (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[group.of_model]
         size = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
-        passes = group.friction & (np.abs(now) > MOVES * size)  # a dead point, where friction cannot hold the row
+        passes = group.friction & (np.abs(now) > MOVES * size) & ~at_rest  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
         p, status = self.solve(t, group, G, now, start, lam, Y, mobility, slip, slips=True)
         return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)

@@ -12,7 +12,7 @@ from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
-from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import LEAST_RTOL, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")
@@ -32,7 +32,7 @@ class RadauIIA(Integrator):
     Parameters
     ----------
     rtol : float, optional
-        Relative tolerance of q. By default 1e-5, or less if the motion covers its own length more than 30 times, for an error of about
+        Relative tolerance of q, at least 8.9e-16. By default 1e-5, or less if the motion covers its own length more than 30 times, for an error of about
         1e-4 of that length. The summary of the run names the chosen value.
     atol : float, m, optional
         Absolute tolerance of q. By default rtol times the model's length (integrate/sizes.py).
@@ -111,7 +111,11 @@ class RadauIIA(Integrator):
         positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
         length = lambda x: is_number(x) and x >= 0  # noqa: E731
         self._require_settings(
-            ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "between 0 and 1, or None: by the run"),
+            (
+                "rtol",
+                self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1),
+                f"between {LEAST_RTOL:.2g}, which double precision resolves, and 1, or None: by the run",
+            ),
             ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
             ("h", positive(self.h), "a positive step in s, or None: by the local error"),
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
