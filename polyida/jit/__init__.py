@@ -18,7 +18,22 @@ import numba
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = ["FAST", "bound", "c_address", "clock", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "served", "shared", "typed"]
+__all__ = [
+    "FAST",
+    "bound",
+    "c_address",
+    "clock",
+    "entry",
+    "fast",
+    "leaf",
+    "own_address",
+    "own_part",
+    "pack",
+    "part",
+    "served",
+    "shared",
+    "typed",
+]
 
 TESTED = (0, 65), (0, 68)  # first and last version of numba with which compilers.py is tested
 FAST = {"contract", "reassoc", "nsz"}  # without "nnan": kernels test for NaN

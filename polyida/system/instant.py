@@ -74,13 +74,6 @@ def acceleration(model, instant, q, v, a, lam):
 
 
 @part
-def kinetic(model, instant, v, energy):
-    """energy[0] = v^T M v."""
-    functions, workspace = model
-    return call(functions[table.KINETIC], workspace, instant, address(v), address(energy), 0, 0, 0, 0)
-
-
-@part
 def factor(model, instant, q, v, a, lam, numbers):
     """Make the step matrix S = numbers[0] M + numbers[1] C + K at a state."""
     functions, workspace = model
