@@ -37,10 +37,10 @@ from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.start import started
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
-from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import zero
 from polyida.linear.lu import FactorCache
-from polyida.system import ADJOINT
+from polyida.system import instant as ask
 from polyida.system.python import small_own, small_table
 
 # constants of compiled code
@@ -196,23 +196,23 @@ def fit(marks, x, k):
 
 
 @entry
-def stretch(f, workspace, p, j, first, last, y, out):
+def sweep_back(functions, workspace, method, slopes, first, last, memory, out):
     """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before).
 
-    f: addresses of the table's functions; workspace: address of the model's; j: of `slope_addresses`.
+    functions, workspace: of the model's table (system/instant.py); slopes: of `slope_addresses`.
     """
-    right, below, bar, products, columns = address(y.right), address(y.below), address(y.bars[Q]), address(y.products), y.right.shape[0]
+    model, columns = (functions, workspace), memory.right.shape[0]
     for k in range(last - 1, first - 1, -1):
-        for c in range(columns):
-            begin(p, j, k, y, out, c)
-        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.mu[k]), products)
-        if ended != DONE:
-            return k + 1, ended
-        for c in range(columns):
-            finish(p, k, y, out, c)
+        for column in range(columns):
+            begin(method, slopes, k, memory, out, column)
+        status = ask.adjoint(model, k, memory.right, memory.below, memory.bars[Q], out.w[k], out.mu[k], memory.products)
+        if status != DONE:
+            return k + 1, status
+        for column in range(columns):
+            finish(method, k, memory, out, column)
             if k > 0:
-                add_slopes(j, k - 1, y.bars, c)
-            fit(y.marks[c], out.w[:, c], k)
+                add_slopes(slopes, k - 1, memory.bars, column)
+            fit(memory.marks[column], out.w[:, column], k)
     return first, DONE
 
 
@@ -274,7 +274,7 @@ class Sweep:
             exact.set_states(*states)
             return exact
 
-        sweep_with_fallback(table, exact_table, done, lambda *at: stretch(*at[:2], self.method, j, *at[2:], self.memory, out))
+        sweep_with_fallback(table, exact_table, done, lambda *at: sweep_back(*at[:2], self.method, j, *at[2:], self.memory, out))
         self.past = [x[:PAST].copy() for x in (w, mu)]
         return [
             SweepResult(

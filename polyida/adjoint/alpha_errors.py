@@ -31,11 +31,10 @@ from polyida.integrate.alpha.steps import table_of
 from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.start import motor_jump, started
 from polyida.jit import entry, fast
-from polyida.jit.intrinsics import address, call
 from polyida.model.differences import beside, near_points, step_integrals
 from polyida.objective.objective import OneFrame, terms_of
 from polyida.objective.peak_stress import PeakStress
-from polyida.system import RATE, RESIDUAL
+from polyida.system import instant as ask
 
 WIDTHS = 3.0  # of the Gaussian, on each side; half a period of a mode with omega = 1 / width has pi
 LAGS = 25  # shifts of the part of the modes whose phase is lost, an odd number
@@ -141,25 +140,24 @@ def shifted(t, h, widths, tau, factors, first, last, ends, sums):
 
 
 @entry
-def left_over(f, workspace, q, v, a, lam, w, mu, kappa, r, phi):
+def left_over(functions, workspace, q, v, a, lam, w, mu, kappa, r, phi):
     """(`sum w . r + mu . phi + kappa . rate`, status) of the states (count, .) of prepared steps; kappa (0, m): no rates. r (n,), phi (m,): scratch.
 
-    f: addresses of the table's functions; workspace: address of the model's.
+    functions, workspace: of the model's table (system/instant.py).
     """
-    total = 0.0
+    model, total = (functions, workspace), 0.0
     for k in range(q.shape[0]):
-        at = address(q[k]), address(v[k])
-        ended = call(f[RESIDUAL], workspace, k, at[0], at[1], address(a[k]), address(lam[k]), address(r), address(phi))
-        if ended != DONE:
-            return total, ended
+        status = ask.residual(model, k, q[k], v[k], a[k], lam[k], r, phi)
+        if status != DONE:
+            return total, status
         for i in range(r.shape[0]):
             total += w[k, i] * r[i]
         for i in range(phi.shape[0]):
             total += mu[k, i] * phi[i]
         if kappa.shape[0]:
-            ended = call(f[RATE], workspace, k, at[0], at[1], address(phi), 0, 0, 0)
-            if ended != DONE:
-                return total, ended
+            status = ask.rate(model, k, q[k], v[k], phi, 0)
+            if status != DONE:
+                return total, status
             for i in range(phi.shape[0]):
                 total += kappa[k, i] * phi[i]
     return total, DONE

@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.adjoint.history import SAME, StepHistory, StepSegment, every_step, frame_reader, replayed_history
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.radau_sweep import Slopes, StageEquations, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, stretch
+from polyida.adjoint.radau_sweep import Slopes, StageEquations, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, sweep_back
 from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint
 from polyida.adjoint.taped import pulled_back
@@ -281,7 +281,7 @@ class RadauAdjoint(RunAdjoint):
 
         self.table.scale(h)
         self.table.set_states(*states)
-        sweep_with_fallback(self.table, exact_table, count, lambda f, w, first, last: stretch(f, w, first, last, *arguments))
+        sweep_with_fallback(self.table, exact_table, count, lambda f, w, first, last: sweep_back(f, w, first, last, *arguments))
         return out
 
     def _store_multipliers(self, b, x, q, v, h, out):

@@ -1,6 +1,6 @@
 """Steps of Radau IIA solved once more and swept backward.
 
-`again` solves the stages of steps between stored states to round-off, with the tables of the run. `stretch` is the driver of the backward
+`again` solves the stages of steps between stored states to round-off, with the tables of the run. `sweep_back` is the driver of the backward
 sweep. With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and
 `v_i' = sum_j W_ij (v_j - v_0) / h` the equations of a step are `r_i = 0`, `phi_i = 0` and, if there is mu, `B_i v_i + phi_t = 0`; their
 multipliers are w_i, mu*_i and kappa_i. b_q and b_v are the bars of the step's end, which is the last stage:
@@ -26,13 +26,13 @@ from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_ar
 from polyida.adjoint.tables import CallbackAdjoint
 from polyida.errors import DONE
 from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
-from polyida.integrate.radau.step import FACTORS, A, Q, V
+from polyida.integrate.radau.step import FACTORS
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
-from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import clear, copy_matrix, put
 from polyida.linear.lu import ScaledLU
-from polyida.system import ADJOINT, MATRICES, PREPARE
+from polyida.system import MATRICES, PREPARE
+from polyida.system import instant as ask
 
 
 @pack
@@ -76,37 +76,42 @@ def initial_stages(c, h, b, k, x):
 
 
 @entry
-def solve_stages(f, w, at, p, t, h, now, slots, fresh, b, done, y, x, z, counts, out):
+def solve_stages(functions, workspace, at, method, tableau, h, now, slots, fresh, states, done, memory, trial, work, counts, out):
     """Solve the stages of steps of h from number `done` on: (number of solved steps, status of the next one).
 
-    f, w, p, t, y, x, z, slots, fresh, counts: as of `loop.stretch`; at: number of the instant at which the first step starts; b: the States.
+    functions, workspace, method, tableau, memory, trial, work, slots, fresh, counts: as of `loop.take_steps`; at: number of the instant at
+    which the first step starts.
     """
-    apart = t.c.shape[0] + 1
+    model, apart = (functions, workspace), tableau.c.shape[0] + 1
     for k in range(done, out.e.shape[0]):
-        put(1.0, b.q[k], y.past[Q])
-        put(1.0, b.v[k], y.past[V])
-        put(1.0, b.a[k], y.past[A])
-        put(1.0, b.lam[k], y.lam)
-        initial_stages(t.c, h, b, k, x)
-        now[STEP], now[TIME], now[TARGET] = h, b.t[k], b.t[k + 1]
-        first = at if f[PREPARE] else at + k * apart
-        ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, fresh, y, x, z, counts)
-        if ended == MAKE and f[MATRICES]:
-            slot = reserve_slot(slots, h, b.t[k], y)
-            ended, counts[FACTORS] = make_factors(f, w, first, t, y, z, slot), counts[FACTORS] + 1
-            if ended == DONE:
-                initial_stages(t.c, h, b, k, x)
-                ended, _ = attempt(f, w, first, p, t, h, b.t[k], b.t[k + 1], slots, True, y, x, z, counts)
-        if ended != DONE:
-            return k, ended
+        put(1.0, states.q[k], memory.q)
+        put(1.0, states.v[k], memory.v)
+        put(1.0, states.a[k], memory.a)
+        put(1.0, states.lam[k], memory.lam)
+        initial_stages(tableau.c, h, states, k, trial)
+        now[STEP], now[TIME], now[TARGET] = h, states.t[k], states.t[k + 1]
+        first = at if ask.provides(model, PREPARE) else at + k * apart
+        status, _ = attempt(
+            functions, workspace, first, method, tableau, h, states.t[k], states.t[k + 1], slots, fresh, memory, trial, work, counts
+        )
+        if status == MAKE and ask.provides(model, MATRICES):
+            slot = reserve_slot(slots, h, states.t[k], memory)
+            status, counts[FACTORS] = make_factors(model, first, tableau, memory, work, slot), counts[FACTORS] + 1
+            if status == DONE:
+                initial_stages(tableau.c, h, states, k, trial)
+                status, _ = attempt(
+                    functions, workspace, first, method, tableau, h, states.t[k], states.t[k + 1], slots, True, memory, trial, work, counts
+                )
+        if status != DONE:
+            return k, status
         fresh = False
-        put(1.0, z.times[3 : 2 + apart], out.t[k])
-        copy_matrix(x.e, out.e[k])
-        copy_matrix(x.dv, out.dv[k])
-        copy_matrix(x.a, out.a[k])
-        copy_matrix(x.lam, out.lam[k])
-        copy_matrix(x.mu, out.mu[k])
-        clear(y.phi_start)  # the next step begins on its constraints
+        put(1.0, work.times[3 : 2 + apart], out.t[k])
+        copy_matrix(trial.e, out.e[k])
+        copy_matrix(trial.dv, out.dv[k])
+        copy_matrix(trial.a, out.a[k])
+        copy_matrix(trial.lam, out.lam[k])
+        copy_matrix(trial.mu, out.mu[k])
+        clear(memory.phi_start)  # the next step begins on its constraints
     return out.e.shape[0], DONE
 
 
@@ -182,14 +187,14 @@ def finish(c, W, h, b, x, k, y, out):
 
 
 @entry
-def stretch(f, workspace, first, last, c, W, h, j, b, x, y, out):
+def sweep_back(functions, workspace, first, last, c, W, h, j, b, x, y, out):
     """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before)."""
-    right, below, bar, products = address(y.right), address(y.below), address(y.trial[1]), address(y.products)
+    model = functions, workspace
     for k in range(last - 1, first - 1, -1):
         begin(W, h, j, k, y, out)
-        ended = call(f[ADJOINT], workspace, k, right, below, bar, address(out.w[k]), address(out.multipliers[k]), products)
-        if ended != DONE:
-            return k + 1, ended
+        status = ask.adjoint(model, k, y.right, y.below, y.trial[1], out.w[k], out.multipliers[k], y.products)
+        if status != DONE:
+            return k + 1, status
         finish(c, W, h, b, x, k, y, out)
     return first, DONE
 

@@ -18,7 +18,22 @@ import numba
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = ["FAST", "bound", "c_address", "clock", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
+__all__ = [
+    "FAST",
+    "bound",
+    "c_address",
+    "clock",
+    "entry",
+    "fast",
+    "leaf",
+    "own_address",
+    "own_part",
+    "pack",
+    "part",
+    "served",
+    "shared",
+    "typed",
+]
 
 TESTED = (0, 65), (0, 68)  # first and last version of numba with which compilers.py is tested
 FAST = {"contract", "reassoc", "nsz"}  # without "nnan": kernels test for NaN
@@ -68,6 +83,19 @@ def fast(function):
 def leaf(function):
     """A part that is always inlined: inner loops call it with a scene's arrays, and passing these would cost more than its work."""
     return part(function, forceinline=True)
+
+
+def served(function, *shapes):
+    """The part `f(workspace, instant, address x 6)`, an entry of a model's table, of a part `function(workspace, instant, *arguments)`.
+
+    shapes: for each argument a part (workspace, address) that returns the array there, or None for a number.
+    """
+    places = [f"place_{k}" for k in range(6)]
+    arguments = [place if shape is None else f"shape_{k}(workspace, {place})" for k, (place, shape) in enumerate(zip(places, shapes))]
+    names = {"inner": function} | {f"shape_{k}": shape for k, shape in enumerate(shapes)}
+    text = f"def outer(workspace, instant, {', '.join(places)}):\n    return inner(workspace, instant, {', '.join(arguments)})"
+    exec(text, names)
+    return part(_in_place_of(names["outer"], function.py_func))
 
 
 def c_address(inner, kinds):
@@ -125,9 +153,14 @@ def typed(entry):
 
 def _around(function, inner):
     """A function that calls `inner`, with the name, the source position and the arguments of `function`."""
-    names, namespace, at = ", ".join(signature(function).parameters), {}, function.__code__
+    names, namespace = ", ".join(signature(function).parameters), {}
     exec(f"def outer({names}):\n    return inner({names})", {"inner": inner}, namespace)
-    outer = update_wrapper(namespace["outer"], function)
+    return _in_place_of(namespace["outer"], function)
+
+
+def _in_place_of(outer, function):
+    """`outer` with the name and the source position of `function`, by which its machine code is cached."""
+    outer, at = update_wrapper(outer, function), function.__code__
     outer.__code__ = outer.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
     del outer.__wrapped__
     return outer

@@ -308,9 +308,11 @@ def call(typing_context, function, model, instant, a, b, c, d, e, f):
 
 @intrinsic
 def address(typing_context, value):
-    """Address of the first entry of an array, or of the block of a pack."""
+    """Address of the first entry of an array, or of the block of a pack; 0 of None."""
 
     def generate(context, builder, sig, args):
+        if value == types.none:
+            return ir.Constant(INT64, 0)
         block = context.make_array(value)(context, builder, args[0]).data if isinstance(value, types.Array) else args[0]
         return builder.ptrtoint(block, INT64)
 

@@ -16,26 +16,23 @@ import numpy as np
 from polyida import system as table
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, NOT_FINITE, REFACTOR
 from polyida.jit import entry, fast, pack, part
-from polyida.jit.intrinsics import address, call
-from polyida.linear.dense import copy_matrix, put, zero
+from polyida.linear.dense import put, zero
+from polyida.system import instant as ask
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 LARGEST_FACTOR = 4.0  # of an earlier change in a prediction; a straight line needs 2
-# rows of Memory.past; the first three are those of Trial.now too
-Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES, PLACES = range(9)
-DD, R, DQ, DV, GGL = range(3, 8)  # further rows of Trial.now
-LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.rows and of Trial.rows
-# of Memory.marks; norms are root mean squares
+# of Begin.marks; norms are root mean squares
 CONTRACTION, AGE = range(2)  # of Newton's method, and its age in steps
 # norms of q'' and of its change in a step: largest so far, of this iteration
 ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(2, 6)
-AHEAD, BEHIND = range(6, 8)  # factors of CHANGE and EARLIER in the prediction
+AHEAD, BEHIND = range(6, 8)  # factors of the last two changes in the prediction
 MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, nan from a given trial state, 0 in a new step
 ERROR, SINCE = range(9, 11)  # largest local error of the last SINCE steps
 MARKS = 11
+RESIDUALS, SOLVES, FACTORS = range(3)  # of the counts
 
 
 @pack
@@ -72,71 +69,102 @@ class Method(NamedTuple):
 
 
 @pack
-class Memory(NamedTuple):
-    """Memory from step to step: `past` (9, n), `rows` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks` (MARKS,).
+class Begin(NamedTuple):
+    """The state at which a step begins, and what is remembered of earlier steps.
 
-    CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: weights of the coordinates in the mean squares of the
-    local error and of Newton's method. PLACES: of |q|, which the local error is relative to: MASSES without the integrals of states.
+    q, v, a, a_alg, change, earlier, masses, shares, places (n,), which are the rows of `past`; lam, phi, rate (m,), phi and rate = phi_q v +
+    phi_t as they are carried, the rows of `rows`; marks (MARKS,). change, earlier: of q'' in the last step and in the one before. masses,
+    shares: weights of the coordinates in the mean squares of the local error and of Newton's method. places: of |q|, which the local error is
+    relative to: masses without the integrals of states.
     """
 
     past: np.ndarray
     rows: np.ndarray
     marks: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    a_alg: np.ndarray
+    change: np.ndarray
+    earlier: np.ndarray
+    masses: np.ndarray
+    shares: np.ndarray
+    places: np.ndarray
+    lam: np.ndarray
+    phi: np.ndarray
+    rate: np.ndarray
 
 
 @pack
 class Trial(NamedTuple):
-    """The state of Newton's method, `q = q_0 + (h v_0 + dd)`: `now` (8, n), `rows` (5, m)."""
+    """An iterate `q = q_0 + (h v_0 + moved)` of Newton's method, its residuals and its correction.
+
+    q, v, a, moved, r, dq, dv, slip (n,), which are the rows of `now`; slip is the part of q from eta, dv the change of v in the step. lam, phi,
+    rate, dlam, bias (m,); bias: the rows that slip closes.
+    """
 
     now: np.ndarray
-    rows: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    moved: np.ndarray
+    r: np.ndarray
+    dq: np.ndarray
+    dv: np.ndarray
+    slip: np.ndarray
+    lam: np.ndarray
+    phi: np.ndarray
+    rate: np.ndarray
+    dlam: np.ndarray
+    bias: np.ndarray
 
 
 def empty(n, m):
-    """(Memory, Trial) for n coordinates and m constraints."""
-    return Memory(np.zeros((9, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((8, n)), np.zeros((5, m)))
+    """(Begin, Trial) for n coordinates and m constraints."""
+    past, rows, now = np.zeros((9, n)), np.zeros((3, m)), np.zeros((8, n))
+    return Begin(past, rows, np.zeros(MARKS), *past, *rows), Trial(now, *now, *np.zeros((5, m)))
 
 
 @entry
-def predict(p, y, w):
+def predict(method, begin, trial):
     """Fill the trial state: q'' by the combination of earlier changes that fits the last step best, lam constant."""
-    past, now, ahead, behind = y.past, w.now, y.marks[AHEAD], y.marks[BEHIND]
-    for i in range(p.unknowns):
-        a0, a_alg = past[A, i], past[A_ALG, i]
-        a = a0 + ahead * past[CHANGE, i] + behind * past[EARLIER, i]
-        a1 = ((1.0 - p.alpha_f) * a + p.alpha_f * a0 - p.alpha_m * a_alg) / (1.0 - p.alpha_m)
-        dd = p.h * p.h * ((0.5 - p.beta) * a_alg + p.beta * a1)
-        now[A, i] = a
-        now[V, i] = past[V, i] + p.h * ((1.0 - p.gamma) * a_alg + p.gamma * a1)
-        now[DD, i] = dd
-        now[Q, i] = past[Q, i] + (p.h * past[V, i] + dd)
-    put(1.0, y.rows[LAM], w.rows[LAM])
+    h, alpha_m, alpha_f = method.h, method.alpha_m, method.alpha_f
+    ahead, behind = begin.marks[AHEAD], begin.marks[BEHIND]
+    for i in range(method.unknowns):
+        a0, a_alg = begin.a[i], begin.a_alg[i]
+        a = a0 + ahead * begin.change[i] + behind * begin.earlier[i]
+        a1 = ((1.0 - alpha_f) * a + alpha_f * a0 - alpha_m * a_alg) / (1.0 - alpha_m)
+        moved = h * h * ((0.5 - method.beta) * a_alg + method.beta * a1)
+        trial.a[i] = a
+        trial.v[i] = begin.v[i] + h * ((1.0 - method.gamma) * a_alg + method.gamma * a1)
+        trial.moved[i] = moved
+        trial.q[i] = begin.q[i] + (h * begin.v[i] + moved)
+    put(1.0, begin.lam, trial.lam)
 
 
 @fast
-def correct(p, y, w, first, last):
+def correct(method, begin, trial, first, last):
     """Add dq and dlam to the trial state. Returns what `convergence` returns; last: |dq| of the iteration before, or 0."""
-    past, now = y.past, w.now
     moved = length = size = accel = change = 0.0
-    for i in range(p.unknowns):
-        d, share = now[DQ, i], past[SHARES, i]
-        now[DD, i] += d
-        now[Q, i] += d
-        now[V, i] += p.to_v * d
-        now[A, i] += p.to_a * d
+    for i in range(method.unknowns):
+        d, share = trial.dq[i], begin.shares[i]
+        trial.moved[i] += d
+        trial.q[i] += d
+        trial.v[i] += method.to_v * d
+        trial.a[i] += method.to_a * d
         moved += share * d * d
-        length += share * now[DD, i] * now[DD, i]
-        size += share * now[Q, i] * now[Q, i]
-        accel += share * now[A, i] * now[A, i]
-        change += share * (now[A, i] - past[A, i]) ** 2
-    for k in range(w.rows.shape[1]):
-        w.rows[LAM, k] += w.rows[DLAM, k]
-    return convergence(p, y.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(accel), np.sqrt(change))
+        length += share * trial.moved[i] * trial.moved[i]
+        size += share * trial.q[i] * trial.q[i]
+        accel += share * trial.a[i] * trial.a[i]
+        change += share * (trial.a[i] - begin.a[i]) ** 2
+    for k in range(trial.lam.shape[0]):
+        trial.lam[k] += trial.dlam[k]
+    return convergence(method, begin.marks, first, last, np.sqrt(moved), np.sqrt(length), np.sqrt(size), np.sqrt(accel), np.sqrt(change))
 
 
 @part
-def convergence(p, marks, first, last, moved, length, size, accel, change):
-    """(|dq|, True if converged, True if Newton's method fails, the largest |phi| allowed), from the norms of dq, dd, q, q'' and its change.
+def convergence(method, marks, first, last, moved, length, size, accel, change):
+    """(|dq|, True if converged, True if Newton's method fails, the largest |phi| allowed), from the norms of dq, moved, q, q'' and its change.
 
     Converged: the error to be expected is below the tolerance, or dq is round-off and no longer falls.
     """
@@ -145,74 +173,80 @@ def convergence(p, marks, first, last, moved, length, size, accel, change):
         rate = moved / last
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if first else 1.0) * marks[CONTRACTION]), 0.0
     marks[NEW_ACCEL], marks[NEW_ACCEL_CHANGE] = max(marks[ACCEL], accel), max(marks[ACCEL_CHANGE], change)
-    tolerance = min(max(p.least * marks[NEW_ACCEL], p.share * marks[NEW_ACCEL_CHANGE]), p.most * marks[NEW_ACCEL]) / p.to_a
-    coarse = 16.0 * EPS * (size + p.extent)
-    fine = 16.0 * EPS * (length if p.incremental else size)
+    tolerance = (
+        min(max(method.least * marks[NEW_ACCEL], method.share * marks[NEW_ACCEL_CHANGE]), method.most * marks[NEW_ACCEL]) / method.to_a
+    )
+    coarse = 16.0 * EPS * (size + method.extent)
+    fine = 16.0 * EPS * (length if method.incremental else size)
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
     stalled = measured and rate > SLOW and moved <= coarse
-    allowed = max(1e-2 * tolerance, 16.0 * fine if p.incremental and not stalled else coarse)
+    allowed = max(1e-2 * tolerance, 16.0 * fine if method.incremental and not stalled else coarse)
     return moved, small or stalled or moved <= fine, measured and rate > SLOW and moved > coarse, allowed
 
 
 @part
-def end_step(f, w, k, p, c, y, x, row, qs, vs, accelerations, lams):
+def end_step(model, instant, method, numbers, begin, trial, row, frames):
     """Accept the trial state, unless its local error is too large, and copy it into a row of the frames. Returns how the step ended."""
-    y.marks[AGE] += 1.0
-    y.marks[ACCEL], y.marks[ACCEL_CHANGE] = y.marks[NEW_ACCEL], y.marks[NEW_ACCEL_CHANGE]
-    if p.control > 0.0:
-        error = local_error(p, y, x)
-        y.marks[ERROR] = max(y.marks[ERROR], error)
+    marks = begin.marks
+    marks[AGE] += 1.0
+    marks[ACCEL], marks[ACCEL_CHANGE] = marks[NEW_ACCEL], marks[NEW_ACCEL_CHANGE]
+    if method.control > 0.0:
+        error = local_error(method, begin, trial)
+        marks[ERROR] = max(marks[ERROR], error)
         if not error <= 1.0:
             return ERROR_LARGE
-    remember(p, y, x)
-    if p.unknowns < qs.shape[1]:
-        call(f[table.STRAINS], w, k, address(y.past), address(x.now), address(y.past), address(c), 0, 0)
-    y.marks[MOVED] = 0.0
-    put(1.0, y.past[Q], qs[row])
-    put(1.0, y.past[V], vs[row])
-    put(1.0, y.past[A], accelerations[row])
-    put(1.0, y.rows[LAM], lams[row])
-    if p.control > 0.0:
-        y.marks[SINCE] += 1.0
-        if y.marks[SINCE] >= PATIENCE:
-            if y.marks[ERROR] < p.grow:
+    remember(method, begin, trial)
+    qs, vs, accelerations, lams = frames
+    if method.unknowns < qs.shape[1]:
+        ask.end_strains(model, instant, begin.past, trial.now, begin.past, numbers)
+    marks[MOVED] = 0.0
+    put(1.0, begin.q, qs[row])
+    put(1.0, begin.v, vs[row])
+    put(1.0, begin.a, accelerations[row])
+    put(1.0, begin.lam, lams[row])
+    if method.control > 0.0:
+        marks[SINCE] += 1.0
+        if marks[SINCE] >= PATIENCE:
+            if marks[ERROR] < method.grow:
                 return ERROR_SMALL
-            y.marks[ERROR] = y.marks[SINCE] = 0.0
+            marks[ERROR] = marks[SINCE] = 0.0
     return DONE
 
 
 @fast
-def local_error(p, y, w):
+def local_error(method, begin, trial):
     """Local error of q over the allowed one, mass-weighted norms; from the change of q'' in this step alone if none went before."""
     change = earlier = size = 0.0
-    for i in range(w.now.shape[1]):
-        before = p.before * y.past[CHANGE, i]
-        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + before) ** 2
+    for i in range(trial.q.shape[0]):
+        before = method.before * begin.change[i]
+        change += begin.masses[i] * (trial.a[i] - begin.a[i] + before) ** 2
         earlier += before * before
-        size += y.past[PLACES, i] * w.now[Q, i] * w.now[Q, i]
-    control = p.control / (1.0 + p.before) if earlier > 0.0 else p.control
-    return control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
+        size += begin.places[i] * trial.q[i] * trial.q[i]
+    control = method.control / (1.0 + method.before) if earlier > 0.0 else method.control
+    return control * np.sqrt(change) / max(method.atol + method.rtol * np.sqrt(size), 1e-300)
 
 
 @fast
-def remember(p, y, w):
-    """Move the trial state into memory, with the algorithmic acceleration and the factors of the next prediction."""
-    past, now = y.past, w.now
+def remember(method, begin, trial):
+    """Make the trial state that of the next step's beginning, with its algorithmic acceleration and the factors of the next prediction."""
+    alpha_m, alpha_f = method.alpha_m, method.alpha_f
     aa = ab = bb = ad = bd = 0.0
-    for i in range(p.unknowns):
-        a, a0 = now[A, i], past[A, i]
-        change, before, earlier = a - a0, past[CHANGE, i], past[EARLIER, i]
+    for i in range(method.unknowns):
+        a, a0 = trial.a[i], begin.a[i]
+        change, before, earlier = a - a0, begin.change[i], begin.earlier[i]
         aa += before * before
         ab += before * earlier
         bb += earlier * earlier
         ad += before * change
         bd += earlier * change
-        past[A_ALG, i] = ((1.0 - p.alpha_f) * a + p.alpha_f * a0 - p.alpha_m * past[A_ALG, i]) / (1.0 - p.alpha_m)
-        past[CHANGE, i] = change
-        past[EARLIER, i] = before
-        past[Q, i], past[V, i], past[A, i] = now[Q, i], now[V, i], a
-    copy_matrix(w.rows[:DLAM], y.rows)  # lam, phi and the rate
-    y.marks[AHEAD], y.marks[BEHIND] = nearest(aa, ab, bb, ad, bd)
+        begin.a_alg[i] = ((1.0 - alpha_f) * a + alpha_f * a0 - alpha_m * begin.a_alg[i]) / (1.0 - alpha_m)
+        begin.change[i] = change
+        begin.earlier[i] = before
+        begin.q[i], begin.v[i], begin.a[i] = trial.q[i], trial.v[i], a
+    put(1.0, trial.lam, begin.lam)
+    put(1.0, trial.phi, begin.phi)
+    put(1.0, trial.rate, begin.rate)
+    begin.marks[AHEAD], begin.marks[BEHIND] = nearest(aa, ab, bb, ad, bd)
 
 
 @part
@@ -233,135 +267,141 @@ def nearest(aa, ab, bb, ad, bd):
 
 
 @part
-def constraints(f, w, k, p, y, x):
-    """(how it ended, the largest |phi|); fills phi and rate at the trial state."""
-    now, rows = x.now, x.rows
-    for i in range(p.unknowns):
-        a1 = (now[DD, i] / (p.h * p.h) - (0.5 - p.beta) * y.past[A_ALG, i]) / p.beta
-        now[DV, i] = p.h * ((1.0 - p.gamma) * y.past[A_ALG, i] + p.gamma * a1)
-    for i in range(rows.shape[1]):
-        rows[PHI, i], rows[RATE, i] = y.rows[PHI, i], y.rows[RATE, i]
-    places = address(now[Q]), address(now[DD]), address(now[DV]), address(rows[PHI]), address(rows[RATE])
-    ended = call(f[table.CONSTRAINTS], w, k, places[0], places[1], places[2], places[3], places[4], 0)
+def constraints(model, instant, method, begin, trial):
+    """Fill phi and its rate at the trial state. Returns (status, the largest |phi|)."""
+    h, beta, gamma = method.h, method.beta, method.gamma
+    for i in range(method.unknowns):
+        a1 = (trial.moved[i] / (h * h) - (0.5 - beta) * begin.a_alg[i]) / beta
+        trial.dv[i] = h * ((1.0 - gamma) * begin.a_alg[i] + gamma * a1)
+    put(1.0, begin.phi, trial.phi)
+    put(1.0, begin.rate, trial.rate)
+    status = ask.constraints(model, instant, trial.q, trial.moved, trial.dv, trial.phi, trial.rate)
     worst = 0.0
-    for i in range(rows.shape[1]):
-        worst = max(worst, abs(rows[PHI, i]))
-    return ended, worst
+    for k in range(trial.phi.shape[0]):
+        worst = max(worst, abs(trial.phi[k]))
+    return status, worst
 
 
 @part
-def add_rates(f, w, k, p, x, stabilised):
-    """Fill the velocity rows of rows[PHI] with psi/gamma'; if stabilised all rows with rate/gamma', for the solve of x, and rows[BIAS] with the rest."""
-    rows = x.rows
-    ended = call(f[table.RATE], w, k, address(x.now[Q]), address(x.now[V]), address(rows[BIAS]), 0, 0, 0)
-    for i in range(rows.shape[1] if stabilised else 0):
-        share = rows[BIAS, i] / p.to_v
-        rows[BIAS, i], rows[PHI, i] = rows[PHI, i] - share, share
-    for e in range(p.velocity_rows.shape[0]):
-        i = p.velocity_rows[e]
+def add_rates(model, instant, method, trial, stabilised):
+    """Fill the velocity rows of phi with psi/gamma'; if stabilised all rows with rate/gamma', for the solve of x, and bias with the rest."""
+    status = ask.rate(model, instant, trial.q, trial.v, trial.bias, 0)
+    for k in range(trial.phi.shape[0] if stabilised else 0):
+        share = trial.bias[k] / method.to_v
+        trial.bias[k] = trial.phi[k] - share
+        trial.phi[k] = share
+    for e in range(method.velocity_rows.shape[0]):
+        k = method.velocity_rows[e]
         if not stabilised:
-            rows[PHI, i] = rows[BIAS, i] / p.to_v
-        rows[BIAS, i] = 0.0
-    return ended
+            trial.phi[k] = trial.bias[k] / method.to_v
+        trial.bias[k] = 0.0
+    return status
 
 
 @part
-def correct_ggl(f, w, k, p, y, x):
-    """Compute the GGL correction anew, and q with it."""
-    now, past = x.now, y.past
-    for i in range(p.unknowns):
-        now[DD, i] -= now[GGL, i]
-    ended = call(f[table.PROJECT], w, k, address(x.rows[BIAS]), address(now[GGL]), 1, 0, 0, 0)
-    for i in range(p.unknowns):
-        now[DD, i] += now[GGL, i]
-        now[Q, i] = past[Q, i] + (p.h * past[V, i] + now[DD, i])
-    return ended
+def evaluate(model, instant, method, stabilised, begin, trial):
+    """Fill r, phi and, where they are equations, the rates of the trial state. Returns a status."""
+    status = ask.residual(model, instant, trial.q, trial.v, trial.a, trial.lam, trial.r, trial.phi)
+    if status == DONE and method.incremental:
+        status, _ = constraints(model, instant, method, begin, trial)
+    if status == DONE and (stabilised or method.velocity_rows.shape[0]):
+        status = add_rates(model, instant, method, trial, stabilised)
+    return status
 
 
 @part
-def settle(f, w, k, x, stabilised):
+def renew_slip(model, instant, method, begin, trial):
+    """Compute the slip with phi_q of this iterate, and q with it."""
+    for i in range(method.unknowns):
+        trial.moved[i] -= trial.slip[i]
+    status = ask.project(model, instant, trial.bias, trial.slip, 1)
+    for i in range(method.unknowns):
+        trial.moved[i] += trial.slip[i]
+        trial.q[i] = begin.q[i] + (method.h * begin.v[i] + trial.moved[i])
+    return status
+
+
+@part
+def settle(model, instant, trial, stabilised):
     """Ask the model to accept the state; in the stabilised form project v onto the velocity constraint."""
-    now, rows = x.now, x.rows
-    ended = call(f[table.ACCEPT], w, k, address(now[Q]), 0, 0, 0, 0, 0)
-    if ended != DONE or not stabilised:
-        return ended
-    ended = call(f[table.RATE], w, k, address(now[Q]), address(now[V]), address(rows[RATE]), 0, 0, 0)
-    if ended != DONE:
-        return ended
-    ended = call(f[table.PROJECT], w, k, address(rows[RATE]), address(now[V]), 0, 0, 0, 0)
-    zero(rows[RATE])
-    return ended
+    status = ask.accept(model, instant, trial.q)
+    if status == DONE and stabilised:
+        status = ask.rate(model, instant, trial.q, trial.v, trial.rate, 0)
+        if status == DONE:
+            status = ask.project(model, instant, trial.rate, trial.v, 0)
+            zero(trial.rate)
+    return status
 
 
 @part
-def newton(f, w, k, p, stabilised, y, x, counts):
-    """Newton's method from the predicted state, or from where it was interrupted. Returns how it ended and the last |dq|."""
-    last, now, rows = y.marks[MOVED], x.now, x.rows
+def newton(model, instant, method, stabilised, begin, trial, counts):
+    """Newton's method from the predicted state, or from where it was interrupted. Returns (status, the last |dq|)."""
+    last = begin.marks[MOVED]
     if last == 0.0:
-        predict(p, y, x)
-        y.marks[ACCEL] *= 0.9
-        y.marks[ACCEL_CHANGE] *= 0.9
-    call(f[table.BEGIN], w, k, address(y.past[Q]), address(y.past[V]), 0, 0, 0, 0)
-    if stabilised and last == 0.0:
-        zero(now[GGL])
-    state = address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM])
-    r, phi, dq, dlam = address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
-    for iteration in range(p.max_iterations):
-        ended = call(f[table.RESIDUAL], w, k, state[0], state[1], state[2], state[3], r, phi)
-        counts[0] += 1
-        if ended == DONE and p.incremental:
-            ended, _ = constraints(f, w, k, p, y, x)
-        if ended == DONE and (stabilised or p.velocity_rows.shape[0]):
-            ended = add_rates(f, w, k, p, x, stabilised)
-        if ended != DONE:
-            return ended, last
-        ended = call(f[table.SOLVE], w, k, state[0], state[3], r, phi, dq, dlam)
-        counts[1] += 1
-        moved, converged, fails, allowed = correct(p, y, x, iteration == 1, last)
-        if ended == DONE and stabilised:
-            ended = correct_ggl(f, w, k, p, y, x)
-        if ended != DONE:
-            return ended, last
+        predict(method, begin, trial)
+        begin.marks[ACCEL] *= 0.9
+        begin.marks[ACCEL_CHANGE] *= 0.9
+        if stabilised:
+            zero(trial.slip)
+    ask.begin(model, instant, begin.q, begin.v, None)
+    for iteration in range(method.max_iterations):
+        status = evaluate(model, instant, method, stabilised, begin, trial)
+        counts[RESIDUALS] += 1
+        if status != DONE:
+            return status, last
+        status = ask.solve(model, instant, trial.q, trial.lam, trial.r, trial.phi, trial.dq, trial.dlam)
+        counts[SOLVES] += 1
+        moved, converged, fails, allowed = correct(method, begin, trial, iteration == 1, last)
+        if status == DONE and stabilised:
+            status = renew_slip(model, instant, method, begin, trial)
+        if status != DONE:
+            return status, last
         if converged:
-            ended, worst = constraints(f, w, k, p, y, x)
-            if ended != DONE:
-                return ended, last
+            status, worst = constraints(model, instant, method, begin, trial)
+            if status != DONE:
+                return status, last
             if worst <= allowed:
-                return settle(f, w, k, x, stabilised), moved
+                return settle(model, instant, trial, stabilised), moved
         if fails:
             return REFACTOR, moved
         last = moved
     return REFACTOR, last
 
 
-@entry
-def stretch(f, w, first, p, c, stabilised, y, x, counts, qs, vs, accelerations, lams):
-    """Take steps until the frames are full, a factor is needed or h is to change: (steps, how it ended, last |dq|).
+@part
+def factor(model, instant, method, numbers, begin, trial, counts):
+    """Make the step matrix at the predicted state, from which Newton's method begins anew. Returns a status."""
+    marks = begin.marks
+    marks[MOVED] = marks[AHEAD] = marks[BEHIND] = 0.0
+    predict(method, begin, trial)
+    counts[FACTORS] += 1
+    marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
+    return ask.factor(model, instant, trial.q, trial.v, trial.a, trial.lam, numbers)
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end; c (10,):
-    numbers of a step, for the model; counts (3,): of residuals, solves and matrices made. Frames are written to qs, vs, accelerations
-    (steps, n) and lams (steps, m).
+
+@entry
+def take_steps(functions, workspace, first, method, numbers, stabilised, begin, trial, counts, frames):
+    """Take steps until the frames are full, a factor is needed or h is to change. Returns (steps, status, the last |dq|).
+
+    functions, workspace: of the model's table (system/instant.py); first: number of the instant at the first step's end; numbers (10,): of a
+    step, for the model; counts (3,): of residuals, solves and matrices made; frames: q, v, a (steps, n) and lam (steps, m) of the ends.
     """
-    moved = 0.0
-    strains = p.unknowns < x.now.shape[1]
+    model, moved, lams = (functions, workspace), 0.0, frames[3]
+    strains = method.unknowns < trial.q.shape[0]
     for k in range(lams.shape[0]):
+        instant = first + k
         if strains:
-            call(f[table.STRAINS], w, first + k, address(y.past), 0, 0, address(c), 0, 0)
-        end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
-        if strains and (end != DONE or p.control > 0.0):
-            call(f[table.STRAINS], w, first + k, address(y.past), address(x.now), address(x.now), address(c), 0, 0)
-        if f[table.FACTOR] and (end in (REFACTOR, NOT_FINITE)):
-            y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
-            predict(p, y, x)
-            at, lam = x.now, address(x.rows[LAM])
-            end = call(f[table.FACTOR], w, first + k, address(at[Q]), address(at[V]), address(at[A]), lam, address(c), 0)
-            counts[2] += 1
-            y.marks[CONTRACTION], y.marks[AGE] = 1.0, FRESHEN
-            if end == DONE:
-                end, moved = newton(f, w, first + k, p, stabilised, y, x, counts)
-        if end != DONE:
-            return k, end, moved
-        end = end_step(f, w, first + k, p, c, y, x, k, qs, vs, accelerations, lams)
-        if end != DONE:
-            return (k if end == ERROR_LARGE else k + 1), end, moved
+            ask.begin_strains(model, instant, begin.past, numbers)
+        status, moved = newton(model, instant, method, stabilised, begin, trial, counts)
+        if strains and (status != DONE or method.control > 0.0):
+            ask.end_strains(model, instant, begin.past, trial.now, trial.now, numbers)
+        if ask.provides(model, table.FACTOR) and status in (REFACTOR, NOT_FINITE):
+            status = factor(model, instant, method, numbers, begin, trial, counts)
+            if status == DONE:
+                status, moved = newton(model, instant, method, stabilised, begin, trial, counts)
+        if status != DONE:
+            return k, status, moved
+        status = end_step(model, instant, method, numbers, begin, trial, k, frames)
+        if status != DONE:
+            return (k if status == ERROR_LARGE else k + 1), status, moved
     return lams.shape[0], DONE, moved

@@ -61,10 +61,11 @@ class Steps:
             incremental = s.incremental_phi and model.has_constraint_increments
             self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows, self.unknowns)
             self.numbers = _numbers(self.method)
-        y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+        y.q[:], y.v[:], y.a[:], y.a_alg[:] = state.q, state.v, state.a, state.memory["a_alg"]
+        y.change[:] = y.earlier[:] = 0.0
         if control and control.before and not at_kink(model, state.t):  # for the error of the first step
-            y.past[step.CHANGE] = state.memory.get("change", 0.0)
-        y.rows[step.LAM], (y.rows[step.PHI], y.rows[step.RATE]) = state.lam, start_values(model, state)
+            y.change[:] = state.memory.get("change", 0.0)
+        y.lam[:], (y.phi[:], y.rate[:]) = state.lam, start_values(model, state)
         if model.needs.mass_varies or not self.weighed:
             self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
@@ -79,11 +80,12 @@ class Steps:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 
     def _weigh(self, masses):
-        past, self.weighed = self.memory.past, True
-        past[step.MASSES], past[step.SHARES], past[step.PLACES] = masses, 1.0 / len(masses) if self.model.uniform_units else masses, masses
+        y, self.weighed = self.memory, True
+        y.masses[:] = y.places[:] = masses
+        y.shares[:] = 1.0 / len(masses) if self.model.uniform_units else masses
         if self.unknowns < self.model.n:
-            past[step.SHARES] /= past[step.SHARES, : self.unknowns].sum()
-        past[step.PLACES, self.model.hidden] = 0.0
+            y.shares[:] /= y.shares[: self.unknowns].sum()
+        y.places[self.model.hidden] = 0.0
 
     def _set_system(self, system):
         """Use a factor, of which Newton's contraction is not known."""
@@ -101,7 +103,7 @@ class Steps:
 
     def recall(self, memory):
         """Take up Newton's memory, so that a resumed run is the same to the last bit."""
-        self.memory.past[step.CHANGE], self.memory.past[step.EARLIER] = memory["change"], memory["earlier"]
+        self.memory.change[:], self.memory.earlier[:] = memory["change"], memory["earlier"]
         if "weights" in memory:
             self._weigh(memory["weights"])
         self.memory.marks[:] = memory["marks"]
@@ -183,9 +185,9 @@ class Steps:
 
     def _steps(self, method, first, end, frames):
         """Take the steps from `first` to before `end` with the present factor: (steps, how it ended, last |dq|)."""
-        counts, c, frames = np.zeros(3, np.int64), self.numbers, [frame[first:end] for frame in frames]
+        counts, c, frames = np.zeros(3, np.int64), self.numbers, tuple(frame[first:end] for frame in frames)
         with self.table.at_work(self.system) as (functions, workspace):
-            result = step.stretch(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, *frames)
+            result = step.take_steps(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, frames)
         self.counts.add(*counts)
         if counts[2]:
             self.system.read()
@@ -199,7 +201,7 @@ class Steps:
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
             return
-        phi = float(np.abs(self.trial.rows[step.PHI]).max(initial=0))
+        phi = float(np.abs(self.trial.phi).max(initial=0))
         raise StepFailure(*REASONS[ended], t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
@@ -207,12 +209,12 @@ class Steps:
         y, method = self.memory, self.method._replace(max_iterations=1)
         y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
         step.predict(method._replace(unknowns=self.model.n), y, self.trial)
-        now, back = self.trial.now, y.past[step.Q] - self.trial.now[step.Q]
+        x, back = self.trial, y.q - self.trial.q
         back[self.model.hidden] = 0.0
         if np.abs(back).max() <= NEAR * method.extent:
-            for row, rate in ((step.Q, 1.0), (step.DD, 1.0), (step.V, method.to_v), (step.A, method.to_a)):
-                now[row] += rate * back
-            now[step.GGL], y.marks[step.MOVED] = 0.0, np.nan
+            for values, rate in ((x.q, 1.0), (x.moved, 1.0), (x.v, method.to_v), (x.a, method.to_a)):
+                values += rate * back
+            x.slip[:], y.marks[step.MOVED] = 0.0, np.nan
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
@@ -224,7 +226,7 @@ class Steps:
         return steps, ended, moved
 
     def _factor_here(self, first):
-        t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.rows[step.LAM].copy()
+        t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.lam.copy()
         p = self.method
         self._factor(t, lambda system: self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v), p.h)
 
@@ -252,19 +254,19 @@ class Steps:
     def state(self, t):
         """The last accepted state with the memory from which a run goes on."""
         y = self.memory
-        return State(float(t), *y.past[: step.A + 1].copy(), y.rows[step.LAM].copy(), self._memory(None), restart=False)
+        return State(float(t), y.q.copy(), y.v.copy(), y.a.copy(), y.lam.copy(), self._memory(None), restart=False)
 
     def _memory(self, grid):
         y, p = self.memory, self.method
         made_at = np.zeros(0) if self.system is None else self.system.made_at
-        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
+        memory = {"a_alg": y.a_alg.copy(), "change": y.change.copy(), "earlier": y.earlier.copy()}
         memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made_at, "extent": p.extent}
         memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, p.h) else {}
         if self.model.needs.mass_varies:
-            memory["weights"] = y.past[step.MASSES].copy()
+            memory["weights"] = y.masses.copy()
         if p.incremental:
-            memory |= {"phi": y.rows[step.PHI].copy(), "rate": y.rows[step.RATE].copy()}
+            memory |= {"phi": y.phi.copy(), "rate": y.rate.copy()}
         return memory if grid is None else memory | {"grid": grid}
 
 

@@ -216,9 +216,9 @@ class Steps:
     def _steps(self, first, qs, vs):
         """(steps, how it ended, last |dq|) of the compiled loop."""
         counts, s = np.zeros(3, np.int64), self.settings
-        settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind, self.model.velocity_rows
+        method = loop.Method(self.h, self.c, s.tolerance, s.max_iterations, self.extent, self.kind, self.model.velocity_rows)
         with self.table.at_work(self.system) as (functions, workspace):
-            ended = loop.stretch(functions, workspace, first, *settings, self.now, self.rows, self.marks, counts, qs, vs)
+            ended = loop.take_steps(functions, workspace, first, method, self.now, self.rows, self.marks, counts, qs, vs)
         self.counts.add(counts[0], counts[1])
         self.table.raise_error()
         if counts[2]:

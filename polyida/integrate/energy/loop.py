@@ -8,11 +8,15 @@ It starts from extrapolated a and lam, each by the polynomial that would have be
 the contraction measured in earlier steps leaves less than the tolerance.
 """
 
+from typing import NamedTuple
+
+import numpy as np
+
 from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR
-from polyida.jit import entry, part
-from polyida.jit.intrinsics import address, call
+from polyida.jit import entry, pack, part
 from polyida.linear.dense import zero
+from polyida.system import instant as ask
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
 Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps
@@ -26,7 +30,25 @@ FREE, PROJECTED, FRAMES_PROJECTED = range(3)  # v_1: as it is; on its constraint
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
+RESIDUALS, SOLVES, FACTORS = range(3)  # of the counts
 UNSEEN = 2.0**-4  # share of the tolerance that Newton may leave by the contraction of an earlier step
+
+
+@pack
+class Method(NamedTuple):
+    """Numbers of the method at one h.
+
+    numbers (2,): 4/h^2 and 2/h, of the step matrix; tolerance: of dq, over h^2 |a|; extent: of the model, m, whose round-off is that of q; kind:
+    what v_1 becomes; velocity_rows: their numbers among the rows.
+    """
+
+    h: float
+    numbers: np.ndarray
+    tolerance: float
+    max_iterations: int
+    extent: float
+    kind: int
+    velocity_rows: np.ndarray
 
 
 @part
@@ -91,63 +113,69 @@ def correct(now, rows):
 
 
 @part
-def newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts):
-    """Newton's method from the predicted end. Returns how it ended and the last |dq|."""
-    before = 0.0
-    places = address(now[Q1]), address(rows[LAM]), address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
-    for iteration in range(most):
-        fill_middle(h, now)
-        ended = call(f[table.MIDDLE], w, instant, address(now), places[1], places[2], places[3], 0, 0)
-        counts[0] += 1
-        if ended != DONE:
-            return ended, before
-        if velocity_rows.shape[0]:
-            ended = call(f[table.RATE], w, instant - 1, address(now[QM]), address(now[VM]), places[5], 0, 0, 0)
-            if ended != DONE:
-                return ended, before
-            for i in range(velocity_rows.shape[0]):
-                rows[PHI, velocity_rows[i]] = h * rows[DLAM, velocity_rows[i]]
-        for i in range(now.shape[1]):
-            now[R, i] *= 2.0
-        ended = call(f[table.SOLVE], w, instant, places[0], places[1], places[2], places[3], places[4], places[5])
-        if ended != DONE:
-            return ended, before
-        counts[1] += 1
+def residual(model, instant, method, now, rows):
+    """Fill twice r of the middle, phi of the end, and the velocity rows of the middle. Returns a status."""
+    velocity_rows = method.velocity_rows
+    fill_middle(method.h, now)
+    status = ask.middle(model, instant, now, rows[LAM], now[R], rows[PHI])
+    if status == DONE and velocity_rows.shape[0]:
+        status = ask.rate(model, instant - 1, now[QM], now[VM], rows[DLAM], 0)
+        for i in range(velocity_rows.shape[0]):
+            rows[PHI, velocity_rows[i]] = method.h * rows[DLAM, velocity_rows[i]]
+    for i in range(now.shape[1]):
+        now[R, i] *= 2.0
+    return status
+
+
+@part
+def newton(model, instant, method, now, rows, marks, counts):
+    """Newton's method from the predicted end. Returns (status, the last |dq|)."""
+    h, before = method.h, 0.0
+    for iteration in range(method.max_iterations):
+        status = residual(model, instant, method, now, rows)
+        counts[RESIDUALS] += 1
+        if status != DONE:
+            return status, before
+        status = ask.solve(model, instant, now[Q1], rows[LAM], now[R], rows[PHI], now[DQ], rows[DLAM])
+        if status != DONE:
+            return status, before
+        counts[SOLVES] += 1
         moved, size, accel, finite = correct(now, rows)
         if not finite:
             return NOT_FINITE, before
         rate, share = (1.0 + marks[AGE]) * marks[CONTRACTION], UNSEEN
         if before > 0.0:
             rate, share = moved / before, 1.0
-            marks[CONTRACTION], marks[AGE] = max(rate, 0.5 * marks[CONTRACTION] if iteration == 1 else marks[CONTRACTION]), 0.0
+            marks[CONTRACTION] = max(rate, 0.5 * marks[CONTRACTION] if iteration == 1 else marks[CONTRACTION])
+            marks[AGE] = 0.0
         known = (before > 0.0 or marks[AGE] < FRESHEN) and rate < 1.0
-        if moved <= 4.0 * EPS * size or (known and moved * rate / (1.0 - rate) <= share * tolerance * h * h * accel):
-            return call(f[table.ACCEPT], w, instant, places[0], 0, 0, 0, 0, 0), moved
+        if moved <= 4.0 * EPS * size or (known and moved * rate / (1.0 - rate) <= share * method.tolerance * h * h * accel):
+            return ask.accept(model, instant, now[Q1]), moved
         if iteration > 1 and rate > SLOW:
-            close = moved <= 256.0 * EPS * (size + extent)
-            return (call(f[table.ACCEPT], w, instant, places[0], 0, 0, 0, 0, 0) if close else REFACTOR), moved
+            close = moved <= 256.0 * EPS * (size + method.extent)
+            return (ask.accept(model, instant, now[Q1]) if close else REFACTOR), moved
         before = moved
     return REFACTOR, before
 
 
 @part
-def project(f, w, instant, q, v, rate):
-    """Project v onto the velocity constraint of the end; rate: address of workspace."""
-    ended = call(f[table.RATE], w, instant, q, v, rate, 0, 0, 0)
-    return call(f[table.PROJECT], w, instant, rate, v, 0, 0, 0, 0) if ended == DONE else ended
+def project(model, instant, q, v, rate):
+    """Project v onto the velocity constraint of the end; rate: workspace. Returns a status."""
+    status = ask.rate(model, instant, q, v, rate, 0)
+    return ask.project(model, instant, rate, v, 0) if status == DONE else status
 
 
 @part
-def end_step(f, w, instant, h, kind, now, rows, marks, q, v):
-    """Fill the frame of the end, and begin the next step there. Returns how the step ended."""
+def end_step(model, instant, method, now, rows, marks, q, v):
+    """Fill the frame of the end, and begin the next step there. Returns a status."""
     total = 0.0
     for i in range(now.shape[1]):
-        now[V1, i] = 2.0 * (now[Q1, i] - now[Q0, i]) / h - now[V0, i]
-        now[AM, i] = (now[V1, i] - now[V0, i]) / h
-    if kind == PROJECTED:
-        ended = project(f, w, instant, address(now[Q1]), address(now[V1]), address(rows[DLAM]))
-        if ended != DONE:
-            return ended
+        now[V1, i] = 2.0 * (now[Q1, i] - now[Q0, i]) / method.h - now[V0, i]
+        now[AM, i] = (now[V1, i] - now[V0, i]) / method.h
+    if method.kind == PROJECTED:
+        status = project(model, instant, now[Q1], now[V1], rows[DLAM])
+        if status != DONE:
+            return status
     for i in range(now.shape[1]):
         q[i], v[i] = now[Q1, i], now[V1, i]
         total += 0.0 * v[i]
@@ -161,50 +189,55 @@ def end_step(f, w, instant, h, kind, now, rows, marks, q, v):
     return DONE
 
 
-@entry
-def stretch(f, w, first, c, h, tolerance, most, extent, kind, velocity_rows, now, rows, marks, counts, qs, vs):
-    """Take steps until the frames are full or a factor is needed: (steps, how it ended, last |dq|).
+@part
+def factor(model, instant, method, now, rows, marks, counts):
+    """Make the step matrix at the middle of the predicted step, from which Newton's method begins anew. Returns a status."""
+    marks[ORDER] = marks[ORDER_LAM] = 0.0
+    marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
+    predict(method.h, now, rows, marks)
+    fill_middle(method.h, now)
+    counts[FACTORS] += 1
+    return ask.factor(model, instant - 1, now[QM], now[VM], now[AM], rows[LAM], method.numbers)
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h; counts (3,):
-    of residuals, solves and matrices made. q and v from which the next steps begin are written to qs, vs (steps, n).
+
+@entry
+def take_steps(functions, workspace, first, method, now, rows, marks, counts, qs, vs):
+    """Take steps until the frames are full or a factor is needed. Returns (steps, status, the last |dq|).
+
+    functions, workspace: of the model's table (system/instant.py); first: number of the first step; counts (3,): of residuals, solves and
+    matrices made. q and v from which the next steps begin are written to qs, vs (steps, n).
     """
-    moved = 0.0
+    model, moved = (functions, workspace), 0.0
     for k in range(qs.shape[0]):
         instant = 2 * (first + k) + 1
-        predict(h, now, rows, marks)
-        ended, moved = newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts)
-        if f[table.FACTOR] and ended in (REFACTOR, NOT_FINITE):
-            marks[ORDER] = marks[ORDER_LAM] = 0.0
-            marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
-            predict(h, now, rows, marks)
-            fill_middle(h, now)
-            places = address(now[QM]), address(now[VM]), address(now[AM]), address(rows[LAM]), address(c)
-            ended = call(f[table.FACTOR], w, instant - 1, places[0], places[1], places[2], places[3], places[4], 0)
-            counts[2] += 1
-            if ended == DONE:
-                ended, moved = newton(f, w, instant, h, tolerance, most, extent, velocity_rows, now, rows, marks, counts)
-        if ended == DONE:
-            ended = end_step(f, w, instant, h, kind, now, rows, marks, qs[k], vs[k])
-        if ended != DONE:
-            return k, ended, moved
+        predict(method.h, now, rows, marks)
+        status, moved = newton(model, instant, method, now, rows, marks, counts)
+        if ask.provides(model, table.FACTOR) and status in (REFACTOR, NOT_FINITE):
+            status = factor(model, instant, method, now, rows, marks, counts)
+            if status == DONE:
+                status, moved = newton(model, instant, method, now, rows, marks, counts)
+        if status == DONE:
+            status = end_step(model, instant, method, now, rows, marks, qs[k], vs[k])
+        if status != DONE:
+            return k, status, moved
     return qs.shape[0], DONE, moved
 
 
 @entry
-def project_frames(f, w, first, qs, vs, rate):
-    """Project velocities (steps, n) onto their constraints. Returns how it ended."""
+def project_frames(functions, workspace, first, qs, vs, rate):
+    """Project velocities (steps, n) onto their constraints. Returns a status."""
     for k in range(qs.shape[0]):
-        ended = project(f, w, first + k, address(qs[k]), address(vs[k]), address(rate))
-        if ended != DONE:
-            return ended
+        status = project((functions, workspace), first + k, qs[k], vs[k], rate)
+        if status != DONE:
+            return status
     return DONE
 
 
 @entry
-def forces(f, w, first, qs, vs, accelerations, lams):
-    """Consistent accelerations and multipliers of the ends from `first` on. Returns how it ended."""
+def forces(functions, workspace, first, qs, vs, accelerations, lams):
+    """Consistent accelerations and multipliers of the ends from `first` on. Returns a status."""
     for k in range(qs.shape[0]):
-        ended = call(f[table.ACCELERATION], w, first + k, address(qs[k]), address(vs[k]), address(accelerations[k]), address(lams[k]), 0, 0)
-        if ended != DONE:
-            return ended
+        status = ask.acceleration((functions, workspace), first + k, qs[k], vs[k], accelerations[k], lams[k])
+        if status != DONE:
+            return status
     return DONE

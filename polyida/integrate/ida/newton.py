@@ -34,11 +34,11 @@ from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.ida.tables import table_of
 from polyida.integrate.state import Counts
 from polyida.jit import entry, pack, part, typed
-from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import put
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import unguarded, writes
-from polyida.system import BIAS, CONSTRAINTS, INERTIA, MATRICES, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
+from polyida.system import CONSTRAINTS, MATRICES, RESIDUAL
+from polyida.system import instant as ask
 from polyida.system.dense import finite
 
 # constants of compiled code
@@ -82,104 +82,127 @@ class Iterate(NamedTuple):
 
 
 @entry
-def equations(functions, model, z, y, yp):
-    """F at (y, y'). Returns how it ended."""
-    n, m, ended = z.q.shape[0], z.lam.shape[0], DONE
-    multipliers = yp if z.flags[INTEGRATED] else y
+def equations(functions, workspace, iterate, y, yp):
+    """F at (y, y'). Returns a status."""
+    model, velocity_rows = (functions, workspace), iterate.velocity_rows
+    n, m, blocks = iterate.q.shape[0], iterate.lam.shape[0], iterate.levels.shape[0]
+    multipliers = yp if iterate.flags[INTEGRATED] else y
     for i in range(n):
-        z.q[i], z.v[i], z.a[i], z.first[i] = y[i], y[n + i], yp[n + i], yp[i] - y[n + i]
+        iterate.q[i], iterate.v[i], iterate.a[i] = y[i], y[n + i], yp[n + i]
+        iterate.first[i] = yp[i] - y[n + i]
     for k in range(m):
-        z.lam[k] = multipliers[2 * n + k]
-        z.mu[k] = multipliers[2 * n + m + k] if z.levels.shape[0] == 2 else 0.0
-    if m and (has_order(z, 1) or has_order(z, 2)):
-        ended = call(functions[REACTION], model, INSTANT, address(z.q), address(z.mu), address(z.first), 0, 0, 0)
-    if ended == DONE:
-        places = address(z.q), address(z.v), address(z.a), address(z.lam), address(z.r), address(z.phi)
-        ended = call(functions[RESIDUAL], model, INSTANT, places[0], places[1], places[2], places[3], places[4], places[5])
-    for block in range(z.levels.shape[0]):
+        iterate.lam[k] = multipliers[2 * n + k]
+        iterate.mu[k] = multipliers[2 * n + m + k] if blocks == 2 else 0.0
+    status = DONE
+    if m and (has_order(iterate, 1) or has_order(iterate, 2)):
+        status = ask.reaction(model, INSTANT, iterate.q, iterate.mu, iterate.first, 0)
+    if status == DONE:
+        status = ask.residual(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.lam, iterate.r, iterate.phi)
+    for block in range(blocks):
         for k in range(m):
-            z.rows[block, k] = z.levels[block, 0] * z.phi[k]
-    if ended == DONE and m and has_order(z, 1):
-        ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.v), address(z.derivative), 1, 0, 0)
-        add_derivative(z, 1)
-    if ended == DONE and z.velocity_rows.shape[0] and z.levels.shape[0] == 2:
-        put(1.0, yp[:n], z.vector)
-        ended = call(functions[RATE], model, INSTANT, address(z.q), address(z.vector), address(z.derivative), 0, 0, 0)
-        for i in range(z.velocity_rows.shape[0]):
-            z.rows[0, z.velocity_rows[i]] = z.derivative[z.velocity_rows[i]]
-    if ended == DONE and m and has_order(z, 2):
-        ended = call(functions[BIAS], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.derivative), 0, 0)
-        add_derivative(z, 2)
-    return NOT_FINITE if ended == DONE and not (finite(z.r) and finite(z.rows[0]) and finite(z.rows[1])) else ended
+            iterate.rows[block, k] = iterate.levels[block, 0] * iterate.phi[k]
+    if status == DONE and m and has_order(iterate, 1):
+        status = ask.rate(model, INSTANT, iterate.q, iterate.v, iterate.derivative, 1)
+        add_derivative(iterate, 1)
+    if status == DONE and velocity_rows.shape[0] and blocks == 2:
+        put(1.0, yp[:n], iterate.vector)
+        status = ask.rate(model, INSTANT, iterate.q, iterate.vector, iterate.derivative, 0)
+        for i in range(velocity_rows.shape[0]):
+            iterate.rows[0, velocity_rows[i]] = iterate.derivative[velocity_rows[i]]
+    if status == DONE and m and has_order(iterate, 2):
+        status = ask.bias(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.derivative)
+        add_derivative(iterate, 2)
+    is_finite = finite(iterate.r) and finite(iterate.rows[0]) and finite(iterate.rows[1])
+    return NOT_FINITE if status == DONE and not is_finite else status
 
 
 @part
-def has_order(z, order):
+def has_order(iterate, order):
     """True if the derivative of phi of that order is in the rows."""
-    return z.levels[0, order] != 0.0 or z.levels[z.levels.shape[0] - 1, order] != 0.0
+    return iterate.levels[0, order] != 0.0 or iterate.levels[iterate.levels.shape[0] - 1, order] != 0.0
 
 
 @part
-def add_derivative(z, order):
+def add_derivative(iterate, order):
     """Add a derivative of phi to the rows."""
-    for block in range(z.levels.shape[0]):
-        for k in range(z.derivative.shape[0]):
-            z.rows[block, k] += z.levels[block, order] * z.derivative[k]
+    for block in range(iterate.levels.shape[0]):
+        for k in range(iterate.derivative.shape[0]):
+            iterate.rows[block, k] += iterate.levels[block, order] * iterate.derivative[k]
+
+
+@part
+def renew_matrices(model, iterate, cj, anew, fresh):
+    """Make or select the matrices of this iterate if `anew`, and compute its rows if `fresh`. Returns a status."""
+    status, made = DONE, anew and ask.provides(model, MATRICES)
+    if made:
+        status = ask.matrices(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.lam, SLOT, None)
+    if anew:
+        iterate.c[0] = cj
+        ask.select(model, SLOT, iterate.c)
+    if status == DONE and fresh:
+        known = 0 if made else 1  # matrices may be made with differences of phi_q, so that B is not that of the last residual
+        status = ask.rows(model, INSTANT, iterate.q, iterate.v, iterate.a, known)
+    return status
+
+
+@part
+def right_side(model, iterate, cj):
+    """Make r and rows those of the system in (dq, dlam, dmu): the first block row of J is eliminated. Returns a status."""
+    for i in range(iterate.q.shape[0]):
+        iterate.vector[i] = cj * iterate.first[i]
+    status = ask.inertia(model, INSTANT, iterate.first, iterate.vector, iterate.force, None, iterate.q, iterate.rates)
+    for i in range(iterate.q.shape[0]):
+        iterate.r[i] += iterate.force[i]
+    for i in range(iterate.velocity_rows.shape[0] if iterate.levels.shape[0] == 2 else 0):
+        iterate.rows[0, iterate.velocity_rows[i]] /= cj
+    for block in range(iterate.levels.shape[0]):
+        for k in range(iterate.lam.shape[0]):
+            iterate.rows[block, k] += iterate.rates[block, k]
+    return status
+
+
+@part
+def solve(model, iterate):
+    """The correction from r and rows. Returns a status."""
+    return ask.solve_real(model, INSTANT, iterate.r, iterate.rows, iterate.lam, iterate.dq, iterate.multipliers)
+
+
+@part
+def solve_again(model, iterate):
+    """The correction that removes the curvature of phi over the present one too. Returns a status."""
+    for i in range(iterate.q.shape[0]):
+        iterate.vector[i] = iterate.q[i] + iterate.dq[i]
+    status = ask.constraints(model, INSTANT, iterate.vector, None, None, iterate.derivative, iterate.phi)
+    for k in range(iterate.lam.shape[0]):
+        iterate.rows[0, k] += iterate.derivative[k]
+    return solve(model, iterate) if status == DONE else status
 
 
 @entry
-def correction(functions, model, z, cj, anew, fresh, out):
-    """out = J^-1 F behind `equations`; anew: with the matrices of this iterate; fresh: with its rows. Returns how it ended."""
-    n, m, ended, tied = z.q.shape[0], z.lam.shape[0], DONE, z.levels.shape[0] == 2
-    new_matrices = anew and functions[MATRICES] != 0  # perhaps with differences of phi_q, so that B is not that of the last residual
-    if new_matrices:
-        ended = call(functions[MATRICES], model, INSTANT, address(z.q), address(z.v), address(z.a), address(z.lam), SLOT, 0)
-    if anew and functions[SELECT]:
-        z.c[0] = cj
-        call(functions[SELECT], model, SLOT, address(z.c), 0, 0, 0, 0, 0)
-    if ended == DONE and fresh:
-        ended = call(functions[ROWS], model, INSTANT, address(z.q), address(z.v), address(z.a), 0 if new_matrices else 1, 0, 0)
+def correction(functions, workspace, iterate, cj, anew, fresh, out):
+    """out = J^-1 F behind `equations`; anew: with the matrices of this iterate; fresh: with its rows. Returns a status."""
+    model, n, m = (functions, workspace), iterate.q.shape[0], iterate.lam.shape[0]
+    tied = iterate.levels.shape[0] == 2
+    status = renew_matrices(model, iterate, cj, anew, fresh)
+    if status == DONE:
+        status = right_side(model, iterate, cj)
+    if status == DONE:
+        status = solve(model, iterate)
+    if status == DONE and iterate.flags[BENDS] and ask.provides(model, CONSTRAINTS):
+        status = solve_again(model, iterate)
+    if status != DONE:
+        return status
     for i in range(n):
-        z.vector[i] = cj * z.first[i]
-    if ended == DONE:
-        places = address(z.first), address(z.vector), address(z.force), address(z.q), address(z.rates)
-        ended = call(functions[INERTIA], model, INSTANT, places[0], places[1], places[2], 0, places[3], places[4])
-    for i in range(n):
-        z.r[i] += z.force[i]
-    for i in range(z.velocity_rows.shape[0] if tied else 0):
-        z.rows[0, z.velocity_rows[i]] /= cj
-    for block in range(z.levels.shape[0]):
-        for k in range(m):
-            z.rows[block, k] += z.rates[block, k]
-    if ended == DONE:
-        ended = solve(functions, model, z)
-    if ended == DONE and z.flags[BENDS] and functions[CONSTRAINTS]:
-        for i in range(n):
-            z.vector[i] = z.q[i] + z.dq[i]
-        ended = call(functions[CONSTRAINTS], model, INSTANT, address(z.vector), 0, 0, address(z.derivative), address(z.phi), 0)
-        for k in range(m):
-            z.rows[0, k] += z.derivative[k]
-        if ended == DONE:
-            ended = solve(functions, model, z)
-    if ended != DONE:
-        return ended
-    for i in range(n):
-        out[i], z.vector[i] = -z.dq[i], z.first[i] + cj * z.dq[i]
+        out[i] = -iterate.dq[i]
+        iterate.vector[i] = iterate.first[i] + cj * iterate.dq[i]
     if tied and m:
-        ended = call(functions[REACTION], model, INSTANT, address(z.q), address(z.multipliers) + 8 * m, address(z.vector), 1, 0, 0)
+        status = ask.reaction(model, INSTANT, iterate.q, iterate.multipliers[1], iterate.vector, 1)
     for i in range(n):
-        out[n + i] = -z.vector[i]
+        out[n + i] = -iterate.vector[i]
     for k in range(2 * m if tied else m):
-        change = z.multipliers[k // m, k % m]
-        out[2 * n + k] = -change / cj if z.flags[INTEGRATED] else -change
-    return ended
-
-
-@part
-def solve(functions, model, z):
-    """The correction from z.r and z.rows."""
-    places = address(z.r), address(z.rows), address(z.lam), address(z.dq), address(z.multipliers)
-    return call(functions[REAL], model, INSTANT, places[0], places[1], places[2], places[3], places[4], 0)
+        change = iterate.multipliers[k // m, k % m]
+        out[2 * n + k] = -change / cj if iterate.flags[INTEGRATED] else -change
+    return status
 
 
 class Predicted:

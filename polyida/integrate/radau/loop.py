@@ -7,10 +7,10 @@ import numpy as np
 from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
 from polyida.integrate.radau import step
 from polyida.jit import entry, pack, part, shared
-from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import FACTORS as SLOTS
-from polyida.system import MATRICES, PREPARE, SELECT
+from polyida.system import MATRICES, PREPARE
+from polyida.system import instant as ask
 
 NEVER = 1e9  # LEAST of a factor that has solved no step; finite, since files need finite numbers
 MADE = 16  # most factors that the driver makes in a stretch
@@ -172,129 +172,132 @@ def mark_used(slots, slot, marks):
 
 
 @entry
-def reserve_slot(slots, h, t, y):
-    """The slot for a new factor of step h at the state of y: the slot of this h, a free one, or the one not used for the longest time."""
+def reserve_slot(slots, h, begin, memory):
+    """The slot for a new factor of step h at the time `begin` and the state of y: the slot of this h, a free one, or the one not used for the longest time."""
     slot = slot_of_step(slots, h)
     if slot < 0:
         slot = 0
         for other in range(SLOTS):
             if slots.table[USED, other] < slots.table[USED, slot]:
                 slot = other
-    n = y.past.shape[1]
+    n = memory.q.shape[0]
     slots.table[H, slot], slots.table[PRICE, slot], slots.table[LEAST, slot], slots.table[READY, slot] = h, 0.0, NEVER, 1.0
-    mark_used(slots, slot, y.marks)
+    mark_used(slots, slot, memory.marks)
     state = slots.states[slot]
-    state[0] = t
-    put(1.0, y.past[step.Q], state[1:])
-    put(1.0, y.past[step.V], state[1 + n :])
-    put(1.0, y.past[step.A], state[1 + 2 * n :])
-    put(1.0, y.lam, state[1 + 3 * n :])
-    y.marks[step.CONTRACTION], y.marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
+    state[0] = begin
+    put(1.0, memory.q, state[1:])
+    put(1.0, memory.v, state[1 + n :])
+    put(1.0, memory.a, state[1 + 2 * n :])
+    put(1.0, memory.lam, state[1 + 3 * n :])
+    memory.marks[step.CONTRACTION], memory.marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
     return slot
 
 
 @part
-def clamp(p, t):
-    """t limited to [p.low, p.high]."""
-    return min(max(t, p.low), p.high)
+def clamp(method, time):
+    """A time limited to [low, high]."""
+    return min(max(time, method.low), method.high)
 
 
 @part
-def allowed_error(p, y):
+def allowed_error(method, memory):
     """atol + rtol |q| at the state of y."""
-    return p.atol + p.rtol * np.sqrt(step.mean_square(y.past[step.PLACES], y.past[step.Q]))
+    return method.atol + method.rtol * np.sqrt(step.mean_square(memory.places, memory.q))
 
 
 @part
-def newton_tolerance(p, h, y):
+def newton_tolerance(method, h, memory):
     """Newton's tolerance, of q, in a step of h from the state of y."""
-    if p.tolerance > 0.0:
-        return p.tolerance
-    if p.share > 0.0:
-        return p.share * allowed_error(p, y)
-    error = y.marks[step.ERROR]
+    if method.tolerance > 0.0:
+        return method.tolerance
+    if method.share > 0.0:
+        return method.share * allowed_error(method, memory)
+    error = memory.marks[step.ERROR]
     if error < 0.0:
-        return EXACT * p.length
-    round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(step.mean_square(y.past[step.SHARES], y.past[step.V])))
-    return max(round_off, SHARE * (error / p.length) ** ERROR_POWER * error)
+        return EXACT * method.length
+    round_off = max(NOTHING * method.length, ROUND_OFF * h * np.sqrt(step.mean_square(memory.shares, memory.v)))
+    return max(round_off, SHARE * (error / method.length) ** ERROR_POWER * error)
 
 
 @part
-def selected(t, z):
+def selected(tableau, work):
     """The argument of SELECT."""
-    return z.times[3 + t.c.shape[0] :]
+    return work.times[3 + tableau.c.shape[0] :]
 
 
 @shared
-def attempt(f, w, first, p, t, h, begin, target, slots, fresh, y, x, z, counts):
-    """Try a step from the state of y: (status, local error). The stages are in x."""
-    count, times, select = t.c.shape[0], z.times, selected(t, z)
-    times[0], times[1], times[2] = h, begin, clamp(p, begin)
+def attempt(functions, workspace, first, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts):
+    """Try a step from the state of `memory`: (status, local error). The stages are in `trial`."""
+    model = functions, workspace
+    count, times, select = tableau.c.shape[0], work.times, selected(tableau, work)
+    times[0], times[1], times[2] = h, begin, clamp(method, begin)
     for i in range(count):
-        times[3 + i] = clamp(p, begin + t.c[i] * h) if i < count - 1 else clamp(p, target)
+        times[3 + i] = clamp(method, begin + tableau.c[i] * h) if i < count - 1 else clamp(method, target)
     for i in range(3):
-        select[i] = t.values[i] / h
-    if f[PREPARE]:
-        ended = call(f[PREPARE], w, first, address(times), 0, 0, 0, 0, 0)
-        if ended != DONE:
-            return ended, 0.0
+        select[i] = tableau.values[i] / h
+    if ask.provides(model, PREPARE):
+        status = ask.prepare(model, first, times)
+        if status != DONE:
+            return status, 0.0
     slot = slot_of_step(slots, h)
-    if slot < 0 or (slots.table[PRICE, slot] > p.renewal and not fresh):
+    if slot < 0 or (slots.table[PRICE, slot] > method.renewal and not fresh):
         return MAKE, 0.0
     if slots.table[READY, slot] == 0.0:
         return RESTORE, 0.0
-    mark_used(slots, slot, y.marks)
-    if f[SELECT]:
-        call(f[SELECT], w, slot, address(select), 0, 0, 0, 0, 0)
-    ended, iterations = step.solve_stages(f, w, first, p, t, h, y, x, z, newton_tolerance(p, h, y), counts)
-    if ended != DONE:
-        if fresh or ended in (NOT_FINITE, RAISED, WRONG_SHAPE):
-            return ended, 0.0
+    mark_used(slots, slot, memory.marks)
+    ask.select(model, slot, select)
+    status, iterations = step.solve_stages(
+        model, first, method, tableau, h, memory, trial, work, newton_tolerance(method, h, memory), counts
+    )
+    if status != DONE:
+        if fresh or status in (NOT_FINITE, RAISED, WRONG_SHAPE):
+            return status, 0.0
         slots.table[PRICE, slot] = NEVER
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
     slots.table[PRICE, slot] += max(0.0, iterations - slots.table[LEAST, slot])
-    ended, error = step.project_end(f, w, first, p, t, h, y, x, z), 0.0
-    if ended == DONE and p.estimates_error:
-        ended, error = step.local_error(f, w, first, p, t, h, y, x, z, counts)
-    return ended, error
+    status, error = step.project_end(model, first, method, tableau, h, memory, trial, work), 0.0
+    if status == DONE and method.estimates_error:
+        status, error = step.local_error(model, first, method, tableau, h, memory, trial, work, counts)
+    return status, error
 
 
 @part
-def record_step(o, k, target, h, y, x, z, slots, level, counts):
+def record_step(log, k, target, h, memory, trial, work, slots, level, counts):
     """Write step k to the record."""
-    o.t[k], o.level[k] = target, level
-    put(1.0, z.q, o.q[k])
-    put(1.0, z.v, o.v[k])
-    put(1.0, z.a, o.a[k])
-    put(1.0, z.lam, o.lam[k])
-    copy_matrix(x.e, o.e[k])
-    copy_matrix(x.dv, o.dv[k])
-    copy_matrix(x.a, o.stages_a[k])
-    copy_matrix(x.lam, o.stages_lam[k])
-    copy_matrix(x.mu, o.mu[k])
-    copy_matrix(y.miss_e[0], o.miss_e[k])
-    copy_matrix(y.miss_lam[0], o.miss_lam[k])
-    copy_matrix(y.phi_start, o.phi_start[k])
-    put(1.0, y.marks, o.marks[k])
-    copy_matrix(slots.table[:READY], o.slots[k])
-    put(1.0, counts, o.counts[k])
+    log.t[k], log.level[k] = target, level
+    put(1.0, work.q, log.q[k])
+    put(1.0, work.v, log.v[k])
+    put(1.0, work.a, log.a[k])
+    put(1.0, work.lam, log.lam[k])
+    copy_matrix(trial.e, log.e[k])
+    copy_matrix(trial.dv, log.dv[k])
+    copy_matrix(trial.a, log.stages_a[k])
+    copy_matrix(trial.lam, log.stages_lam[k])
+    copy_matrix(trial.mu, log.mu[k])
+    copy_matrix(memory.miss_e[0], log.miss_e[k])
+    copy_matrix(memory.miss_lam[0], log.miss_lam[k])
+    copy_matrix(memory.phi_start, log.phi_start[k])
+    put(1.0, memory.marks, log.marks[k])
+    copy_matrix(slots.table[:READY], log.slots[k])
+    put(1.0, counts, log.counts[k])
 
 
 @entry
-def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
+def take_steps(functions, workspace, first, method, tableau, control, slots, fresh, memory, trial, work, counts, ends, log):
     """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status). PAUSE: `made` is full.
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at which the stretch begins; fresh: True
+    functions, workspace: of the model's table (system/instant.py); first: number of the instant at which the stretch begins; fresh: True
     if the factor of the first step was made for it; ends: the ends of equal steps.
     """
-    most, apart, now, taken, made = o.t.shape[0], t.c.shape[0] + 1, c.now, 0, 0
-    while taken < most and (not c.adaptive or now[TIME] < c.end):
-        h, target, begin = c.h, now[TIME], now[TIME]
-        if c.adaptive:
-            now[LEVEL] = level_within(c.first, now[LEVEL], c.most)
-            h = step_of_level(c.first, now[LEVEL])
-            h, target = next_step(begin, c.end, h, y.marks[step.LAST] if y.marks[step.LAST] > 0.0 else h)
+    model, now = (functions, workspace), control.now
+    most, apart, taken, made = log.t.shape[0], tableau.c.shape[0] + 1, 0, 0
+    while taken < most and (not control.adaptive or now[TIME] < control.end):
+        h, target, begin = control.h, now[TIME], now[TIME]
+        if control.adaptive:
+            now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
+            h = step_of_level(control.first, now[LEVEL])
+            h, target = next_step(begin, control.end, h, memory.marks[step.LAST] if memory.marks[step.LAST] > 0.0 else h)
             if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
                 now[STEP] = h
                 return taken, STEP_TOO_SHORT
@@ -304,43 +307,44 @@ def stretch(f, w, first, p, t, c, slots, fresh, y, x, z, counts, ends, o):
         else:
             target = ends[taken]
         now[STEP], now[TARGET] = h, target
-        at = first if f[PREPARE] else first + taken * apart
-        ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
-        if ended == MAKE and f[MATRICES] and made < MADE:
-            slot = reserve_slot(slots, h, clamp(p, begin), y)
-            o.made[made, 0], o.made[made, 1] = taken, slot
-            put(1.0, slots.states[slot], o.made[made, 2:])
+        at = first if ask.provides(model, PREPARE) else first + taken * apart
+        status, error = attempt(functions, workspace, at, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts)
+        if status == MAKE and ask.provides(model, MATRICES) and made < MADE:
+            slot = reserve_slot(slots, h, clamp(method, begin), memory)
+            log.made[made, 0], log.made[made, 1] = taken, slot
+            put(1.0, slots.states[slot], log.made[made, 2:])
             made += 1
-            ended, counts[step.FACTORS] = make_factors(f, w, at, t, y, z, slot), counts[step.FACTORS] + 1
-            fresh = ended == DONE  # a constant True would be another type, and `attempt` be compiled again
+            status, counts[step.FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[step.FACTORS] + 1
+            fresh = status == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
-                ended, error = attempt(f, w, at, p, t, h, begin, target, slots, fresh, y, x, z, counts)
+                status, error = attempt(
+                    functions, workspace, at, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts
+                )
             else:
                 slots.table[H, slot] = slots.table[USED, slot] = 0.0
-        if ended == MAKE and f[MATRICES]:
+        if status == MAKE and ask.provides(model, MATRICES):
             return taken, PAUSE
-        allowed = allowed_error(p, y) if c.adaptive else np.inf
-        good = ended != DONE or error <= allowed
-        if ended == DONE and good:
-            ended = step.end_state(f, w, at, h, y, x, z)
-        if ended != DONE:
-            return taken, ended
-        if c.adaptive and (not good or h >= step_of_level(c.first, now[LEVEL]) * (1.0 - 1e-9)):
-            now[LEVEL] = next_level(level_within(c.first, now[LEVEL], h), error / allowed, t.c.shape[0] + 1.0)
+        allowed = allowed_error(method, memory) if control.adaptive else np.inf
+        good = status != DONE or error <= allowed
+        if status == DONE and good:
+            status = step.end_state(model, at, h, memory, trial, work)
+        if status != DONE:
+            return taken, status
+        if control.adaptive and (not good or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
+            now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, tableau.c.shape[0] + 1.0)
         if not good:
             counts[REJECTED] += 1
             now[FAILED] += 1.0
             fresh = False
             continue
-        step.advance(h, error, y, x, z)
+        step.advance(h, error, memory, trial, work)
         fresh, now[TIME], now[FAILED] = False, target, 0.0
-        record_step(o, taken, target, h, y, x, z, slots, now[LEVEL], counts)
+        record_step(log, taken, target, h, memory, trial, work, slots, now[LEVEL], counts)
         taken += 1
     return taken, DONE
 
 
 @part
-def make_factors(f, w, at, t, y, z, slot):
+def make_factors(model, at, tableau, memory, work, slot):
     """Make the factors of a slot at the state of y, for the step of the last attempt. Returns a status."""
-    state = address(y.past[step.Q]), address(y.past[step.V]), address(y.past[step.A]), address(y.lam)
-    return call(f[MATRICES], w, at, state[0], state[1], state[2], state[3], slot, address(selected(t, z)))
+    return ask.matrices(model, at, memory.q, memory.v, memory.a, memory.lam, slot, selected(tableau, work))

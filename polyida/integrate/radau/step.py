@@ -26,9 +26,9 @@ import numpy as np
 from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import fast, pack, part
-from polyida.jit.intrinsics import address, call
 from polyida.linear.dense import clear, copy_matrix, put
-from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, INERTIA, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
+from polyida.system import ACCELERATION, ACCEPT
+from polyida.system import instant as ask
 
 STALLED = 0.9  # contraction above which corrections below ROUND times the size are round-off
 ROUND = 1e-11
@@ -39,7 +39,6 @@ MAX_EXTRAPOLATION = 4.0  # steps over the last one: longer steps start from q_0 
 NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if this is computed from positions
 MAX_PROJECTIONS = 3  # of q onto phi = 0
 AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
-Q, V, A, SHARES, PLACES = range(5)  # rows of Memory.past; PLACES: shares in |q|, without the integrals of states
 CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; the weights in use, FITS and EXCESS follow
 TERMS = 3  # prediction errors from which the next one is extrapolated
 FITS = MISSES + 1 + TERMS
@@ -105,7 +104,8 @@ class CompiledTableau(NamedTuple):
 class Memory(NamedTuple):
     """Quantities that a step takes from the step before.
 
-    past (5, n): q, v, v' of the last stage, shares of the coordinates in the mass and in |q|. lam (m,): of the last stage. stages_v (s, n), stages_lam
+    q, v, a (n,) and lam (m,): of the last stage, a = v'. shares, places (n,): shares of the coordinates in the mass, and in |q|, without the
+    integrals of states. stages_v (s, n), stages_lam
     (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
     of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
     start of the step, for increments. marks: CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration;
@@ -114,7 +114,11 @@ class Memory(NamedTuple):
     prediction with each had from recent steps, minus that without.
     """
 
-    past: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    shares: np.ndarray
+    places: np.ndarray
     lam: np.ndarray
     stages_v: np.ndarray
     stages_lam: np.ndarray
@@ -183,7 +187,7 @@ def empty(stages, n, m, tied):
     """(Memory, Trial, Scratch) for n coordinates and m constraints."""
     each, closing, tie = (stages, n), (stages, m), (stages, m if tied else 0)
     misses = ((TERMS, *shape) for shape in (each, closing, tie))
-    memory = Memory(*map(np.zeros, ((5, n), (m,), each, closing, *misses, (2, m), (MARKS,))))
+    memory = Memory(*map(np.zeros, (n, n, n, n, n, m, each, closing, *misses, (2, m), (MARKS,))))
     trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
     shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), closing, (2, 2, m), (2, stages, stages), (3,)
     modal = (n,), (n,), (2, m), (2, m)
@@ -233,76 +237,81 @@ def weighted_sum(weights, x, out):
 
 
 @part
-def predict(t, h, y, x, z):
+def predict(tableau, h, memory, trial, work):
     """Set initial stages: the extrapolated polynomial of the last step through the new state, plus the expected prediction error.
 
     v is extrapolated and integrated, which is more accurate than the polynomial of q. At the start of a run, and after much shorter steps,
     q = q_0 + c h v_0.
     """
-    stages, last, ahead, to_e = x.e.shape[0], y.marks[LAST], z.weights[0], z.weights[1]
-    clear(x.mu)
-    z.progress[EXTENDED] = 0.0
+    stages, last, ahead, to_e = trial.e.shape[0], memory.marks[LAST], work.weights[0], work.weights[1]
+    clear(trial.mu)
+    work.progress[EXTENDED] = 0.0
     if last == 0.0 or h > MAX_EXTRAPOLATION * last:
-        clear(x.e)
+        clear(trial.e)
         for k in range(stages):
-            put(1.0, y.lam, x.lam[k])
+            put(1.0, memory.lam, trial.lam[k])
         return
     for k in range(stages):
-        at = 1.0 + t.c[k] * (h / last)
+        at = 1.0 + tableau.c[k] * (h / last)
         for j in range(stages):
             ahead[k, j] = 1.0
             for o in range(stages):
                 if o != j:
-                    ahead[k, j] *= (at - t.c[o]) / (t.c[j] - t.c[o])
-    weighted_sum(ahead, y.stages_lam, x.lam)
+                    ahead[k, j] *= (at - tableau.c[o]) / (tableau.c[j] - tableau.c[o])
+    weighted_sum(ahead, memory.stages_lam, trial.lam)
     for k in range(stages):
-        at = 1.0 + t.c[k] * (h / last)
+        at = 1.0 + tableau.c[k] * (h / last)
         for j in range(stages):
-            ahead[k, j] *= at / t.c[j]
+            ahead[k, j] *= at / tableau.c[j]
         ahead[k, stages - 1] -= 1.0
     for k in range(stages):
         for j in range(stages):
             to_e[k, j] = 0.0
             for o in range(stages):
-                to_e[k, j] += h * t.A[k, o] * ahead[o, j]
-    weighted_sum(to_e, y.stages_v, x.e)
+                to_e[k, j] += h * tableau.A[k, o] * ahead[o, j]
+    weighted_sum(to_e, memory.stages_v, trial.e)
     if abs(h - last) <= SAME_STEP * h:
-        add_prediction_error(y, x, z)
+        add_prediction_error(memory, trial, work)
 
 
 @part
-def add_prediction_error(y, x, z):
+def add_prediction_error(memory, trial, work):
     """Store the extrapolated stages in start_e and start_lam, and add the expected prediction error for a step of the same length."""
-    z.progress[EXTENDED] = 1.0
-    copy_matrix(x.e, x.start_e)
-    copy_matrix(x.lam, x.start_lam)
+    work.progress[EXTENDED] = 1.0
+    copy_matrix(trial.e, trial.start_e)
+    copy_matrix(trial.lam, trial.start_lam)
     for o in range(TERMS):
-        weight = y.marks[MISSES + 1 + o]
-        for k in range(x.e.shape[0] if weight != 0.0 else 0):
-            for i in range(x.e.shape[1]):
-                x.e[k, i] += weight * y.miss_e[o, k, i]
-            for e in range(x.lam.shape[1]):
-                x.lam[k, e] += weight * y.miss_lam[o, k, e]
-            for e in range(x.mu.shape[1]):
-                x.mu[k, e] += weight * y.mu[o, k, e]
+        weight = memory.marks[MISSES + 1 + o]
+        for k in range(trial.e.shape[0] if weight != 0.0 else 0):
+            for i in range(trial.e.shape[1]):
+                trial.e[k, i] += weight * memory.miss_e[o, k, i]
+            for e in range(trial.lam.shape[1]):
+                trial.lam[k, e] += weight * memory.miss_lam[o, k, e]
+            for e in range(trial.mu.shape[1]):
+                trial.mu[k, e] += weight * memory.mu[o, k, e]
 
 
 @fast
-def store_prediction_error(y, x, z):
+def store_prediction_error(memory, trial, work):
     """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best."""
-    known, weights, fits, excess = int(y.marks[MISSES]), y.marks[MISSES + 1 : FITS], y.marks[FITS:EXCESS], y.marks[EXCESS:]
-    if z.progress[EXTENDED] == 0.0:
-        y.marks[MISSES:] = 0.0
+    known, weights, fits, excess = (
+        int(memory.marks[MISSES]),
+        memory.marks[MISSES + 1 : FITS],
+        memory.marks[FITS:EXCESS],
+        memory.marks[EXCESS:],
+    )
+    if work.progress[EXTENDED] == 0.0:
+        memory.marks[MISSES:] = 0.0
         return
     products = np.zeros((TERMS, TERMS + 1))
-    for k in range(x.e.shape[0]):
-        for i in range(x.e.shape[1]):
-            x.start_e[k, i] = x.e[k, i] - x.start_e[k, i]
+    for k in range(trial.e.shape[0]):
+        for i in range(trial.e.shape[1]):
+            trial.start_e[k, i] = trial.e[k, i] - trial.start_e[k, i]
         for o in range(known):
             for j in range(o, known + 1):
-                other, total = y.miss_e[j, k] if j < known else x.start_e[k], 0.0
-                for i in range(x.e.shape[1]):
-                    total += y.past[SHARES, i] * y.miss_e[o, k, i] * other[i]
+                other, total = memory.miss_e[j, k] if j < known else trial.start_e[k], 0.0
+                for i in range(trial.e.shape[1]):
+                    total += memory.shares[i] * memory.miss_e[o, k, i] * other[i]
                 products[o, j] += total
     best = 0.0
     for count in range(TERMS):
@@ -319,13 +328,13 @@ def store_prediction_error(y, x, z):
         if best < 0.0 and excess[count] == best:
             for o in range(TERMS):
                 weights[o] = fits[TERMS * count + o]
-    for k in range(x.e.shape[0]):
-        put_first(y.miss_e[:, k], x.start_e[k])
-        for e in range(x.lam.shape[1]):
-            x.start_lam[k, e] = x.lam[k, e] - x.start_lam[k, e]
-        put_first(y.miss_lam[:, k], x.start_lam[k])
-        put_first(y.mu[:, k], x.mu[k])
-    y.marks[MISSES] = min(known + 1.0, TERMS)
+    for k in range(trial.e.shape[0]):
+        put_first(memory.miss_e[:, k], trial.start_e[k])
+        for e in range(trial.lam.shape[1]):
+            trial.start_lam[k, e] = trial.lam[k, e] - trial.start_lam[k, e]
+        put_first(memory.miss_lam[:, k], trial.start_lam[k])
+        put_first(memory.mu[:, k], trial.mu[k])
+    memory.marks[MISSES] = min(known + 1.0, TERMS)
 
 
 @part
@@ -369,320 +378,319 @@ def fit(products, known, fits):
 
 
 @part
-def stage_state(t, h, y, x, z, k):
+def stage_state(tableau, h, memory, trial, work, k):
     """Write q and v of stage k to z."""
-    c, past = t.c[k] * h, y.past
-    for i in range(z.q.shape[0]):
-        z.q[i] = past[Q, i] + (c * past[V, i] + x.e[k, i])
-        z.v[i] = past[V, i] + x.dv[k, i]
+    c = tableau.c[k] * h
+    for i in range(work.q.shape[0]):
+        work.q[i] = memory.q[i] + (c * memory.v[i] + trial.e[k, i])
+        work.v[i] = memory.v[i] + trial.dv[k, i]
 
 
 @part
-def stage_velocities(f, w, first, p, t, h, y, x, z):
+def stage_velocities(model, first, method, tableau, h, memory, trial, work):
     """v and v' of the stages from e and mu, and psi."""
-    stage_rates(t.W, h, x.e, x.dv)
-    for k in range(x.e.shape[0] if p.velocity_rows.shape[0] else 0):
-        stage_state(t, h, y, x, z, k)
-        if p.by_increments:
-            ended = phi_by_increments(f, w, first, y, x, z, k)
+    stage_rates(tableau.W, h, trial.e, trial.dv)
+    for k in range(trial.e.shape[0] if method.velocity_rows.shape[0] else 0):
+        stage_state(tableau, h, memory, trial, work, k)
+        if method.by_increments:
+            status = phi_by_increments(model, first, memory, trial, work, k)
         else:
-            ended = call(f[RATE], w, first + 1 + k, address(z.q), address(z.v), address(z.rows[PHI_RATE, k]), 0, 0, 0)
-        if ended != DONE:
-            return ended
-        put(1.0, z.rows[PHI_RATE, k], z.psi[k])
-    if x.mu.shape[1]:
-        for k in range(x.e.shape[0]):
-            stage_state(t, h, y, x, z, k)
-            ended = call(f[REACTION], w, first + 1 + k, address(z.q), address(x.mu[k]), address(x.dv[k]), 0, 0, 0)
-            if ended != DONE:
-                return ended
-    stage_rates(t.W, h, x.dv, x.a)
+            status = ask.rate(model, first + 1 + k, work.q, work.v, work.rows[PHI_RATE, k], 0)
+        if status != DONE:
+            return status
+        put(1.0, work.rows[PHI_RATE, k], work.psi[k])
+    if trial.mu.shape[1]:
+        for k in range(trial.e.shape[0]):
+            stage_state(tableau, h, memory, trial, work, k)
+            status = ask.reaction(model, first + 1 + k, work.q, trial.mu[k], trial.dv[k], 0)
+            if status != DONE:
+                return status
+    stage_rates(tableau.W, h, trial.dv, trial.a)
     return DONE
 
 
 @part
-def phi_by_increments(f, w, first, y, x, z, k):
+def phi_by_increments(model, first, memory, trial, work, k):
     """phi and phi' of stage k by increments from the start of the step; z.q is q of the stage."""
-    phi, rate = z.rows[PHI, k], z.rows[PHI_RATE, k]
-    put(1.0, y.phi_start[PHI], phi)
-    put(1.0, y.phi_start[PHI_RATE], rate)
-    return call(f[CONSTRAINTS], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
+    phi, rate = work.rows[PHI, k], work.rows[PHI_RATE, k]
+    put(1.0, memory.phi_start[PHI], phi)
+    put(1.0, memory.phi_start[PHI_RATE], rate)
+    return ask.constraints(model, first + 1 + k, work.q, trial.e[k], trial.dv[k], phi, rate)
 
 
 @part
-def residuals(f, w, first, p, t, h, y, x, z):
+def residuals(model, first, method, tableau, h, memory, trial, work):
     """r, phi and phi' of all stages."""
-    ended = stage_velocities(f, w, first, p, t, h, y, x, z)
-    for k in range(x.e.shape[0]):
-        if ended != DONE:
-            return ended
-        stage_state(t, h, y, x, z, k)
-        state = address(z.q), address(z.v), address(x.a[k]), address(x.lam[k])
-        ended = call(f[RESIDUAL], w, first + 1 + k, state[0], state[1], state[2], state[3], address(z.r[k]), address(z.rows[PHI, k]))
-        if ended == DONE and p.by_increments:
-            ended = phi_by_increments(f, w, first, y, x, z, k)
-        elif ended == DONE and p.tied:
-            ended = call(f[RATE], w, first + 1 + k, state[0], state[1], address(z.rows[PHI_RATE, k]), 1, 0, 0)
-        for i in range(p.velocity_rows.shape[0]):
-            z.rows[PHI, k, p.velocity_rows[i]] = z.psi[k, p.velocity_rows[i]]
-    return ended
+    status = stage_velocities(model, first, method, tableau, h, memory, trial, work)
+    for k in range(trial.e.shape[0]):
+        if status != DONE:
+            return status
+        stage_state(tableau, h, memory, trial, work, k)
+        status = ask.residual(model, first + 1 + k, work.q, work.v, trial.a[k], trial.lam[k], work.r[k], work.rows[PHI, k])
+        if status == DONE and method.by_increments:
+            status = phi_by_increments(model, first, memory, trial, work, k)
+        elif status == DONE and method.tied:
+            status = ask.rate(model, first + 1 + k, work.q, work.v, work.rows[PHI_RATE, k], 1)
+        for i in range(method.velocity_rows.shape[0]):
+            work.rows[PHI, k, method.velocity_rows[i]] = work.psi[k, method.velocity_rows[i]]
+    return status
 
 
 @fast
-def into_modes(p, t, h, z):
+def into_modes(method, tableau, h, work):
     """Transform the residuals of the stages to the modes. Velocity rows are divided by c."""
-    stages, real = z.r.shape[0], t.real_row.shape[0] > 0
-    for i in range(z.right.shape[0]):
+    stages, real = work.r.shape[0], tableau.real_row.shape[0] > 0
+    for i in range(work.right.shape[0]):
         one, pair = 0.0, 0.0j
         for k in range(stages):
             if real:
-                one += t.real_row[k] * z.r[k, i]
-            pair += t.pair_row[k] * z.r[k, i]
-        z.right[i], z.right_pair[i] = one, pair
+                one += tableau.real_row[k] * work.r[k, i]
+            pair += tableau.pair_row[k] * work.r[k, i]
+        work.right[i], work.right_pair[i] = one, pair
     for g in range(2):
-        for e in range(z.closing.shape[1]):
+        for e in range(work.closing.shape[1]):
             one, pair = 0.0, 0.0j
             for k in range(stages):
                 if real:
-                    one += t.real_row[k] * z.rows[g, k, e]
-                pair += t.pair_row[k] * z.rows[g, k, e]
-            z.closing[g, e], z.closing_pair[g, e] = one, pair
-    for i in range(p.velocity_rows.shape[0]):
-        e = p.velocity_rows[i]
-        z.closing_pair[PHI, e] *= h / complex(t.values[1], t.values[2])
+                    one += tableau.real_row[k] * work.rows[g, k, e]
+                pair += tableau.pair_row[k] * work.rows[g, k, e]
+            work.closing[g, e], work.closing_pair[g, e] = one, pair
+    for i in range(method.velocity_rows.shape[0]):
+        e = method.velocity_rows[i]
+        work.closing_pair[PHI, e] *= h / complex(tableau.values[1], tableau.values[2])
         if real:
-            z.closing[PHI, e] *= h / t.values[0]
+            work.closing[PHI, e] *= h / tableau.values[0]
 
 
 @fast
-def from_modes(t, z):
+def from_modes(tableau, work):
     """Transform the corrections of the modes to the stages, in z.r."""
-    for k in range(z.r.shape[0]):
-        real, pair = t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k]
-        for i in range(z.r.shape[1]):
-            z.r[k, i] = real * z.dq[i] + (pair * z.dq_pair[i]).real
+    for k in range(work.r.shape[0]):
+        real, pair = tableau.real_column[k] if tableau.real_row.shape[0] else 0.0, 2.0 * tableau.pair_column[k]
+        for i in range(work.r.shape[1]):
+            work.r[k, i] = real * work.dq[i] + (pair * work.dq_pair[i]).real
 
 
 @part
-def add_multipliers(t, z, g, lam):
+def add_multipliers(tableau, work, g, lam):
     """Add the modes' multipliers g (0: lam, 1: mu) to those of the stages."""
     for k in range(lam.shape[0]):
         for e in range(lam.shape[1]):
-            lam[k, e] += 2.0 * (t.pair_column[k] * z.multipliers_pair[g, e]).real
-            if t.real_row.shape[0]:
-                lam[k, e] += t.real_column[k] * z.multipliers[g, e]
+            lam[k, e] += 2.0 * (tableau.pair_column[k] * work.multipliers_pair[g, e]).real
+            if tableau.real_row.shape[0]:
+                lam[k, e] += tableau.real_column[k] * work.multipliers[g, e]
 
 
 @part
-def solve_real(f, w, middle, lam, z):
+def solve_real(model, middle, lam, work):
     """Correction of the real mode. Returns a status."""
-    return call(f[REAL], w, middle, address(z.right), address(z.closing), address(lam), address(z.dq), address(z.multipliers), 0)
+    return ask.solve_real(model, middle, work.right, work.closing, lam, work.dq, work.multipliers)
 
 
 @part
-def solve_pair(f, w, middle, lam, z):
+def solve_pair(model, middle, lam, work):
     """Correction of the complex mode. Returns a status."""
-    arguments = address(z.right_pair), address(z.closing_pair), address(lam), address(z.dq_pair), address(z.multipliers_pair)
-    return call(f[PAIR], w, middle, arguments[0], arguments[1], arguments[2], arguments[3], arguments[4], 0)
+    return ask.solve_pair(model, middle, work.right_pair, work.closing_pair, lam, work.dq_pair, work.multipliers_pair)
 
 
 @part
-def iterate(f, w, first, p, t, h, y, x, z):
+def iterate(model, first, method, tableau, h, memory, trial, work):
     """One Newton iteration: (status, norm of dq and h dv: root mean square over stages, weighted by mass)."""
-    ended = residuals(f, w, first, p, t, h, y, x, z)
-    if ended != DONE:
-        return ended, 0.0
-    stages, n = x.e.shape
-    middle, lam = first + 1 + stages // 2, x.lam[stages // 2]
-    if f[TURN]:
-        call(f[TURN], w, first, address(z.r), 0, 0, 0, 0, 0)
-    into_modes(p, t, h, z)
-    if t.real_row.shape[0]:
-        ended = solve_real(f, w, middle, lam, z)
-    if ended == DONE:
-        ended = solve_pair(f, w, middle, lam, z)
-    if ended != DONE:
-        return ended, 0.0
-    from_modes(t, z)
-    if f[TURN]:
-        call(f[TURN], w, first, address(z.r), 1, 0, 0, 0, 0)
-    stage_rates(t.W, 1.0, z.r, x.dv)
+    status = residuals(model, first, method, tableau, h, memory, trial, work)
+    if status != DONE:
+        return status, 0.0
+    stages, n = trial.e.shape
+    middle, lam = first + 1 + stages // 2, trial.lam[stages // 2]
+    ask.turn(model, first, work.r, 0)
+    into_modes(method, tableau, h, work)
+    if tableau.real_row.shape[0]:
+        status = solve_real(model, middle, lam, work)
+    if status == DONE:
+        status = solve_pair(model, middle, lam, work)
+    if status != DONE:
+        return status, 0.0
+    from_modes(tableau, work)
+    ask.turn(model, first, work.r, 1)
+    stage_rates(tableau.W, 1.0, work.r, trial.dv)
     total = 0.0
     for k in range(stages):
         for i in range(n):
-            x.e[k, i] += z.r[k, i]
-        total += mean_square(y.past[SHARES], z.r[k]) + mean_square(y.past[SHARES], x.dv[k])
-    add_multipliers(t, z, 0, x.lam)
-    add_multipliers(t, z, 1, x.mu)
+            trial.e[k, i] += work.r[k, i]
+        total += mean_square(memory.shares, work.r[k]) + mean_square(memory.shares, trial.dv[k])
+    add_multipliers(tableau, work, 0, trial.lam)
+    add_multipliers(tableau, work, 1, trial.mu)
     return DONE, np.sqrt(total / stages)
 
 
 @part
-def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
+def newton(model, first, method, tableau, h, memory, trial, work, allowed, counts):
     """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in x."""
-    size = np.sqrt(mean_square(y.past[SHARES], y.past[Q])) + h * np.sqrt(mean_square(y.past[SHARES], y.past[V]))
-    contraction = min(2.0 * y.marks[CONTRACTION], 1.0) if y.marks[AGE] < MAX_AGE else 1.0
-    last, worst, round_off = np.inf, 0.0, max(ROUND * size, p.least)
-    noise = 0.0 if p.by_increments else NOISE * size
-    for iteration in range(1, p.max_iterations + 1):
-        counts[RESIDUALS] += x.e.shape[0]
+    size = np.sqrt(mean_square(memory.shares, memory.q)) + h * np.sqrt(mean_square(memory.shares, memory.v))
+    contraction = min(2.0 * memory.marks[CONTRACTION], 1.0) if memory.marks[AGE] < MAX_AGE else 1.0
+    last, worst, round_off = np.inf, 0.0, max(ROUND * size, method.least)
+    noise = 0.0 if method.by_increments else NOISE * size
+    for iteration in range(1, method.max_iterations + 1):
+        counts[RESIDUALS] += trial.e.shape[0]
         counts[ITERATIONS] += 1
-        counts[SOLVES] += 1 + (t.real_row.shape[0] > 0)
-        ended, moved = iterate(f, w, first, p, t, h, y, x, z)
-        if ended != DONE or not np.isfinite(moved):
-            return (NOT_FINITE if ended == DONE else ended), iteration
+        counts[SOLVES] += 1 + (tableau.real_row.shape[0] > 0)
+        status, moved = iterate(model, first, method, tableau, h, memory, trial, work)
+        if status != DONE or not np.isfinite(moved):
+            return (NOT_FINITE if status == DONE else status), iteration
         if iteration > 1:
             contraction = moved / last
             worst = max(worst, contraction) if moved > noise or worst == 0.0 else worst
-        z.progress[MOVED], z.progress[SPEED] = moved, contraction
+        work.progress[MOVED], work.progress[SPEED] = moved, contraction
         left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
-        spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > STALLED
+        spent, stalled = iteration == method.max_iterations, iteration > 1 and contraction > STALLED
         rounded = iteration > 1 and moved <= noise
         if left <= allowed or moved == 0.0 or rounded or (moved <= round_off and (stalled or spent)):
             if iteration > 1:
-                y.marks[CONTRACTION], y.marks[AGE] = worst, 0.0
+                memory.marks[CONTRACTION], memory.marks[AGE] = worst, 0.0
             else:
-                y.marks[AGE] += 1.0
+                memory.marks[AGE] += 1.0
             return DONE, iteration
-        if iteration > 1 and contraction ** (p.max_iterations - iteration) * left > max(allowed, round_off):
+        if iteration > 1 and contraction ** (method.max_iterations - iteration) * left > max(allowed, round_off):
             break
         last = moved
     return REFACTOR, iteration
 
 
 @part
-def solve_stages(f, w, first, p, t, h, y, x, z, allowed, counts):
+def solve_stages(model, first, method, tableau, h, memory, trial, work, allowed, counts):
     """Solve the stages of a step from y: (status, iterations)."""
-    ended = call(f[BEGIN], w, first, address(y.past[Q]), address(y.past[V]), address(z.times), 0, 0, 0)
-    if ended != DONE:
-        return ended, 0
-    if not p.has_guess:
-        predict(t, h, y, x, z)
-    stage_rates(t.W, h, x.e, x.dv)
-    k = x.e.shape[0] // 2
-    stage_state(t, h, y, x, z, k)
-    ended = call(f[ROWS], w, first + 1 + k, address(z.q), address(z.v), 0, 0, 0, 0)
-    if ended != DONE:
-        return ended, 0
-    return newton(f, w, first, p, t, h, y, x, z, allowed, counts)
+    status = ask.begin(model, first, memory.q, memory.v, work.times)
+    if status != DONE:
+        return status, 0
+    if not method.has_guess:
+        predict(tableau, h, memory, trial, work)
+    stage_rates(tableau.W, h, trial.e, trial.dv)
+    k = trial.e.shape[0] // 2
+    stage_state(tableau, h, memory, trial, work, k)
+    status = ask.rows(model, first + 1 + k, work.q, work.v, None, 0)
+    if status != DONE:
+        return status, 0
+    return newton(model, first, method, tableau, h, memory, trial, work, allowed, counts)
 
 
 @part
-def project_end(f, w, first, p, t, h, y, x, z):
+def project_end(model, first, method, tableau, h, memory, trial, work):
     """Update v and v' after the last correction, and project q and v of the step's end onto phi = 0 and phi' = 0 in the metric of M."""
-    ended = stage_velocities(f, w, first, p, t, h, y, x, z)
-    if not x.lam.shape[1] or ended != DONE:
-        return ended
-    k = x.e.shape[0] - 1
-    size, at = p.extent + largest(y.past[Q]), first + 1 + k
-    phi, rate, has_rows = z.rows[PHI, k], z.rows[PHI_RATE, k], False
-    stage_state(t, h, y, x, z, k)
-    ended = phi_by_increments(f, w, first, y, x, z, k)
+    status = stage_velocities(model, first, method, tableau, h, memory, trial, work)
+    if not trial.lam.shape[1] or status != DONE:
+        return status
+    k = trial.e.shape[0] - 1
+    size, at = method.extent + largest(memory.q), first + 1 + k
+    phi, rate, has_rows = work.rows[PHI, k], work.rows[PHI_RATE, k], False
+    stage_state(tableau, h, memory, trial, work, k)
+    status = phi_by_increments(model, first, memory, trial, work, k)
     for _ in range(MAX_PROJECTIONS):
         worst = largest(phi)
-        if ended != DONE or worst <= ROUND_OFF * size:
+        if status != DONE or worst <= ROUND_OFF * size:
             break
         if not has_rows:
-            ended = call(f[RATE], w, at, address(z.q), address(z.v), address(z.spare), 0, 0, 0)
-        if ended == DONE:
-            ended = call(f[PROJECT], w, at, address(phi), address(x.e[k]), 0, 0, 0, 0)
-        if ended != DONE:
+            status = ask.rate(model, at, work.q, work.v, work.spare, 0)
+        if status == DONE:
+            status = ask.project(model, at, phi, trial.e[k], 0)
+        if status != DONE:
             break
-        stage_state(t, h, y, x, z, k)
+        stage_state(tableau, h, memory, trial, work, k)
         has_rows = worst <= AGAIN * size
-        ended = phi_by_increments(f, w, first, y, x, z, k)
-    if ended != DONE or not p.moves_v:
-        return ended
-    if not (p.by_increments and has_rows):
-        rates = z.spare if p.by_increments else rate
-        ended = call(f[RATE], w, at, address(z.q), address(z.v), address(rates), 0, 0, 0)
-    if ended == DONE and largest(rate) > 0.0:
-        ended = call(f[PROJECT], w, at, address(rate), address(x.dv[k]), 0, 0, 0, 0)
-        if ended == DONE and p.by_increments:
-            ended = phi_by_increments(f, w, first, y, x, z, k)
-    return ended
+        status = phi_by_increments(model, first, memory, trial, work, k)
+    if status != DONE or not method.moves_v:
+        return status
+    if not (method.by_increments and has_rows):
+        rates = work.spare if method.by_increments else rate
+        status = ask.rate(model, at, work.q, work.v, rates, 0)
+    if status == DONE and largest(rate) > 0.0:
+        status = ask.project(model, at, rate, trial.dv[k], 0)
+        if status == DONE and method.by_increments:
+            status = phi_by_increments(model, first, memory, trial, work, k)
+    return status
 
 
 @part
-def local_error(f, w, first, p, t, h, y, x, z, counts):
+def local_error(model, first, method, tableau, h, memory, trial, work, counts):
     """(status, local error of q at the step's end: the norm of its difference to a method of order s).
 
     It is the difference of v_0, and of v' at the end of the last step, to the stages' polynomial, filtered by a solve with the step matrix, so
     that unresolved stiff modes do not count. The solve removes what phi does not permit; psi permits an error along W, (v + v'/c)/c.
     """
-    count, n = x.e.shape
-    middle, lam, real = first + 1 + count // 2, x.lam[count // 2], t.real_row.shape[0] > 0
+    count, n = trial.e.shape
+    middle, lam, real = first + 1 + count // 2, trial.lam[count // 2], tableau.real_row.shape[0] > 0
     for i in range(n):
-        v, a = 0.0, y.past[A, i]
+        v, a = 0.0, memory.a[i]
         for k in range(count):
-            v += t.start[k] * x.e[k, i] / h
-            a += t.start[k] * x.dv[k, i] / h
-        z.inertia[0, i], z.inertia[1, i] = -v, -a
-    work, q, rates = z.inertia, address(y.past[Q]), address(z.rates[0]) if p.velocity_rows.shape[0] else 0
-    ended = call(f[INERTIA], w, middle, address(work[0]), address(work[1]), address(work[2]), address(work[3]), q, rates)
-    if ended == DONE and p.velocity_rows.shape[0]:
-        ended = call(f[INERTIA], w, middle, address(work[1]), address(work[1]), address(z.a), 0, q, address(z.rates[1]))
-    if ended != DONE:
-        return ended, 0.0
+            v += tableau.start[k] * trial.e[k, i] / h
+            a += tableau.start[k] * trial.dv[k, i] / h
+        work.inertia[0, i], work.inertia[1, i] = -v, -a
+    change_v, change_a, inertia, momentum = work.inertia[0], work.inertia[1], work.inertia[2], work.inertia[3]
+    if method.velocity_rows.shape[0]:
+        status = ask.inertia(model, middle, change_v, change_a, inertia, momentum, memory.q, work.rates[0])
+        if status == DONE:
+            status = ask.inertia(model, middle, change_a, change_a, work.a, None, memory.q, work.rates[1])
+    else:
+        status = ask.inertia(model, middle, change_v, change_a, inertia, momentum, memory.q, None)
+    if status != DONE:
+        return status, 0.0
     counts[SOLVES] += 1
-    total, c = 0.0, complex(t.values[1], t.values[2]) / h
+    total, c = 0.0, complex(tableau.values[1], tableau.values[2]) / h
     for i in range(n):
         if real:
-            z.right[i] = work[2, i] + t.values[0] / h * work[3, i]
+            work.right[i] = inertia[i] + tableau.values[0] / h * momentum[i]
         else:
-            z.right_pair[i] = work[2, i] + c * work[3, i]
-    clear(z.closing)
-    clear(z.closing_pair)
-    for k in range(p.velocity_rows.shape[0]):
-        e = p.velocity_rows[k]
+            work.right_pair[i] = inertia[i] + c * momentum[i]
+    clear(work.closing)
+    clear(work.closing_pair)
+    for k in range(method.velocity_rows.shape[0]):
+        e = method.velocity_rows[k]
         if real:
-            z.closing[PHI_RATE, e] = z.rates[0, 1, e] + z.rates[1, 1, e] * h / t.values[0]
-            z.closing[PHI, e] = z.closing[PHI_RATE, e] * h / t.values[0]
+            work.closing[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] * h / tableau.values[0]
+            work.closing[PHI, e] = work.closing[PHI_RATE, e] * h / tableau.values[0]
         else:
-            z.closing_pair[PHI_RATE, e] = z.rates[0, 1, e] + z.rates[1, 1, e] / c
-            z.closing_pair[PHI, e] = z.closing_pair[PHI_RATE, e] / c
-    ended = solve_real(f, w, middle, lam, z) if real else solve_pair(f, w, middle, lam, z)
+            work.closing_pair[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] / c
+            work.closing_pair[PHI, e] = work.closing_pair[PHI_RATE, e] / c
+    status = solve_real(model, middle, lam, work) if real else solve_pair(model, middle, lam, work)
     for i in range(n):
-        dq = z.dq[i] if real else z.dq_pair[i].real
-        total += y.past[SHARES, i] * dq * dq
-    return ended, np.sqrt(total)
+        dq = work.dq[i] if real else work.dq_pair[i].real
+        total += memory.shares[i] * dq * dq
+    return status, np.sqrt(total)
 
 
 @part
-def end_state(f, w, first, h, y, x, z):
+def end_state(model, first, h, memory, trial, work):
     """The state at the step's end in z, with a and lam of the equations of motion, or of the last stage if these are singular."""
-    k, n = x.e.shape[0] - 1, x.e.shape[1]
+    k, n = trial.e.shape[0] - 1, trial.e.shape[1]
     total = 0.0
     for i in range(n):
-        z.q[i], z.v[i], z.a[i] = y.past[Q, i] + (h * y.past[V, i] + x.e[k, i]), y.past[V, i] + x.dv[k, i], x.a[k, i]
-        total += z.q[i] * z.v[i]
-    put(1.0, x.lam[k], z.lam)
+        work.q[i], work.v[i], work.a[i] = memory.q[i] + (h * memory.v[i] + trial.e[k, i]), memory.v[i] + trial.dv[k, i], trial.a[k, i]
+        total += work.q[i] * work.v[i]
+    put(1.0, trial.lam[k], work.lam)
     if not np.isfinite(total):
         return NOT_FINITE
-    if f[ACCEPT]:
-        ended = call(f[ACCEPT], w, first + 1 + k, address(z.q), 0, 0, 0, 0, 0)
-        if ended != DONE:
-            return ended
-    if f[ACCELERATION]:
-        ended = call(f[ACCELERATION], w, first + 1 + k, address(z.q), address(z.v), address(z.a), address(z.lam), 0, 0)
-        if ended != DONE and ended != SINGULAR:
-            return ended
+    if ask.provides(model, ACCEPT):
+        status = ask.accept(model, first + 1 + k, work.q)
+        if status != DONE:
+            return status
+    if ask.provides(model, ACCELERATION):
+        status = ask.acceleration(model, first + 1 + k, work.q, work.v, work.a, work.lam)
+        if status != DONE and status != SINGULAR:
+            return status
         for i in range(n):
-            total += z.a[i] * 0.0
-        for e in range(z.lam.shape[0]):
-            total += z.lam[e] * 0.0
+            total += work.a[i] * 0.0
+        for e in range(work.lam.shape[0]):
+            total += work.lam[e] * 0.0
     return DONE if np.isfinite(total) else NOT_FINITE
 
 
 @part
-def advance(h, error, y, x, z):
+def advance(h, error, memory, trial, work):
     """Make the step's end the start of the next step."""
-    store_prediction_error(y, x, z)
-    k = x.e.shape[0] - 1
-    for i in range(z.q.shape[0]):
-        y.past[Q, i], y.past[V, i], y.past[A, i] = z.q[i], z.v[i], x.a[k, i]
-    put(1.0, x.lam[k], y.lam)
-    copy_matrix(x.dv, y.stages_v)
-    copy_matrix(x.lam, y.stages_lam)
-    copy_matrix(z.rows[:, k], y.phi_start)
-    y.marks[LAST], y.marks[ERROR] = h, error
+    store_prediction_error(memory, trial, work)
+    k = trial.e.shape[0] - 1
+    for i in range(work.q.shape[0]):
+        memory.q[i], memory.v[i], memory.a[i] = work.q[i], work.v[i], trial.a[k, i]
+    put(1.0, trial.lam[k], memory.lam)
+    copy_matrix(trial.dv, memory.stages_v)
+    copy_matrix(trial.lam, memory.stages_lam)
+    copy_matrix(work.rows[:, k], memory.phi_start)
+    memory.marks[LAST], memory.marks[ERROR] = h, error

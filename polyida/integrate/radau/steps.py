@@ -62,14 +62,14 @@ class Steps:
     @property
     def shares(self):
         """Shares of the coordinates in the mass, (n,)."""
-        return self.memory.past[step.SHARES]
+        return self.memory.shares
 
     def begin(self, state):
         """Restore the memory of a state and nothing else: the norm's weights, Newton's contraction, the factors."""
         memory, model, table = state.memory, self.model, self.slots.table
         shares = memory.get("radau_shares")
-        self.memory.past[step.SHARES] = self.memory.past[step.PLACES] = weights(model, state.q) if shares is None else shares
-        self.memory.past[step.PLACES, model.hidden] = 0.0
+        self.memory.shares[:] = self.memory.places[:] = weights(model, state.q) if shares is None else shares
+        self.memory.places[model.hidden] = 0.0
         if self.tied and self.table.lifts:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
@@ -91,9 +91,9 @@ class Steps:
             return
         y, memory, model = self.memory, state.memory, self.model
         known = "stages_e" in memory
-        y.past[step.Q], y.past[step.V] = state.q, state.v
+        y.q[:], y.v[:] = state.q, state.v
         last = memory.get("a_end")
-        y.past[step.A] = state.a if last is None else last  # which may not be made yet
+        y.a[:] = state.a if last is None else last  # which may not be made yet
         y.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
         if known:
             y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
@@ -172,7 +172,7 @@ class Steps:
             control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
             table_arguments, run_arguments = (self.table.functions, self.table.workspace, first), (control, self.slots, fresh)
             with self.table.timed():
-                accepted, ended = loop.stretch(
+                accepted, ended = loop.take_steps(
                     *table_arguments, p, self.compiled_tableau, *run_arguments, y, self.trial, self.scratch, self.done, ends[taken:], o
                 )
             self.state, before = None, replace(self.counts)

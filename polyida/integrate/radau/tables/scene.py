@@ -32,7 +32,7 @@ from polyida.assembly.relaxation import eliminate, recover
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
-from polyida.integrate.radau.step import Q, V, compiled_tableau
+from polyida.integrate.radau.step import compiled_tableau
 from polyida.integrate.radau.tables.scene_factors import (
     FACTOR_FUNCTIONS,
     SceneFactors,
@@ -475,7 +475,8 @@ class SceneStages:
         status, reason = REASONS[ended]
         if ended not in (INVERTED, HALF_TURN):
             return status, reason
-        (q, v), steps, t = engine.memory.past[[Q, V]], self.tableau.c * control.now[STEP], control.now[TIME]
+        q, v = engine.memory.q, engine.memory.v
+        steps, t = self.tableau.c * control.now[STEP], control.now[TIME]
         stages = ((engine.clamp(t + step), q + (step * v + e)) for step, e in zip(steps, engine.trial.e))
         return status, next(filter(None, (self.model.rejection_reason(*at) for at in stages)), None) or reason
 
