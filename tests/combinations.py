@@ -238,7 +238,9 @@ def gradients(case):
     ends = [J(case.run(pi.RadauIIA(h=1.5 * h, tolerance=1e-15), all_frames=True, v0=v0 + s * d)) for s in (-2e-4, -1e-4, 1e-4, 2e-4)]
     narrow, wide = (ends[2] - ends[1]) / 2e-4, (ends[3] - ends[0]) / 4e-4
     if not abs(exact - narrow) <= 1e-4 * abs(narrow) + 1e-6 + 3.0 * (abs(narrow - wide) + abs(exact - finer)):
-        raise Finding(f"gradient in v0 of {type(integrator).__name__}: {exact:.8g}, with half the steps {finer:.8g}, differences {narrow:.8g}")
+        raise Finding(
+            f"gradient in v0 of {type(integrator).__name__}: {exact:.8g}, with half the steps {finer:.8g}, differences {narrow:.8g}"
+        )
 
 
 def files_keep_runs(case):
