@@ -211,4 +211,5 @@ def products_at(model, drives, q, v, lam, w, mu):
     u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
     viscosity = viscosity_of(model)
     products(arrays, viscosity, model.laws, drives, slopes, u, v, np.array(lam, float), w[None], np.array(mu, float), x)
+    model.raise_error()
     return x

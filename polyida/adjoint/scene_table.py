@@ -595,6 +595,9 @@ class SceneAdjoint(AdjointTable):
         lanes = None if np.issubdtype(kind, complex) else np.zeros((2 * self.model.n_factored, COLUMNS), np.float32)
         return Mode(np.array(c, kind), np.array(row), np.array(column), factored, workspace, slowing, *scratch, lanes)
 
+    def raise_error(self):
+        self.model.raise_error()
+
     def drop(self):
         self.factor_cache.factors.pop(f"{self.h:.9e}", None)
 

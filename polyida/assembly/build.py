@@ -330,7 +330,7 @@ def extent_of(plates, few):
 
 
 def assemble(plates, few, states, strains, places, parts, gravity, size, left_out=(), held=NONE):
-    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi with the numbers `left_out`.
+    """(SceneArrays, Points, RowTable, Drives, Laws, [Callbacks of each law]) of the parts, without the rows of phi with the numbers `left_out`.
 
     states, strains: as of `place_states`. gravity: two numbers or profiles, m/s^2. held: {name: joint} of joints that need not hold at rest, in
     the form in which they hold.
@@ -363,7 +363,7 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
         "load_values": concatenated([load.forces for load in loads], float, (2,)),
         "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
     }
-    laws = laws_of(of_kind(parts, ForceElement), states, [placed for placed in few if placed.elastic], points, drives, size)
+    laws, callbacks = laws_of(of_kind(parts, ForceElement), states, [placed for placed in few if placed.elastic], points, drives, size)
     links = Links(
         point_ptr=starts(points.nodes),
         point_nodes=concatenated(points.nodes, np.int32),
@@ -378,15 +378,15 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
     compact = compact_of([*few, *states.values()], first, int(fields["body_block"][-1]))
     relaxation = relaxation_of([*plates, *few], strains, (*plates, *few, *states.values())[-1].pairs.stop)
     arrays = SceneArrays(Plates(**fields), links, compact, relaxation)
-    return arrays, points, table, drives, laws
+    return arrays, points, table, drives, laws, callbacks
 
 
 def coupling_of(links, laws):
-    """The Coupling of links and force elements, Laws, or None if one is not compiled."""
+    """The Coupling of links and force elements, Laws."""
     vectors = np.split(links.vector_points, links.vector_start[1:-1])
     products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
-    sides = [] if laws is None else [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
-    hidden = [] if laws is None else [group[len(group) - (k + 1) // 2 :] for group, k in zip(sides, np.diff(laws.parts[:, 4]))]
+    sides = [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
+    hidden = [group[len(group) - (k + 1) // 2 :] for group, k in zip(sides, np.diff(laws.parts[:, 4]))]
     forced = [(a, b) for group in sides for a in group for b in group]
     heavy = [(p, p) for p in np.flatnonzero(links.point_mass)]
     known = {pair for pair in products + forced + heavy if min(pair) >= 0}

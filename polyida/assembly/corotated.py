@@ -143,7 +143,7 @@ def solve_workspace(model, system):
         border_workspace(model, system.border, dtype),
         np.empty((model.n_points, 2), dtype),
         np.empty(2 * model.n_factored, dtype),
-        np.zeros((coupled if model.laws and len(model.laws.energies) else 0, 2, 2), dtype),
+        np.zeros((coupled if len(model.laws.energies) else 0, 2, 2), dtype),
         np.zeros(1, np.int64),
         elimination=elimination(model, dtype),
     )
@@ -469,6 +469,7 @@ class SceneStepMatrix(StepMatrix):
         if len(self.workspace.own):
             coupling, self.workspace.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.workspace.own)
+            model.raise_error()
             condense_states(coupling, self.corotated, self.workspace.own)
 
     def beside(self, c_m, c_v, change):

@@ -12,7 +12,7 @@ from polyida.assembly.arrays import SceneArrays
 from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces, take_damping_forces, take_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation, add_relaxation_middle
-from polyida.errors import DONE
+from polyida.errors import DONE, NOT_FINITE
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.jit.user_functions import table_address
@@ -51,8 +51,8 @@ def values(w, at):
 @entry
 def law_forces(w, drives, u, v, r, d, e, f):
     """Add the forces of the laws to r."""
-    add_own_forces(w.laws, w.scene.links, values(w, drives), nodal(w, u), nodal(w, v), nodal(w, r))
-    return DONE
+    finite = add_own_forces(w.laws, w.scene.links, values(w, drives), nodal(w, u), nodal(w, v), nodal(w, r))
+    return DONE if finite else NOT_FINITE
 
 
 @entry
@@ -75,8 +75,9 @@ def law_damping(w, drives, dz, vz, moved, forces, e, f):
 def law_middle(w, drives, dz0, dz1, vz, half, forces, f):
     """Add the forces of the laws in the middle of a step to the forces at the points."""
     places = at_points(w, dz0), at_points(w, dz1)
-    take_midpoint_forces(w.laws, values(w, drives), places[0], places[1], at_points(w, vz), at_points(w, half), at_points(w, forces))
-    return DONE
+    others = at_points(w, vz), at_points(w, half), at_points(w, forces)
+    finite = take_midpoint_forces(w.laws, values(w, drives), places[0], places[1], others[0], others[1], others[2])
+    return DONE if finite else NOT_FINITE
 
 
 @entry

@@ -1,11 +1,11 @@
 """Force elements, and elastic forces of users' bodies, evaluated in Python on places that are linear in q."""
 
-from contextlib import nullcontext
 from copy import copy
 from dataclasses import fields, replace
 
 import numpy as np
 
+from polyida.assembly.python_functions import PythonFunctions
 from polyida.body.body import writes
 from polyida.errors import InputError, StepFailure
 from polyida.force.controllers import Controller
@@ -15,9 +15,8 @@ from polyida.model import differences
 from polyida.model.differences import along
 from polyida.model.states import solved
 from polyida.profile import constant, difference
-from polyida.validation import complexes, floats, is_real, on_pairs, pairs_of, read_only, reals
+from polyida.validation import complexes, floats, on_pairs, pairs_of, read_only, reals
 
-SORT = {reals: "real", complexes: "complex"}
 NEAR = 1e-3  # relative range of finite differences: contact forces change over such distances
 
 
@@ -25,17 +24,17 @@ class OwnForce:
     """A force element in its scene. Its sides are at `x = rest + A q`, A (2 sides, n) sparse; `near` holds the columns of A that are not zero.
 
     sizes (sides, 1): typical size of each side's coordinates: the scene's, m, or 1 for a direction. strain: True if its energy is strain
-    energy of a body. not_finite: the function that last raised, or returned a non-finite value for finite arguments; else empty.
+    energy of a body. functions: its PythonFunctions; given where compiled code calls them too.
     """
 
     strain = False
     names: tuple[str, ...] = ()  # of its states, the algebraic ones, and the outputs of a controller
     period = 0.0  # s, of a controller
 
-    def __init__(self, name, element, model):
+    def __init__(self, name, element, model, functions=None):
         from scipy.sparse import csr_array
 
-        self.name, self.element, self.not_finite = name, element, ""
+        self.name, self.element, self.functions = name, element, functions or PythonFunctions(name, element)
         sides, self.placed = sides_of(name, element), model.states.get(name)
         self.own_sides, self.names = slice(len(sides)), element.states + element.algebraic
         if isinstance(element, Controller):
@@ -58,7 +57,7 @@ class OwnForce:
     def with_element(self, element):
         """This force with another element of the same sides and states."""
         other = copy(self)
-        other.element, other.last_slopes = element, {}
+        other.element, other.functions, other.last_slopes = element, PythonFunctions(self.name, element), {}
         return other
 
     def places(self, q):
@@ -100,7 +99,7 @@ class OwnForce:
         start, sizes = (np.array(values, float)[first:] for values in (element.start(), element.sizes()))
         free, why = solved(rates, start, sizes)
         if why:
-            self.not_finite = f"the algebraic states {', '.join(element.algebraic)} of {self.name!r} have no solution: {why}"
+            self.functions.not_finite = f"the algebraic states {', '.join(element.algebraic)} of {self.name!r} have no solution: {why}"
         return np.append(s, free), *outputs
 
     def states_at(self, t, q, v):
@@ -120,13 +119,7 @@ class OwnForce:
         """Energy, J; 0 without. v: velocities of the sides, needed if there are states. Raises InputError if it is no number."""
         if not self.strain and not writes(self.element, ForceElement, "energy"):
             return 0.0
-        own = read_only(x[self.own_sides]) if self.placed else read_only(x)
-        value = self.element.energy(own, *map(read_only, self.states(v))) if self.placed else self.element.energy(own)
-        if value is None:
-            return 0.0
-        if not is_real(value):
-            raise InputError(f"{self.name}: energy(x) must return a number or None, not {value!r:.100}")
-        return float(value)
+        return self.functions.energy(x[self.own_sides], *self.states(v)) if self.placed else self.functions.energy(x)
 
     def power(self, t, q, v):
         """Work done on the system beyond the energy, W: `f . v + dE/dt`."""
@@ -147,12 +140,6 @@ class OwnForce:
             return None
         now, later = (self.forces(at, x, np.zeros_like(x)) for at in (t, t + differences.LATER))
         return now if np.array_equal(now, later) else None
-
-    @property
-    def python(self):
-        """True if its forces or its energy are Python functions."""
-        functions = self.element.compiled_functions()
-        return not functions or ("energy" not in functions and writes(self.element, ForceElement, "energy"))
 
     @property
     def switches(self):
@@ -202,27 +189,12 @@ class OwnForce:
 
     def _call(self, name, shape, *arguments, numbers=reals):
         """Call a function of the element, and check its result."""
-        try:
-            with np.errstate(all="ignore") if self.element.by_numba else nullcontext():
-                result = getattr(self.element, name)(*(read_only(x) if isinstance(x, np.ndarray) else x for x in arguments))
-            values = numbers(result)
-            if values is None or values.shape != shape:
-                try:
-                    form = np.shape(result)
-                except ValueError:
-                    form = "uneven"
-                what = f"{type(result).__name__} of shape {form}"
-                raise InputError(f"{self.name}: {name} must return {SORT[numbers]} numbers of shape {shape}, not {what}")
-        except Exception as error:
-            self.not_finite = f"{name} of {self.name!r} raised {type(error).__name__}: {error}"
-            if isinstance(error, ValueError) and "read-only" in str(error):
-                wrong = "writes into its arguments, which belong to the integrator: take a copy first"
-                raise InputError(f"{self.name}: {name} {wrong}") from error
-            raise
-        bad = not np.isfinite(values).all() and all(np.isfinite(x).all() for x in arguments)
-        why = self.element.undefined(arguments[1]) if bad and name == "forces" else ""
-        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{': ' * bool(why)}{why}" if bad else ""
-        return values
+        return self.functions.call(name, shape, *(read_only(x) if isinstance(x, np.ndarray) else x for x in arguments), numbers=numbers)
+
+    @property
+    def not_finite(self):
+        """As of PythonFunctions."""
+        return self.functions.not_finite
 
 
 class Elastic(OwnForce):
@@ -231,10 +203,10 @@ class Elastic(OwnForce):
     strain, placed, near = True, None, None
     switches = False
 
-    def __init__(self, placed, n_pairs):
+    def __init__(self, placed, n_pairs, functions):
         from scipy.sparse import eye_array
 
-        self.name, self.element, self.not_finite = placed.name, placed.body, ""
+        self.name, self.element, self.functions = placed.name, placed.body, functions
         self.rest = pairs_of(placed.rest)
         self.columns = slice(2 * placed.pairs.start, 2 * placed.pairs.stop)
         self.A = eye_array(2 * n_pairs, format="csr")[self.columns]

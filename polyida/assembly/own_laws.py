@@ -1,28 +1,37 @@
-"""Compiled forces of force elements and of users' bodies: C functions that kernels call by address, so that no kernel is compiled again."""
+"""Forces of force elements and of users' bodies: C functions that kernels call by address, so that no kernel is compiled again.
+
+A function that numba does not compile is called in Python by a callback (assembly/python_functions.py).
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import joints
 from polyida.assembly.arrays import starts
 from polyida.assembly.joints import point_value, spread_one
+from polyida.assembly.python_functions import Callbacks, Calls, PythonFunctions
 from polyida.body.body import writes
 from polyida.errors import DONE, InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.jit.owner_data import OwnData
+from polyida.model import differences
 from polyida.model.states import FOUND, fill_algebraic
 from polyida.profile import polynomial
 from polyida.validation import pairs_of
 
 # constants of compiled code
-NO_ENERGY = -1
+STATIC, TIMELESS, ENERGIES = range(3)  # from what the discrete gradient of a law takes the slope of its energy, see `energy_along`
 NOISE = 32 * 2.0**-52  # relative difference of energies that is round-off
 STEP = 1e-7  # relative step of central differences: small, because contact forces change over small distances
 ALONG = 2.0  # of the force: largest correction along the force itself
 RESOLVED = 1e-6  # of force times size: smaller work of the force has too much round-off to divide by
 NO_NUMBERS = np.zeros((0, 2))
+# V' by a central difference of sixth order, (s of dq, weight of (V(s) - V(-s)) / (2 s)): nearer values have more round-off
+POINTS = ((1 / 32, 64 / 45), (1 / 16, -20 / 45), (1 / 8, 1 / 45))
+LATER = differences.LATER
 
 
 @pack
@@ -37,7 +46,8 @@ class Laws(NamedTuple):
     points: np.ndarray  # point of each side; -1 on the ground
     rest: np.ndarray  # (sides, 2) places of the sides at rest, m
     sizes: np.ndarray  # (sides,) typical size of each side's coordinates
-    energies: np.ndarray  # (laws,) address of the energy; 0 without, NO_ENERGY if it is not compiled
+    energies: np.ndarray  # (laws,) address of the energy; 0 without
+    slopes: np.ndarray  # (laws,) STATIC, TIMELESS or ENERGIES
     elements: int  # number of laws of force elements, which come first
     numbers: np.ndarray  # the time, then the words that the functions read as self
     driven: np.ndarray  # (values, 2) index among the numbers of a drive's value, and number of the drive
@@ -138,15 +148,17 @@ def place(laws, k, links, u, speeds):
 
 @entry
 def add_own_forces(laws, links, drives, u, v, r):
-    """r (nodes, 2) -= the forces of all laws at displacements u and velocities v, (nodes, 2)."""
-    numbers = numbers_at(laws, drives)
+    """r (nodes, 2) -= the forces of all laws at displacements u and velocities v, (nodes, 2). Returns True if they are finite."""
+    numbers, finite = numbers_at(laws, drives), True
     for k in range(laws.parts.shape[0] - 1):
         x, speeds, s, f = place(laws, k, links, u, v)
         evaluate(laws, k, numbers, x, speeds, s, f)
         for i in range(f.shape[0]):
             p = laws.points[laws.parts[k, 1] + i]
+            finite = finite and abs(f[i, 0]) + abs(f[i, 1]) < np.inf
             if p >= 0:
                 spread_one(links, p, -f[i, 0], -f[i, 1], r)
+    return finite
 
 
 @entry
@@ -189,10 +201,10 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
     """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by a discrete gradient (Gonzalez 1996).
 
     vz: velocities in the middle; half: half their change in the step. With `[V_1 - V_0 - V'] d / (d^T dx)` subtracted, the work of f from
-    x0 to x1 is that of the law's energy V. V' is the work of the forces at the middle at zero velocity. A bracket within round-off of V counts
-    as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0). d: as of `is_along`.
+    x0 to x1 is that of the law's energy V. V' is as of `energy_along`. A bracket within round-off of V counts as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0). d: as of `is_along`.
+    Returns True if they are finite.
     """
-    numbers = numbers_at(laws, drives)
+    numbers, finite = numbers_at(laws, drives), True
     for k in range(laws.parts.shape[0] - 1):
         x0, v, s, f = place(laws, k, None, dz0, vz)
         x1, change, _, static = place(laws, k, None, dz1, half)
@@ -218,13 +230,58 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
                     size += dx * dx
                     work += static[i, j] * dx
                     most += abs(static[i, j] * middle[i, j])
-            bracket = last - first + work
+            bracket = last - first - energy_along(laws, k, numbers, x0, x1, middle, v, s, static, work)
             if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
                 along = k < laws.elements and is_along(bracket, work, most)
                 for i in range(own):
                     for j in range(2):
                         f[i, j] -= bracket / work * static[i, j] if along else bracket / size * (x1[i, j] - x0[i, j])
-        subtract_sides(laws, k, f, forces)
+        finite = subtract_sides(laws, k, f, forces) and finite
+    return finite
+
+
+@entry
+def add_midpoint_forces(laws, links, drives, h, states, r):
+    """Add the forces of `take_midpoint_forces` to r; states: as of the middle of a step, energy/tables.py."""
+    points = np.zeros((5, links.point_mass.shape[0], 2))
+    joints.point_values(links, states[0], points[0])
+    joints.point_values(links, states[1], points[1])
+    joints.point_values(links, states[3], points[2])
+    joints.point_values(links, states[4], points[3])
+    for p in range(points.shape[1]):
+        for k in range(2):
+            points[3, p, k] *= 0.5 * h
+    take_midpoint_forces(laws, drives, points[0], points[1], points[2], points[3], points[4])
+    joints.spread(links, points[4], r)
+
+
+@part
+def energy_along(laws, k, numbers, x0, x1, middle, v, s, static, work):
+    """V' of a law: the slope of its energy in the middle times x1 - x0.
+
+    STATIC: minus the work of the static forces, those in the middle at zero velocity v. TIMELESS: the same if they are no others at another time,
+    else differences of V. ENERGIES: these always, because the static forces do work beyond V, or depend on states.
+    """
+    if laws.slopes[k] == STATIC:
+        return -work
+    if laws.slopes[k] == TIMELESS:
+        now, later, same = numbers[0], np.empty_like(static), True
+        numbers[0] = now + LATER
+        evaluate(laws, k, numbers, middle, v, s, later)
+        numbers[0] = now
+        for i in range(static.shape[0]):
+            same = same and static[i, 0] == later[i, 0] and static[i, 1] == later[i, 1]
+        if same:
+            return -work
+    total, x, f = 0.0, np.empty_like(middle), np.empty_like(static)
+    for e in range(len(POINTS)):
+        for side in range(2):
+            share = (1.0 - 2.0 * side) * POINTS[e][0]
+            for i in range(x.shape[0]):
+                for j in range(2):
+                    x[i, j] = middle[i, j] + share * (x1[i, j] - x0[i, j])
+            total += POINTS[e][1] / (2.0 * share) * energy_at(laws, k, numbers, x, v, s, f)
+    return total
 
 
 @part
@@ -239,12 +296,15 @@ def is_along(bracket, work, most):
 
 @part
 def subtract_sides(laws, k, f, forces):
-    """forces -= f at the points of law k's sides."""
+    """forces -= f at the points of law k's sides. Returns True if they are finite."""
+    finite = True
     for i in range(f.shape[0]):
         p = laws.points[laws.parts[k, 1] + i]
+        finite = finite and abs(f[i, 0]) + abs(f[i, 1]) < np.inf
         if p >= 0:
             forces[p, 0] -= f[i, 0]
             forces[p, 1] -= f[i, 1]
+    return finite
 
 
 @part
@@ -310,7 +370,7 @@ def add_slopes(laws, k, numbers, sides, c_q, c_v, unit, blocks, curvature):
 
 
 def laws_of(elements, states, elastic, points, drives, size):
-    """The Laws of {name: force element} and of PlacedBody with an elastic force; None if one is not compiled.
+    """(the Laws, [Callbacks of each]) of {name: force element} and of PlacedBody with an elastic force.
 
     states: {name: PlacedStates} of the elements that have states.
 
@@ -320,27 +380,25 @@ def laws_of(elements, states, elastic, points, drives, size):
     for name, element in elements.items():
         for profile in profiles_of(element):
             drives.add(profile, name)
-    functions = [part.compiled_functions() for part in (*elements.values(), *(placed.body for placed in elastic))]
-    if not all(functions):
-        return None
-    laws = []
+    laws, calls = [], Calls()
     for name, element in elements.items():
         sides, placed = sides_of(name, element), states.get(name)
-        shape, no_energy = (len(sides), 2), NO_ENERGY if writes(element, ForceElement, "energy") else 0
+        shape, names = (len(sides), 2), element.states + element.algebraic
         arguments = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
-        if names := element.states + element.algebraic:
+        if names:
             arguments["s"] = ("d", (len(names),))
         if placed:
             arguments["s"], sides = ("d", (len(names),)), sides + placed.sides()
             arguments |= {"u": ("e", (len(placed.units) - placed.own,))} if placed.controls else {}
         of_energy = {key: value for key, value in arguments.items() if key not in "tvs"} | ({"s": ("d", (placed.own,))} if placed else {})
-        laws.append((sides, *_addresses(name, element, "forces", arguments, of_energy, shape, no_energy)))
+        written = {"forces"} | {key for key in ("energy", "rates") if writes(element, ForceElement, key)}
+        laws.append((sides, *_functions(PythonFunctions(name, element), calls, written, arguments, of_energy, shape)))
     for placed in elastic:  # its elastic force acts on its coordinates, with the opposite sign
         count = len(placed.rest)
         sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
-        arguments = {"z": ("b", (count,), True)}
-        laws.append((sides, *_addresses(placed.name, placed.body, "elastic", arguments, arguments, (count,), 0, -1.0, True)))
-    sides, data, addresses = zip(*laws) if laws else ((), (), ())
+        functions, arguments = PythonFunctions(placed.name, placed.body), {"z": ("b", (count,), True)}
+        laws.append((sides, *_functions(functions, calls, {"elastic", "energy"}, arguments, arguments, (count,))))
+    sides, data, addresses, callbacks = zip(*laws) if laws else ((), (), (), ())
     numbers = [np.zeros(1), *(one.words for one in data)]  # the time comes first
     of_laws = [states.get(name) for name in elements] + [None] * len(elastic)
     units = [np.column_stack([one.units, one.scale]) if one else NO_NUMBERS for one in of_laws]
@@ -352,7 +410,7 @@ def laws_of(elements, states, elastic, points, drives, size):
     def ended(which):
         return np.array([*(each[which] for each in addresses), 0], np.int64)
 
-    return Laws(
+    result = Laws(
         parts=np.stack([ended(0), starts(sides), first, ended(2), starts(units), [*rated, 0], starts(guesses)], axis=1),
         states=np.concatenate([NO_NUMBERS, *units]),
         guesses=np.concatenate([NO_NUMBERS, *guesses]),
@@ -360,21 +418,46 @@ def laws_of(elements, states, elastic, points, drives, size):
         rest=np.array([side.rest for side in each], float).reshape(-1, 2),
         sizes=np.array([side.size(size) for side in each], float),
         energies=np.array([energy for _, energy, _ in addresses], np.int64),
+        slopes=np.array([slope_of(one) for one in callbacks], np.int64),
         elements=len(elements),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
         clock=drives.add(polynomial([0.0, 1.0]), "") if laws else -1,
     )
+    return result, callbacks
 
 
-def _addresses(name, part, forces, arguments, of_energy, shape, no_energy, *options):
-    """(OwnData, (address of the forces, address of the energy or `no_energy`, address of the rates or 0)) of a part."""
-    functions = part.compiled_functions()
-    data = OwnData(part, functions.values())
+def _functions(python, calls, written, arguments, of_energy, shape):
+    """(OwnData, (addresses of forces, energy and rates, 0 without), Callbacks) of a part: compiled functions, and in Python those beside them.
+
+    written: names of the functions that the part writes.
+    """
+    part = python.part
+    functions = {name: function for name, function in part.compiled_functions().items() if name in written}
+    data, elastic = OwnData(part, functions.values()), "elastic" in written
+    forms = {"rates": (arguments, arguments["s"][1])} if "s" in arguments else {}
+    forms |= {"elastic": (arguments, shape, -1.0, True), "forces": (arguments, shape), "energy": (of_energy, ())}
     try:
-        address = data.c_function(functions[forces], arguments, shape, *options)
-        energy, rates = functions.get("energy"), functions.get("rates")
-        energy = data.c_function(energy, of_energy, ()) if energy else no_energy
-        return data, (address, energy, data.c_function(rates, arguments, arguments["s"][1]) if rates else 0)
+        compiled = {name: data.c_function(function, *forms[name]) for name, function in functions.items()}
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        raise InputError(f"{python.name}: {error}") from None
+    callbacks = Callbacks(python, calls, arguments, of_energy, shape, frozenset(written - {*functions}))
+    addresses = compiled | callbacks.addresses
+    return data, tuple(addresses.get(name, 0) for name in ("elastic" if elastic else "forces", "energy", "rates")), callbacks
+
+
+def slope_of(callbacks):
+    """STATIC, TIMELESS or ENERGIES of a law."""
+    part, in_python = callbacks.functions.part, "forces" in callbacks.addresses
+    if isinstance(part, ForceElement) and (part.works or in_python and "s" in callbacks.arguments):
+        return ENERGIES
+    return TIMELESS if in_python else STATIC
+
+
+def with_callbacks(laws, callbacks):
+    """The laws with the functions of other Callbacks [of each law]."""
+    parts, energies = laws.parts.copy(), laws.energies.copy()
+    for k, addresses in enumerate(one.addresses for one in callbacks):
+        parts[k, 0] = addresses.get("forces", addresses.get("elastic", parts[k, 0]))
+        parts[k, 3], energies[k] = addresses.get("rates", parts[k, 3]), addresses.get("energy", energies[k])
+    return laws._replace(parts=parts, energies=energies)

@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
+from polyida.assembly.own_laws import with_callbacks
 from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of, sticks_between
@@ -46,7 +47,9 @@ class Constraints(Model):
         """This model with the value of profile `number` at time t increased by `by`, its rates unchanged."""
         table = self.drives(t)
         table[number, 0] += by
-        return self.altered(_driven=(t, table), own_forces=tuple(own.pushed(self.profiles[number], by) for own in self.own_forces))
+        forces = tuple(own.pushed(self.profiles[number], by) for own in self.own_forces)
+        callbacks = [one.of(own.functions) for one, own in zip(self.callbacks, forces)]
+        return self.altered(_driven=(t, table), own_forces=forces, callbacks=callbacks, laws=with_callbacks(self.laws, callbacks))
 
     def kinks(self, t0, t1):
         if not self._kinks.size:

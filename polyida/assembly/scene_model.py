@@ -20,7 +20,7 @@ from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
 from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
-from polyida.assembly.own_laws import NO_ENERGY, add_own_forces, energies_and_powers
+from polyida.assembly.own_laws import add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
 from polyida.assembly.projection import MassSystem
 from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
@@ -50,8 +50,9 @@ class SceneModel(SceneBodies):
 
     q are displacements of pairs (x, y): of the plates' nodes, m, then of the complex coordinates of bodies of few coordinates.
 
-    bodies, few: the plates, and the other bodies, in order; places: {id: either}. arrays: all that the kernels read; laws: the compiled force
-    elements and elastic forces, None if one is not compiled; own_forces: the same in Python. compiled: True if kernels can take whole steps.
+    bodies, few: the plates, and the other bodies, in order; places: {id: either}. arrays: all that the kernels read; laws: the force elements
+    and elastic forces for kernels, which call functions in Python by `callbacks`; own_forces: the same for Python. compiled: True if kernels
+    can take whole steps.
     rows: {name: slice of phi and lam} of each joint and body with rows. late: names of the parts that events add, or None without events; see
     `mode`.
     """
@@ -106,16 +107,16 @@ class SceneModel(SceneBodies):
             driven=bool(len(self.motor_profiles) or len(self.path_profiles) or links.row_constant[self.velocity_rows].any()),
             phi_q_varies=bool(self.edge_rows or ((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
         )
-        forces = (OwnForce(name, element, self) for name, element in elements.items())
-        self.own_forces = (*forces, *(Elastic(own, self.n_nodes) for own in elastic))
+        functions = iter([one.functions for one in self.callbacks])
+        forces = [OwnForce(name, element, self, next(functions)) for name, element in elements.items()]
+        self.own_forces = (*forces, *(Elastic(own, self.n_nodes, next(functions)) for own in elastic))
         self.switching = any(own.switches for own in self.own_forces)
         self.controllers = [own for own in self.own_forces if own.period]
-        python = [placed.name for placed in self.few if placed.python]
-        python += [name for name, element in elements.items() if not element.compiled_functions()]
-        massless = [placed.name for placed in self.few if placed.massless]
-        self.compiled, self.looks_apart = self.solid and not python, 1 if self.few else self.looks_apart
-        why = (("the Python of", python), ("the massless coordinates of", massless))
-        self.remark = " and ".join(f"plain paths for {what} {', '.join(map(repr, names))}" for what, names in why if names)
+        self.compiled, self.looks_apart = self.solid, 1 if self.few else self.looks_apart
+        plain = [placed.name for placed in self.few if placed.massless or placed.uneven is not None]
+        python = [one.functions.name for one in self.callbacks if one.addresses.keys() - {"energy"}]
+        why = (("plain paths for the masses of", plain), ("calls in every step of the Python of", python))
+        self.remark = " and ".join(f"{what} {', '.join(map(repr, names))}" for what, names in why if names)
 
     def _leave_out_redundant(self, t, q, held=NONE, left_out=()):
         """Leave out rows that depend on others at (t, q), besides those with the numbers `left_out`. Returns the numbers of those that stay."""
@@ -205,7 +206,7 @@ class SceneModel(SceneBodies):
         of_bodies = self.bodies, self.few, self.states, self.strains, self.places
         assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
         self._driven = None, None
-        self.arrays, points, table, drives, self.laws = assembled
+        self.arrays, points, table, drives, self.laws, self.callbacks = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.m, self.n_points, self._derived, self._derived_of_shape, self._reactions = len(self.labels), len(points.nodes), {}, {}, {}
@@ -299,14 +300,22 @@ class SceneModel(SceneBodies):
             add_relaxation(self.arrays, self._nodal(q), None, self._nodal(v), 1.0, r.reshape(-1, 2))
         if not self.own_forces:
             return r
-        if self.laws is None:
-            take_from(r, self.own_forces, t, q, v)
-            return r
+        self.callbacks[0].calls.known.clear()
         add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
+        self.raise_error()
         if not np.isfinite(r).all():
             with suppress(Exception):  # the same in Python, so that `not_finite` names the function
                 take_from(r, self.own_forces, t, q, v)
         return r
+
+    def take_error(self):
+        """What a Python function of a part raised in compiled code that has returned, or None."""
+        return self.callbacks[0].calls.take_error() if self.callbacks else None
+
+    def raise_error(self):
+        """Raise what a Python function of a part raised in compiled code that has returned."""
+        if (error := self.take_error()) is not None:
+            raise error
 
     def call_all(self, t, q, v):
         """Call each function of the user once."""
@@ -427,7 +436,7 @@ class SceneModel(SceneBodies):
         return MassSystem(self, t, q) if self.solid else super().mass_system(t, q)
 
     def step_matrix(self):
-        """The factor in the frame of the nodal rotations; the sparse one for scenes with Python forces, whose slopes the former omits."""
+        """The factor in the frame of the nodal rotations; the sparse one for masses that differ in x and y, or are missing."""
         return SceneStepMatrix(self) if self.compiled else StepMatrix(self)
 
     def increments(self, t0, t1, ends, h, q, v):
@@ -473,7 +482,7 @@ class SceneModel(SceneBodies):
 
     def compiled_energies(self, t, q, v):
         """(energy, J, work beyond it, W) of each of `own_forces`, (., 2), from compiled code; None if one is Python or gives nan."""
-        if self.laws is None or NO_ENERGY in self.laws.energies:
+        if any(one.addresses for one in self.callbacks):
             return None
         result = np.empty((len(self.own_forces), 2))
         nodal = self._nodal(np.array(q, float)), self._nodal(np.array(v, float))

@@ -67,10 +67,14 @@ class PythonTable:
         self.callbacks.append(callback)
         return ctypes.cast(callback, ctypes.c_void_p).value
 
+    def take_error(self):
+        """The exception that a callback stored, or None."""
+        error, self.raised = self.raised, None
+        return error
+
     def raise_error(self):
         """Raise the exception that a callback stored."""
-        error, self.raised = self.raised, None
-        if error is not None:
+        if (error := self.take_error()) is not None:
             raise error
 
     def system(self, settings):

@@ -85,10 +85,11 @@ def add_slowing(w, u, v, still, r):
 
 @part
 def add_forces(w, drives, u, v, r):
-    """Add damping, relaxation and force elements to r."""
+    """Add damping, relaxation and force elements to r. Returns a status."""
     add_slowing(w, u, v, 1, r)
     if w.optional[LAW_FORCES] != 0:
-        call(w.optional[LAW_FORCES], w.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
+        return call(w.optional[LAW_FORCES], w.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
+    return DONE
 
 
 @entry
@@ -101,10 +102,10 @@ def residual(w, instant, q, v, a, lam, r, phi):
     w.numbers[COSINE] = cosine
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
-    add_forces(w, drives, u, pairs(w, v), out)
+    status = add_forces(w, drives, u, pairs(w, v), out)
     if w.condensed.calls[0] != 0:
         call(w.condensed.calls[2], w.condensed.calls[0], q, r, 0, 0, 0, 0, 0)
-    return DONE
+    return status
 
 
 @entry
@@ -220,13 +221,13 @@ def addresses(kind, entries):
 
 
 class SceneTable:
-    """The table of a scene without Python, with the methods of PythonTable.
+    """The table of a scene, with the methods of PythonTable.
 
     Several threads share the solves of more than SHARED coordinates, if the user allows them. condensed: True if the table serves steps of
     generalized-alpha, whose unknowns are the coordinates without strains.
     """
 
-    longest = INSTANTS
+    longest, raised = INSTANTS, None
     entries = FUNCTIONS
     optional: tuple[int, ...] = LAW_FORCES, RELAXING, DAMPING
 
@@ -281,6 +282,14 @@ class SceneTable:
                     if self.w["optional"][LAW_SLOPES] and self.model.bodies:
                         self.w["optional"][RENEW] = table_address(new_slopes, kind)
             yield self.functions, self.work.address
+        self.raised = self.model.take_error()
+
+    def take_error(self):
+        """The exception of a Python function that compiled code called, or None."""
+        error, self.raised = self.raised or self.model.take_error(), None
+        return error
 
     def raise_error(self):
-        """Do nothing: no function raises."""
+        """Raise that exception."""
+        if (error := self.take_error()) is not None:
+            raise error

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.energy import tables
 from polyida.integrate.start import consistent_acceleration
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
@@ -119,15 +118,14 @@ def test_ready_made_elements_keep_their_energy_without_a_new_factor(name):
 
 
 @pytest.mark.parametrize("name", ["spring", "torsion", "line", "damper", "torque"])
-def test_compiled_elements_move_as_the_same_ones_in_python(name, monkeypatch):
-    """Those of functions in Python have the discrete derivative of Gonzalez by another path."""
+def test_compiled_elements_move_as_the_same_ones_on_the_plain_path(name):
     more = {
         "damper": lambda a, b: pi.SpringDamper(pi.ground.at((0.5, 0.5)), b.at("right"), stiffness=60.0, damping=3.0),
         "torque": lambda a, b: pi.Torque(b.at("right"), pi.profile.sine(2.0, 3.0)),
     }
     model, integrator = two_bars((elements() | more)[name]), pi.EnergyMomentum(h=2e-3, tolerance=1e-13)
     fast = pi.solve(model, 0.3, integrator)
-    monkeypatch.setattr(tables, "EnergyTable", tables.PythonScene)
+    model.compiled = False
     slow = pi.solve(model, 0.3, integrator)
     assert max(slow.counts.factorizations, fast.counts.factorizations) < 10 or model.switching
     assert slow.success and np.abs(fast.q[-1] - slow.q[-1]).max() < 1e-9

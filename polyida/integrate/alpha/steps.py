@@ -163,7 +163,9 @@ class Steps:
                 step.predict(self.method._replace(unknowns=self.model.n), self.memory, self.trial)
                 self._factor_here(first)
             steps, ended, moved = self._steps(self.method, first, self.count, self.frames)
-            if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
+            if not steps:
+                self.table.raise_error()
+            if not steps and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, self.frames)
             self.first += steps
             if ended in (ERROR_LARGE, ERROR_SMALL):

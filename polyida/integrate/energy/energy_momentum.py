@@ -198,11 +198,14 @@ class Steps:
                 self._factor(times[first + 1])
                 fresh = True
             steps, ended, moved = self._steps(first, qs[first:], vs[first:])
+            error = self.table.take_error()
             if steps:
                 part, first, fresh = slice(first, first + steps), first + steps, False
                 yield Ends(self, times[1:][part], qs[part], vs[part], self._memory() if first == count else None)
             if ended == DONE:
                 continue
+            if error is not None:
+                raise error
             if not fresh and ended != HALF_TURN:
                 self.system = None
                 continue
@@ -220,7 +223,6 @@ class Steps:
         with self.table.at_work(self.system) as (functions, workspace):
             ended = loop.take_steps(functions, workspace, first, method, self.now, self.rows, self.marks, counts, qs, vs)
         self.counts.add(counts[0], counts[1])
-        self.table.raise_error()
         if counts[2]:
             self.system.read()
             self.counts.add(factors=counts[2])

@@ -18,7 +18,7 @@ from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
-from polyida.assembly.own_laws import NO_ENERGY, NOISE, is_along
+from polyida.assembly.own_laws import NOISE, POINTS, add_midpoint_forces
 from polyida.assembly.projection import constrain
 from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
@@ -36,8 +36,6 @@ from polyida.system.dense import END, ENDED, INNER, vector
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
-# V' by a central difference of sixth order, (s of dq, weight of (V(s) - V(-s)) / (2 s)): nearer values have more round-off
-POINTS = ((1 / 32, 64 / 45), (1 / 16, -20 / 45), (1 / 8, 1 / 45))
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
 OF_ENERGY = (*OF_STEPS, "potential")
 
@@ -45,8 +43,7 @@ OF_ENERGY = (*OF_STEPS, "potential")
 def table_of(model):
     """The table of a model with the entries of the method."""
     if model.is_scene:
-        python = not model.compiled or NO_ENERGY in model.laws.energies
-        return PythonScene(model) if python else EnergyTable(model)
+        return EnergyTable(model) if model.compiled else PythonScene(model)
     if not small_own(model):
         return PythonOwn(model)
     return (CompiledOwn if unguarded(model).by_numba else DenseOwn)(model)
@@ -103,47 +100,15 @@ def own_addresses():
     return {number: table_address(function, kind) for number, function in functions.items()}
 
 
-def discrete_derivative(potential, x0, x1, metric, slope=None, force=None):
-    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric = M dx; zero if it is round-off.
-
-    slope: grad V at the middle, in the shape of x; None: V' by differences, which are wrong at a kink of V near the middle. force: at
-    the middle; the result is along it, not along M dx, if `is_along` says so.
-    """
+def discrete_derivative(potential, x0, x1, metric):
+    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric = M dx; zero if it is round-off."""
     dx, middle = x1 - x0, 0.5 * (x0 + x1)
     size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
-    differences = (weight * (potential(middle + s * dx) - potential(middle - s * dx)) / (2.0 * s) for s, weight in POINTS)
-    work = sum(differences) if slope is None else np.vdot(slope, dx)
+    work = sum(weight * (potential(middle + s * dx) - potential(middle - s * dx)) / (2.0 * s) for s, weight in POINTS)
     bracket = last - first - work
     if not size > 0.0 or abs(bracket) <= NOISE * max(abs(first), abs(last)):
         return np.zeros_like(dx)
-    if force is not None and is_along.py_func(bracket, np.vdot(force, dx), np.abs(force * middle).sum()):
-        return bracket / np.vdot(force, dx) * force
     return bracket / size * metric
-
-
-def midpoint_force(own, t, x0, x1, v, half):
-    """Force of an OwnForce at the middle of a step by the discrete gradient, (sides, 2), as own_laws.take_midpoint_forces has it."""
-    middle = 0.5 * (x0 + x1)
-    force = own.forces(t, middle, v)
-    if not np.isfinite(force).all():
-        return force
-    conservative, metric, potential = own.conservative(t, middle), x1 - x0, own.energy
-    if own.placed:
-        metric[own.own_sides.stop :] = 0.0
-
-        def potential(x):
-            speeds = v - half if x is x0 else v + half if x is x1 else v
-            return own.energy(x, speeds) - own.energy(middle, speeds)
-
-    slope, along = (None, None) if conservative is None else (-conservative, conservative)
-    if own.strain:
-        along = None
-    elif along is None:
-        still = v.copy()
-        still[own.own_sides] = 0.0
-        along = own.forces(t, middle, still)
-        along[own.own_sides.stop :] = 0.0
-    return force - discrete_derivative(potential, x0, x1, metric, slope, along)
 
 
 class MiddleTable:
@@ -220,15 +185,15 @@ def middle(w, instant, states, lam, r, phi, e, f):
         ends, um, vm = (address(fields[0]), address(fields[1])), address(fields[2]), address(fields[3])
         call(w.optional[RELAXING_MIDDLE], w.optional[PARTS], ends[0], ends[1], um, vm, address(out), 0, 0)
     joints.point_values(links, fields[1], points[DZ])
-    add_elements(w, drives, w.numbers[H], fields, points, out)
+    status = add_elements(w, drives, w.numbers[H], fields, points, out)
     w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
-    return DONE
+    return status
 
 
 @part
 def add_elements(w, drives, h, states, points, r):
-    """Add force elements to r, and renew their slopes."""
-    links, optional = w.scene.links, w.optional
+    """Add force elements to r, and renew their slopes. Returns a status."""
+    links, optional, status = w.scene.links, w.optional, DONE
     if optional[LAW_MIDDLE] != 0:
         joints.point_values(links, states[0], points[START])
         joints.point_values(links, states[3], points[VX])
@@ -239,10 +204,11 @@ def add_elements(w, drives, h, states, points, r):
                 half[p, k] *= 0.5 * h
         clear(points[FORCES])
         before, after, speeds, forces = address(points[START]), address(points[DZ]), address(points[VX]), address(points[FORCES])
-        call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
+        status = call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
         joints.spread(links, points[FORCES], r)
         joints.point_values(links, states[2], points[DX])
         renew_slopes(w, drives, points[DX], points[VX])
+    return status
 
 
 @entry
@@ -327,10 +293,7 @@ class EnergyTable(SceneTable):
 
 
 class PythonScene(MiddleTable, PythonTable):
-    """The table of a scene with users' force elements or bodies in Python.
-
-    Plates, loads, masses and joints as in `equilibrium`, each force element and elastic body by the discrete derivative of its energy.
-    """
+    """The table of a scene whose bodies have masses that differ in x and y, or lack some. Each force is that of the compiled table."""
 
     def __init__(self, model):
         super().__init__(model)
@@ -347,14 +310,14 @@ class PythonScene(MiddleTable, PythonTable):
             return INVERTED if det <= 0.0 else NOT_FINITE
         if model.strains:
             add_relaxation_middle(model.arrays, *fields[:4], out)
-        (u0, u1, _, vm, a), residual = vectors, out.ravel()
+        if model.own_forces:
+            add_midpoint_forces(model.laws, model.arrays.links, model.drives(t), self.h, fields, out)
+            model.raise_error()
+        (_, u1, _, vm, a), residual = vectors, out.ravel()
         if model.uneven_mass is not None:
             residual += model.uneven_mass @ a
         if model.uneven_drag is not None:
             residual += model.uneven_drag @ vm
-        for own in model.own_forces:
-            places, speeds = (own.places(u0), own.places(u1)), own.velocities(vm)
-            residual -= own.A.T @ midpoint_force(own, t, *places, speeds, own.velocities(0.5 * self.h * a)).ravel()
         self._array(r, model.n)[:], constraints[:] = residual, model.phi(end, u1)
         return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
 

@@ -5,7 +5,7 @@ R(q_k) R(q_i)^T node by node, and the correction is rotated back.
 """
 
 import ctypes
-from contextlib import nullcontext
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -158,11 +158,11 @@ def residual(w, instant, q, v, a, lam, r, phi):
         return INVERTED if det <= 0.0 else NOT_FINITE
     if not cosine > 0.0:
         return HALF_TURN
-    add_forces(w, drives, u, speed, out)
+    status = add_forces(w, drives, u, speed, out)
     if k == w.c.shape[0] // 2:
         copy_matrix(u[: w.u.shape[0]], w.u)
         joints.point_values(s.links, speed, w.vz)
-    return DONE
+    return status
 
 
 @entry
@@ -362,7 +362,7 @@ def inverse_mass(model):
 class SceneStages:
     """The table of a scene without Python in it."""
 
-    longest, lifts, timed = of.STEPS, False, nullcontext
+    longest, lifts = of.STEPS, False
 
     def __init__(self, model, tableau, tied):
         self.model, self.tableau, self.tied, s = model, tableau, tied, tableau.stages
@@ -480,10 +480,20 @@ class SceneStages:
         stages = ((engine.clamp(t + step), q + (step * v + e)) for step, e in zip(steps, engine.trial.e))
         return status, next(filter(None, (self.model.rejection_reason(*at) for at in stages)), None) or reason
 
+    @contextmanager
+    def timed(self):
+        """The time of a call of the driver, behind which an exception of a Python function is kept here."""
+        yield
+        self.raised = self.raised or self.model.take_error()
+
+    def take_error(self):
+        """The exception of a profile, or of a Python function that compiled code called, or None."""
+        error, self.raised = self.raised or self.model.take_error(), None
+        return error
+
     def raise_error(self):
-        """Raise the exception of a profile."""
-        error, self.raised = self.raised, None
-        if error is not None:
+        """Raise that exception."""
+        if (error := self.take_error()) is not None:
             raise error
 
 
