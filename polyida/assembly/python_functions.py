@@ -133,7 +133,7 @@ class Callbacks:
 
     def _add(self, name, arguments, function, shape, kind=float):
         """Make the C function that fills an array by a function of Python."""
-        read = arguments_read(getattr(type(self.functions.part), name), list(arguments))
+        read = arguments_read(getattr(getattr(self.functions.part, name), "__func__", None), list(arguments))
         forms = [Argument(*form, is_read=one) for form, one in zip(arguments.values(), read)]
         self.calls.count += 1
         callback = c_callback(self.calls, self.calls.count, forms, function, shape, kind)

@@ -54,8 +54,8 @@ class Body(OwnPart, part=False):
     w; joints, masses, loads and forces act on it through `body.at(name)`. q holds the displacements of the pairs from `coordinates()`,
     after the nodes of the plates. Gravity acts as `M T g`, T = `translation()`. Constant quantities are asked for once; z is read-only.
 
-    `@polyida.compiled` above the class lets numba compile `elastic` and `energy`. A body with a Python `elastic`, or with different masses
-    in x and y, makes the integrators use their Python loops; run summaries say so.
+    `@polyida.compiled` above the class lets numba compile `elastic` and `energy`; else compiled steps call them in Python. A body with
+    different masses in x and y, or with coordinates without mass, makes the integrators use their Python loops. Run summaries say both.
 
     Attributes
     ----------

@@ -31,9 +31,10 @@ class ForceElement(OwnPart, part=False):
     (`at.d`) without unit; the force on a direction is the generalised one, J: a moment M is `M i d / |d|^2`, where i d is d turned by
     +90 degrees. x and v, (sides, 2), are read-only. Derivatives that a class does not define are computed by differences.
 
-    `@polyida.compiled` above the class lets numba compile `forces` and `energy`. A force element in Python makes the integrators use
-    their Python loops; run summaries say so. A force that acts only in a part of space needs a `gap`: without it a step may cross that
-    part unnoticed.
+    `@polyida.compiled` above the class lets numba compile `forces` and `energy`; else compiled steps call them in Python, which run summaries
+    say. They must depend on their arguments and fields alone. Slopes in compiled code are differences: `forces_x` and `forces_v` serve
+    equilibria, modes and other code in Python. A force that acts only in a part of space needs a `gap`: without it a step may cross that part
+    unnoticed.
 
     Attributes
     ----------

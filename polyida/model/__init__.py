@@ -112,7 +112,7 @@ class Model:
     checked = False  # True for a model that calls a checked one
     parameters: tuple[str, ...] = ()
     uniform_units = has_constraint_increments = False
-    compiled = False  # True for a scene without Python functions: integrators have compiled loops over its `arrays`
+    compiled = False  # True for a scene with regular masses, equal in x and y: integrators have compiled loops over its `arrays`
     own_forces: Any = ()  # the force elements of a scene
     remark = ""  # a note for a run's summary
     flexible = False
