@@ -138,7 +138,7 @@ class Callbacks:
         self.calls.count += 1
         callback = c_callback(self.calls, self.calls.count, forms, function, shape, kind)
         self._kept.append(callback)
-        self.addresses[name] = ctypes.cast(callback, ctypes.c_void_p).value
+        self.addresses[name] = ctypes.c_void_p.from_buffer(callback).value  # `cast` would make a cycle that only gc collects
 
     def of(self, functions):
         """The same for other functions."""
