@@ -14,8 +14,8 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.radau import exact_steps, step_start_state
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
+from polyida.adjoint.seen_places import with_parts_of
 from polyida.errors import InputError
-from polyida.event import Impact, Impulse, Remove
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import Grid, edges, time_limits
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -203,25 +203,6 @@ class RunWithEvents:
     def can_start(self, model):
         """True if a run of another model can start from the same state."""
         return _fits(self._equations(self.run, model), self.state)
-
-
-def with_parts_of(event, old, new):
-    """An event with the parts of another model of the same names."""
-    if not old.is_scene:
-        return event
-    names = {id(part): name for name, part in old.parts.items()}
-
-    def moved(part):
-        return new.parts[names[id(part)]] if id(part) in names else part
-
-    def other(one):
-        if isinstance(one, Remove):
-            return Remove(*(names.get(id(part), part) for part in one.parts))
-        if isinstance(one, Impulse):
-            return replace(one, at=one.at.on(moved(one.at.body)))
-        return replace(one, rest=tuple(map(moved, one.rest))) if isinstance(one, Impact) else moved(one)
-
-    return replace(event, then=tuple(map(other, event.then)))
 
 
 class ReplayedRadauRun(ReplayedRun):

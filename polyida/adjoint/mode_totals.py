@@ -52,6 +52,12 @@ class TotalsOfModes:
             return _LawTotals(totals, mode, self.m)
         return _ModeTotals(totals, held, *self.known(mode))
 
+    def add_seen(self, mode, totals, function):
+        """Add the slopes of a function of the mode in the parameters with which the same q is another position."""
+        for name, parameter in self.known(mode)[0].items():
+            if parameter.changes_coordinates:
+                totals.sums[name] = totals.sums[name] + parameter.of_model(function)
+
     def in_places(self, entries, held):
         """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry has one."""
         result = dict.fromkeys(held, 0.0)
