@@ -130,7 +130,7 @@ class _Motions:
             resets, seen = [self._impact_reset(before)] if self.impact else [], None
         else:
             function, resets = _UserFunction(one, law, before, state), self.resets
-            seen = SeenPlaces(one, law, before, resets, self.causes) if before.is_scene else None
+            seen = SeenPlaces(one, law, before, resets, self.causes)
         self._begin(one.mode, after)
         behind = State(after.t, after.q, after.v, after.a, after.lam[one.mode.columns])
         self.jumps.append(Jump((before, one.mode), state, behind, function, resets, seen))

@@ -7,6 +7,7 @@ from functools import partial
 from polyida.adjoint.resets import behind, on_constraints
 from polyida.event import Impact, Impulse, Remove
 from polyida.joint.attachment import Attachment
+from polyida.model.guarded import guard
 from polyida.run.events import pull_of
 
 
@@ -23,9 +24,9 @@ class SeenPlaces:
 
     def weighed(self, model, state, bars, c):
         """`bars . behind + c g` at a state, with the places of another model like the mode and the equations of the mode itself."""
-        seen, whole = copy(self.happenings), whole_of(model)
-        seen.whole, seen.mode = whole, model
-        value = c * seen.value(with_parts_of(self.event, whole_of(self.mode), whole), state)
+        seen, model = copy(self.happenings), guard(model)
+        seen.whole, seen.mode = whole_of(model), model
+        value = c * seen.value(with_parts_of(self.event, whole_of(self.mode), seen.whole), state)
         if any(reset.given or reset.pushes for reset in self.resets):
             resets = [self._reset_of(seen, *each) for each in zip(self.resets, self.causes)]
             models = [(reset.mode, reset.equations) for reset in self.resets]
@@ -35,7 +36,7 @@ class SeenPlaces:
     def _reset_of(self, seen, reset, cause):
         """A reset with functions and pushes of the other model, `seen.whole`."""
         event, state = with_parts_of(cause[0], whole_of(self.mode), seen.whole), cause[1]
-        mode = seen.whole if reset.mode.whole is None else seen.whole.mode_like(reset.mode)
+        mode = seen.whole.mode_like(reset.mode) if reset.mode.is_scene and reset.mode.whole is not None else seen.whole
         given = [one for one in event.then if callable(one)]
         functions = partial(on_constraints, mode, seen._functions(event, given, mode, state)) if reset.given else None
         return replace(reset, given=functions, pushes=[self._push_of(seen, event, state, push) for push in reset.pushes])
@@ -49,7 +50,7 @@ class SeenPlaces:
 
 def whole_of(model):
     """The model of all parts, of a mode or of itself."""
-    return model if model.whole is None else model.whole
+    return model.whole if model.is_scene and model.whole is not None else model
 
 
 def part_of(one, old, new):

@@ -1,9 +1,13 @@
 """Slopes through events: each way to locate one and each thing that it does, against closed forms and differences of runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameter import Parameter, total, with_part
+from polyida.model.differences import along
 
 ALPHA = pi.GeneralizedAlpha(h=5e-3, tolerance=1e-12)
 RADAU = pi.RadauIIA(rtol=1e-9, tolerance=1e-13)
@@ -277,3 +281,73 @@ def test_a_mean_over_time_through_an_event_at_a_place():
     of_time = (d**2 + d * v * left + v**2 * left**2 / 4) * by_v
     exact = -(d**3) / (3 * v**2) + d * left**2 / 2 + v * left**3 / 6 + of_time
     assert pi.gradient(run, J, ["v0"])["v0"][0] == pytest.approx(exact, rel=1e-4)
+
+
+class Pendulum(pi.Model):
+    """A mass on a rod of length L with a torsion spring k; its tip is a named point."""
+
+    n, m, parameters = 1, 0, ("L", "k")
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def __init__(self, L, k):
+        self.L, self.k = L, k
+
+    def mass(self, q):
+        return np.array([[self.L**2]])
+
+    def force(self, t, q, v):
+        return np.array([9.81 * self.L * np.sin(q[0]) + self.k * q[0]])
+
+    def position(self, name, q):
+        return self.L * np.stack([np.sin(q[:, 0]), -np.cos(q[:, 0])], axis=1)
+
+
+@pytest.mark.parametrize("then", [lambda s: (s.position("tip")[0] - 1.1) * s.v, pi.Impact(0.5)], ids=["function", "impact"])
+def test_parameters_by_which_an_own_model_places_a_point(then):
+    """The length counts in where the tip is, also at a held angle."""
+
+    def solved(L, k=2.0):
+        event = pi.Event(lambda s: s.position("tip")[0] - 0.4, then, name="event")
+        return pi.solve(Pendulum(L, k), 0.9, RADAU, q0=[1.0], v0=[0.0], events=event)
+
+    run, J = solved(1.3), last()
+    assert len(run.events) == 1
+    slopes = pi.gradient(run, J)
+    assert slopes["L"] == pytest.approx(difference(lambda s: J(solved(1.3 + s))), rel=1e-6)
+    assert slopes["k"] == pytest.approx(difference(lambda s: J(solved(1.3, 2.0 + s))), rel=1e-6)
+
+
+class Stiffness(Parameter):
+    """The stiffness of the spring, as a parameter of one's own."""
+
+    def replaced(self, value):
+        return with_part(self.model, "spring", replace(self.model.parts["spring"], stiffness=value))
+
+    def slope(self, work):
+        return float(along(lambda s: total(self.replaced(self.value + s), work), self.value))
+
+
+class Heaviness(Stiffness):
+    """The same, which is said to move places."""
+
+    changes_coordinates = True
+
+
+def test_parameters_of_ones_own_through_events():
+    """They count where the parts stay the same, and are refused by name if parts change, or if they may move places."""
+
+    def solved(then):
+        scene, one = body(x=1.0)
+        scene.add(spring_of(one))
+        return pi.solve(scene.build(), 1.0, RADAU, events=pi.Event(**HALF, then=then))
+
+    slower, removed = solved(lambda s: 0.5 * s.v), solved(pi.Remove("spring"))
+    known = pi.gradient(slower, last(), parameters=["spring.stiffness"])["spring.stiffness"]
+    own = pi.gradient(slower, last(), parameters=[Stiffness("own", 4.0, slower.model)])["own"]
+    assert own == pytest.approx(known, rel=1e-8)
+    with pytest.raises(pi.InputError, match="'own' has no slope: it is one of the whole model, and events change the model"):
+        pi.gradient(removed, last(), parameters=[Stiffness("own", 4.0, removed.model)])
+    with pytest.raises(pi.InputError, match="'own' has no slope: it may move the places that events read or push"):
+        pi.gradient(slower, last(), parameters=[Heaviness("own", 4.0, slower.model)])
+    with pytest.raises(pi.InputError, match="error_of: the run has events or impacts, whose times have errors of their own"):
+        pi.error_of(slower, last())
