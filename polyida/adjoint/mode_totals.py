@@ -54,7 +54,8 @@ class TotalsOfModes:
 
     def add_seen(self, mode, totals, function):
         """Add the slopes of a function of the mode in the parameters with which the same q is another position, in all of a user's model."""
-        own = not mode.is_scene and any(writes(unguarded(mode), what) for what in ("position", "reactions"))
+        user = unguarded(mode)
+        own = not mode.is_scene and (writes(user, "position") or hasattr(user, "reactions"))
         for name, parameter in self.known(mode)[0].items():
             if parameter.changes_coordinates or own:
                 totals.sums[name] = totals.sums[name] + parameter.of_model(function)
