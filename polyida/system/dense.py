@@ -10,12 +10,12 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -77,6 +77,24 @@ def vector(at, size):
 
 
 @part
+def coordinates(w, at):
+    """The array (n,) at an address."""
+    return carray(pointer(at), w.q.shape)
+
+
+@part
+def multipliers(w, at):
+    """The array (m,) at an address."""
+    return carray(pointer(at), w.lam.shape)
+
+
+@part
+def factors(w, at):
+    """The array (2,) at an address, c_m and c_v."""
+    return carray(pointer(at), w.c.shape)
+
+
+@part
 def evaluate(w, function, time, out):
     """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `set_state`. Returns the status."""
     if w.flags[ENDED] == DONE:
@@ -90,15 +108,15 @@ def set_state(w, instant, q, v):
     """Set t, q and v of the functions' arguments."""
     w.flags[ENDED] = DONE
     w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
-    dense.put(1.0, vector(q, w.q.shape[0]), w.q)
-    dense.put(1.0, vector(v, w.q.shape[0]), w.v)
+    dense.put(1.0, q, w.q)
+    dense.put(1.0, v, w.v)
 
 
 @part
 def set_a_lam(w, a, lam):
     """Set a and lam of the functions' arguments."""
-    dense.put(1.0, vector(a, w.a.shape[0]), w.a)
-    dense.put(1.0, vector(lam, w.lam.shape[0]), w.lam)
+    dense.put(1.0, a, w.a)
+    dense.put(1.0, lam, w.lam)
 
 
 @part
@@ -139,35 +157,40 @@ def equilibrium(w, r):
     return w.flags[ENDED]
 
 
-@entry
+@part
 def residual(w, instant, q, v, a, lam, r, phi):
     """r at the state inside the step, phi at its end."""
     set_state(w, instant, q, v)
     set_a_lam(w, a, lam)
-    out, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
-    if rows.shape[0]:
+    if phi.shape[0]:
         evaluate(w, PHI, END, w.phi)
-        dense.put(1.0, w.phi, rows)
+        dense.put(1.0, w.phi, phi)
         evaluate_rows(w)
-    ended = equilibrium(w, out)
-    return NOT_FINITE if ended == DONE and not (finite(out) and finite(rows)) else ended
+    ended = equilibrium(w, r)
+    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
 
 
-@entry
-def begin(w, instant, q, v, c, d, e, f):
+@part
+def begin(w, instant):
     """Do nothing: phi is computed from positions."""
     return DONE
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(w, instant, q, phi):
     """phi at the end; the rate is unchanged."""
     if not w.lam.shape[0]:
         return DONE
-    set_state(w, instant, q, address(w.v))
+    set_state(w, instant, q, w.v)
     ended = evaluate(w, PHI, END, w.phi)
-    dense.put(1.0, w.phi, vector(phi, w.lam.shape[0]))
+    dense.put(1.0, w.phi, phi)
     return ended
+
+
+@part
+def constraints_behind(w, instant, q, dq, dv, phi, rate):
+    """`constraints`, which needs no increments."""
+    return constraints(w, instant, q, phi)
 
 
 @part
@@ -264,12 +287,12 @@ def matrices_at(w, K, C, M):
 
 
 @entry
-def factor(w, instant, q, v, a, lam, c, f):
+def factor(w, instant, q, v, a, lam, c):
     """S at a state; `solve` factors it with B."""
     n = w.q.shape[0]
     set_state(w, instant, q, v)
     set_a_lam(w, a, lam)
-    dense.put(1.0, vector(c, 2), w.c)
+    dense.put(1.0, c, w.c)
     w.made_at[0] = w.t[INNER]
     dense.put(1.0, w.q, w.made_at[1:])
     dense.put(1.0, w.v, w.made_at[1 + n :])
@@ -309,27 +332,26 @@ def solve_masses(w):
     return DONE
 
 
-@entry
+@part
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    n, m, size = w.q.shape[0], w.lam.shape[0], typical(w.S)
+    n, size = w.q.shape[0], typical(w.S)
     if not w.flags[FACTORED]:
         bordered(w.lu, w, w.S, size)
         if not dense.factor(w.lu, w.pivots):
             return SINGULAR
         w.flags[FACTORED] = 1
-    dense.put(-1.0, vector(r, n), w.x)
-    dense.put(-1.0, vector(phi, m), w.x[n:])
+    dense.put(-1.0, r, w.x)
+    dense.put(-1.0, phi, w.x[n:])
     solve_bordered(w, w.lu, w.pivots, size)
-    dense.put(1.0, w.x[:n], vector(dq, n))
-    dense.put(1.0, w.x[n:], vector(dlam, m))
+    dense.put(1.0, w.x[:n], dq)
+    dense.put(1.0, w.x[n:], dlam)
     return DONE
 
 
-@entry
-def rate(w, instant, q, v, out, d, e, f):
-    """phi_q v + phi_t."""
-    rows = vector(out, w.lam.shape[0])
+@part
+def rate(w, instant, q, v, rows):
+    """rows = phi_q v + phi_t."""
     set_state(w, instant, q, v)
     evaluate_rows(w)
     if w.flags[DRIVEN]:
@@ -342,13 +364,12 @@ def rate(w, instant, q, v, out, d, e, f):
     return w.flags[ENDED]
 
 
-@entry
-def project(w, instant, rows, x, from_zero, d, e, f):
-    """Change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows."""
+@part
+def project(w, instant, right, moved, from_zero):
+    """Change `moved` by the least M-norm, so that B moved falls by `right`; from_zero: the least one with B moved = B moved_before - right."""
     n, m = w.q.shape[0], w.lam.shape[0]
     if w.flags[MASS_VARIES] and evaluate(w, MASS, INNER, w.M) != DONE:
         return w.flags[ENDED]
-    right, moved = vector(rows, m), vector(x, n)
     for k in range(m):
         total = right[k]
         if from_zero:
@@ -363,12 +384,12 @@ def project(w, instant, rows, x, from_zero, d, e, f):
     return DONE
 
 
-@entry
-def accept(w, instant, q, b, c, d, e, f):
+@part
+def accept(w, instant, q):
     """Ask the model whether it accepts the state."""
     if not w.functions[ACCEPTED]:
         return DONE
-    set_state(w, instant, q, address(w.v))
+    set_state(w, instant, q, w.v)
     return evaluate(w, ACCEPTED, END, w.x)
 
 
@@ -404,8 +425,8 @@ def bias(w):
     return w.flags[ENDED]
 
 
-@entry
-def acceleration(w, instant, q, v, a, lam, e, f):
+@part
+def acceleration(w, instant, q, v, a, lam):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     n, m = w.q.shape[0], w.lam.shape[0]
     set_state(w, instant, q, v)
@@ -420,8 +441,8 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     dense.put(-1.0, w.phi_bias, w.x[n:])
     if solve_masses(w) != DONE:
         return SINGULAR
-    dense.put(1.0, w.x[:n], vector(a, n))
-    dense.put(1.0, w.x[n:], vector(lam, m))
+    dense.put(1.0, w.x[:n], a)
+    dense.put(1.0, w.x[n:], lam)
     return DONE
 
 
@@ -431,23 +452,35 @@ def values(d, t, q, v, a, lam, r, phi, rates, biases):
     ended = DONE
     for k in range(t.shape[0]):
         d.times[0, INNER] = d.times[0, END] = t[k]
-        state = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
         if r.shape[0]:
-            ended = residual(d, 0, state[0], state[1], state[2], state[3], address(r[k]), address(d.phi))
+            ended = residual(d, 0, q[k], v[k], a[k], lam[k], r[k], d.phi)
         elif phi.shape[0]:
-            set_state(d, 0, state[0], state[1])
+            set_state(d, 0, q[k], v[k])
             ended = evaluate(d, PHI, END, d.phi)
         if phi.shape[0]:
             dense.put(1.0, d.phi, phi[k])
         if ended == DONE and rates.shape[0]:
-            ended = rate(d, 0, state[0], state[1], address(rates[k]), 0, 0, 0)
+            ended = rate(d, 0, q[k], v[k], rates[k])
         if ended == DONE and biases.shape[0]:
-            set_state(d, 0, state[0], state[1])
+            set_state(d, 0, q[k], v[k])
             ended = bias(d)
             dense.put(1.0, d.phi_bias, biases[k])
         if ended != DONE:
             return ended
     return DONE
+
+
+SERVED = {
+    RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
+    BEGIN: served(begin),
+    CONSTRAINTS: served(constraints_behind, coordinates, None, None, multipliers, None),
+    FACTOR: served(factor, coordinates, coordinates, coordinates, multipliers, factors),
+    SOLVE: served(solve, None, None, coordinates, multipliers, coordinates, multipliers),
+    RATE: served(rate, coordinates, coordinates, multipliers),
+    PROJECT: served(project, multipliers, coordinates, None),
+    ACCEPT: served(accept, coordinates),
+}
+OF_FRAMES = {ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers)}
 
 
 @cache
@@ -459,7 +492,4 @@ def example():
 @cache
 def addresses():
     """{number: address} of the entries, for all Dense."""
-    entries = {
-        RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept,
-    }  # fmt: skip
-    return {number: table_address(function, typeof(example())) for number, function in entries.items()}
+    return {number: table_address(function, typeof(example())) for number, function in SERVED.items()}

@@ -24,7 +24,7 @@ from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import entry, part
+from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, put
@@ -32,7 +32,7 @@ from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
 from polyida.system import scene as of_scene
-from polyida.system.dense import END, ENDED, INNER, vector
+from polyida.system.dense import END, ENDED, INNER
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
@@ -61,16 +61,20 @@ def potential(w, x, d, s):
     return w.x[0]
 
 
-@entry
-def own_middle(w, instant, states, lam, r, phi, e, f):
+@part
+def five_states(w, at):
+    """The vectors q_0, q_1, and q, v, a of the middle at an address, (5, n)."""
+    return carray(pointer(at), (5, w.q.shape[0]))
+
+
+@part
+def own_middle(w, instant, states, lam, r, phi):
     """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    small.set_state(w, instant - 1, states + 16 * n, states + 24 * n)
-    small.set_a_lam(w, states + 32 * n, lam)
-    residual, constraints = vector(r, n), vector(phi, m)
+    n, x0, x1, x, d = w.q.shape[0], states[0], states[1], states[2], w.near[0]
+    small.set_state(w, instant - 1, x, states[3])
+    small.set_a_lam(w, states[4], lam)
     small.evaluate_rows(w)
-    small.equilibrium(w, residual)
-    x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
+    small.equilibrium(w, r)
     for i in range(n):
         d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
     first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
@@ -87,19 +91,23 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
     bracket = last - first - work
     if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
         for i in range(n):
-            residual[i] += bracket / size * metric[i]
-    if m:
-        small.set_state(w, instant, states + 8 * n, states + 24 * n)
+            r[i] += bracket / size * metric[i]
+    ended = DONE
+    if phi.shape[0]:
+        small.set_state(w, instant, x1, states[3])
         ended = small.evaluate(w, small.PHI, END, w.phi)
-        put(1.0, w.phi, constraints)
-    return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
+        put(1.0, w.phi, phi)
+    return NOT_FINITE if ended == DONE and not (small.finite(r) and small.finite(phi)) else ended
+
+
+OWN_MIDDLE = {MIDDLE: served(own_middle, five_states, small.multipliers, small.coordinates, small.multipliers)}
 
 
 @cache
 def own_addresses():
     """{number: address} of these functions, for every small model."""
     kind = typeof(small.example())
-    functions = {MIDDLE: own_middle, ACCELERATION: small.acceleration}
+    functions = OWN_MIDDLE | small.OF_FRAMES
     return {number: table_address(function, kind) for number, function in functions.items()}
 
 

@@ -8,8 +8,8 @@ from numba import carray, typeof
 
 from polyida import system as of
 from polyida.errors import DONE, NO_MATRIX, SINGULAR
-from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import address, complex_pointer
+from polyida.jit import entry, pack, part, served
+from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense as lu
 from polyida.linear.lu import FACTORS as SLOTS
@@ -63,34 +63,74 @@ def workspace(d, stages, levels):
 
 
 @part
-def complex_vector(at, size):
-    """The array (size,) of complex numbers at an address."""
-    return carray(complex_pointer(at), (size,))
+def coordinates(w, at):
+    """The array (n,) at an address."""
+    return carray(pointer(at), w.D.shape)
 
 
-@entry
-def prepare(w, first, times, b, c, d, e, f):
+@part
+def multipliers(w, at):
+    """The array (m,) at an address."""
+    return carray(pointer(at), w.dense.lam.shape)
+
+
+@part
+def blocks(w, at):
+    """The array (2 m,) at an address: rows of phi, and of phi'."""
+    return carray(pointer(at), (2 * w.B.shape[0],))
+
+
+@part
+def complex_coordinates(w, at):
+    """The complex array (n,) at an address."""
+    return carray(complex_pointer(at), w.D.shape)
+
+
+@part
+def complex_blocks(w, at):
+    """The complex array (2 m,) at an address."""
+    return carray(complex_pointer(at), (2 * w.B.shape[0],))
+
+
+@part
+def step_times(w, at):
+    """h, t and the times of the instants at an address."""
+    return carray(pointer(at), (3 + w.rows.shape[0],))
+
+
+@part
+def mode_values(w, at):
+    """c of the real mode, and the real and imaginary part of that of the complex one, at an address."""
+    return carray(pointer(at), (3,))
+
+
+@part
+def prepare(w, first, times):
     """Store the times of a step."""
-    values = dense.vector(times, 3 + w.rows.shape[0])
     for i in range(1 + w.rows.shape[0]):
-        w.dense.times[first + i, dense.INNER] = w.dense.times[first + i, dense.END] = values[2 + i]
+        w.dense.times[first + i, dense.INNER] = w.dense.times[first + i, dense.END] = times[2 + i]
     return DONE
 
 
-@entry
-def reaction(w, instant, q, mu, dv, known, e, f):
+@part
+def begin(w, first):
+    """Do nothing: phi is computed from positions."""
+    return DONE
+
+
+@part
+def reaction(w, instant, q, mu, dv, known):
     """dv += D^-1 B^T mu. B at q is stored for the residual there; known: B of the middle stage is used."""
     n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
     if not known:
-        dense.set_state(w.dense, instant, q, address(w.dense.v))
+        dense.set_state(w.dense, instant, q, w.dense.v)
         ended, B = dense.evaluate_rows(w.dense), w.dense.B
         lu.copy_matrix(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
-    multipliers, moved = dense.vector(mu, m), dense.vector(dv, n)
     for i in range(n):
         total = 0.0
         for e in range(m):
-            total += B[e, i] * multipliers[e]
-        moved[i] += w.D[i] * total
+            total += B[e, i] * mu[e]
+        dv[i] += w.D[i] * total
     return ended
 
 
@@ -102,7 +142,7 @@ def restore_rows(w, instant):
         w.dense.flags[dense.ROWS_CURRENT] = 1
 
 
-@entry
+@part
 def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi."""
     restore_rows(w, instant)
@@ -111,44 +151,44 @@ def residual(w, instant, q, v, a, lam, r, phi):
     return ended
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(w, instant, q, dq, dv, phi, rate):
     """phi at a state."""
-    return dense.constraints(w.dense, instant, q, dd, dv, phi, rate, f)
+    return dense.constraints(w.dense, instant, q, phi)
 
 
-@entry
-def rate(w, instant, q, v, out, known, e, f):
+@part
+def rate(w, instant, q, v, out, known):
     """phi_q v + phi_t; known: with B of the last REACTION of this stage."""
     if known:
         restore_rows(w, instant)
-    ended = dense.rate(w.dense, instant, q, v, out, 0, 0, 0)
+    ended = dense.rate(w.dense, instant, q, v, out)
     w.dense.flags[dense.ROWS_CURRENT] = 0
     return ended
 
 
-@entry
-def project(w, instant, rows, x, anew, d, e, f):
-    """As of system/dense.py."""
-    return dense.project(w.dense, instant, rows, x, anew, 0, 0, 0)
+@part
+def project(w, instant, rows, x, from_zero):
+    """As `project` of system/dense.py."""
+    return dense.project(w.dense, instant, rows, x, from_zero)
 
 
-@entry
-def accept(w, instant, q, b, c, d, e, f):
+@part
+def accept(w, instant, q):
     """Status of a state: accepted or rejected by the model."""
-    return dense.accept(w.dense, instant, q, 0, 0, 0, 0, 0)
+    return dense.accept(w.dense, instant, q)
 
 
 @part
 def bend(w, q, a):
-    """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a may be 0."""
+    """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a: the address of a, or 0."""
     d, step, n = w.dense, NEAR * dense.reach(w.dense), w.dense.q.shape[0]
-    at, towards = dense.vector(q, n), dense.vector(a, n if a else 0)
+    towards = dense.vector(a, n if a else 0)
     t, ended = d.t[dense.INNER], DONE
     for e in range(2):
         s = (step, -step)[e]
         for i in range(d.q.shape[0]):
-            d.q[i] = at[i] + s * d.v[i]
+            d.q[i] = q[i] + s * d.v[i]
         for i in range(towards.shape[0]):
             d.q[i] += 0.5 * s * s * towards[i]
         d.t[dense.INNER] = t + s
@@ -160,7 +200,7 @@ def bend(w, q, a):
                 w.N[k, i] = change if e == 0 else (w.N[k, i] + change) / (step * step)
                 w.H[k, i] = d.B[k, i] if e == 0 else (w.H[k, i] - d.B[k, i]) / (2.0 * step)
     d.t[dense.INNER] = t
-    lu.put(1.0, at, d.q)
+    lu.put(1.0, q, d.q)
     lu.copy_matrix(w.B, d.B)
     return ended
 
@@ -213,8 +253,8 @@ def factored(w, c, number, A):
     return lu.factor(A, w.pivots[number])
 
 
-@entry
-def rows(w, instant, q, v, a, known, e, f):
+@part
+def rows(w, instant, q, v, a, known):
     """B, G, H and N of the middle stage, and the factors with them."""
     m, own = w.B.shape[0], w.dense
     if w.state[FACTORED] and not (m and own.flags[dense.ROWS_VARY]):
@@ -255,52 +295,48 @@ def corrected(w, A, number, c, x, r, closing, dq, multipliers):
         multipliers[m + e] = abs(c) * x[n + m + e] if w.levels.shape[0] == 2 else 0.0 * x[0]
 
 
-@entry
-def real(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def real(w, instant, r, closing, lam, dq, multipliers):
     """The correction of the real mode."""
-    n, m = w.K.shape[1], w.B.shape[0]
-    vectors = dense.vector(r, n), dense.vector(closing, 2 * m), dense.vector(dq, n), dense.vector(multipliers, 2 * m)
-    corrected(w, w.real, 0, w.c[0], w.x, vectors[0], vectors[1], vectors[2], vectors[3])
+    corrected(w, w.real, 0, w.c[0], w.x, r, closing, dq, multipliers)
     return DONE
 
 
-@entry
-def pair(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def pair(w, instant, r, closing, lam, dq, multipliers):
     """The correction of the complex mode."""
-    n, m = w.K.shape[1], w.B.shape[0]
-    vectors = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
-    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, vectors[0], vectors[1], vectors[2], vectors[3])
+    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, r, closing, dq, multipliers)
     return DONE
 
 
-@entry
-def bias(w, instant, q, v, a, out, e, f):
+@part
+def bias(w, instant, q, v, a, out):
     """The second derivative of phi."""
     own, n = w.dense, w.K.shape[1]
     dense.set_state(own, instant, q, v)
-    ended, acceleration, value = dense.bias(own), dense.vector(a, n), dense.vector(out, w.B.shape[0])
+    ended = dense.bias(own)
     restore_rows(w, instant)
     own.flags[dense.ROWS_CURRENT] = 0
     for k in range(w.B.shape[0]):
-        value[k] = own.phi_bias[k]
+        out[k] = own.phi_bias[k]
         for i in range(n):
-            value[k] += own.B[k, i] * acceleration[i]
+            out[k] += own.B[k, i] * a[i]
     return ended
 
 
-@entry
+@part
 def inertia(w, instant, v, a, r, p, q, rows):
-    """r = C v + M a, p = M v, rows = the blocks of rows times v; B v in place of a second block that is not there."""
+    """r = C v + M a, and unless their addresses are 0: p = M v, rows = the blocks of rows times v, B v in place of a second block that is not there."""
     k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
-    slow, fast, force, momentum = dense.vector(v, n), dense.vector(a, n), dense.vector(r, n), dense.vector(p, n if p else 0)
+    momentum = dense.vector(p, n if p else 0)
     for i in range(n):
-        force[i] = 0.0
+        r[i] = 0.0
         for j in range(n):
-            force[i] += w.C[k, i, j] * slow[j] + w.M[k, i, j] * fast[j]
+            r[i] += w.C[k, i, j] * v[j] + w.M[k, i, j] * a[j]
     for i in range(momentum.shape[0]):
         momentum[i] = 0.0
         for j in range(n):
-            momentum[i] += w.M[k, i, j] * slow[j]
+            momentum[i] += w.M[k, i, j] * v[j]
     for level in range(2 if rows else 0):
         of_H, of_B, out = 0.0, 1.0, dense.vector(rows + 8 * level * m, m)
         if level < w.levels.shape[0]:
@@ -308,18 +344,18 @@ def inertia(w, instant, v, a, r, p, q, rows):
         for e in range(m):
             out[e] = 0.0
             for i in range(n):
-                out[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * slow[i]
+                out[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * v[i]
     return DONE
 
 
-@entry
-def acceleration(w, instant, q, v, a, lam, e, f):
-    """As of system/dense.py."""
-    return dense.acceleration(w.dense, instant, q, v, a, lam, 0, 0)
+@part
+def acceleration(w, instant, q, v, a, lam):
+    """As `acceleration` of system/dense.py."""
+    return dense.acceleration(w.dense, instant, q, v, a, lam)
 
 
 @entry
-def factor(w, instant, q, v, a, lam, slot, f):
+def factor(w, instant, q, v, a, lam, slot):
     """Evaluate K, C and M at a state."""
     d, n = w.dense, w.K.shape[1]
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
@@ -331,10 +367,9 @@ def factor(w, instant, q, v, a, lam, slot, f):
     return ended if ended != DONE or good else NO_MATRIX
 
 
-@entry
-def select(w, slot, c, b, d, e, f, g):
-    """Use the matrices of a slot."""
-    new = dense.vector(c, 3)
+@part
+def select(w, slot, new):
+    """Use the matrices of a slot, with c of the modes."""
     same = w.state[CHOSEN] == slot
     for i in range(3):
         same = same and w.c[i] == new[i]
@@ -344,13 +379,28 @@ def select(w, slot, c, b, d, e, f, g):
     return DONE
 
 
+SERVED = {
+    of.PREPARE: served(prepare, step_times),
+    of.BEGIN: served(begin),
+    of.REACTION: served(reaction, coordinates, multipliers, coordinates, None),
+    of.RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
+    of.CONSTRAINTS: served(constraints, coordinates, None, None, multipliers, None),
+    of.RATE: served(rate, coordinates, coordinates, multipliers, None),
+    of.PROJECT: served(project, multipliers, coordinates, None),
+    of.ACCEPT: served(accept, coordinates),
+    of.ROWS: served(rows, coordinates, coordinates, None, None),
+    of.REAL: served(real, coordinates, blocks, None, coordinates, blocks),
+    of.PAIR: served(pair, complex_coordinates, complex_blocks, None, complex_coordinates, complex_blocks),
+    of.INERTIA: served(inertia, coordinates, coordinates, coordinates, None, None, None),
+    of.ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers),
+    of.MATRICES: served(factor, coordinates, coordinates, coordinates, multipliers, None),
+    of.SELECT: served(select, mode_values),
+    of.BIAS: served(bias, coordinates, coordinates, coordinates, multipliers),
+}
+
+
 @cache
 def addresses():
     """{number of the entry: address} of all functions, valid for every DenseStages."""
     example = workspace(dense.example(), 3, np.eye(1, 3))
-    functions = {
-        of.PREPARE: prepare, of.BEGIN: dense.begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project,
-        of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia, of.ACCELERATION: acceleration, of.MATRICES: factor,
-        of.SELECT: select, of.BIAS: bias,
-    }  # fmt: skip
-    return {number: table_address(function, typeof(example)) for number, function in functions.items()}
+    return {number: table_address(function, typeof(example)) for number, function in SERVED.items()}
