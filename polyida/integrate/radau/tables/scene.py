@@ -472,8 +472,8 @@ class SceneStages:
         """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
         if not self.single:
             c = compiled_tableau(self.tableau).values / h
-            q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([self.model.n] * 3)))
-            if matrices(self.work, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, c.ctypes.data) != DONE:
+            u = np.ascontiguousarray(made_at[1 : 1 + self.model.n]).reshape(-1, 2)
+            if matrices(self.work, 0, u, 0, 0, 0, slot, c) != DONE:
                 raise SingularSystem(REASONS[SINGULAR][1])
             return
         known = self.slots.get(slot)

@@ -11,7 +11,7 @@ from numba import carray
 from polyida import system as of
 from polyida.assembly import compact, corotated
 from polyida.errors import DONE, SINGULAR
-from polyida.jit import pack, part, served, shared
+from polyida.jit import entry, pack, part, served, shared
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.fronts import fill_panels
@@ -73,9 +73,9 @@ def mode_values(work, at):
     return carray(pointer(at), (3,))
 
 
-@part
+@entry
 def matrices(work, instant, u, v, a, lam, slot, c):
-    """Factor S of both modes at u, in the slot."""
+    """Factor S of both modes at u, in the slot; v, a and lam are not read."""
     factors, bodies, turn = work.factors, work.scene.compact, work.turn[0]
     factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
     compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)
