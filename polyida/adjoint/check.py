@@ -71,9 +71,9 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     Notes
     -----
     A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of switches
-    are held, and changes are a hundredth of these: behind a stiff contact the differences are less accurate than the gradient. The error
-    therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of
-    the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
+    are held, so that parameters change by a hundredth of what they do elsewhere: behind a stiff contact the differences are less accurate than the
+    gradient. The error therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction),
+    and that of the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
 
     A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that of the
     steps over 1e-3.

@@ -78,7 +78,7 @@ def place(bodies, first, count, u, z):
 
 @part
 def quadratic(count, x, along, y):
-    """y = half of (conj(x_i) w_j + conj(w_i) x_j): the products of z for x = w = z, half their rates for x = z, w = z'."""
+    """y = half of (conj(x_i) w_j + conj(w_i) x_j), w = along: the products of z for x = w = z, half their rates for x = z, w = z'."""
     real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):

@@ -34,13 +34,13 @@ from polyida.validation import pairs_of
 
 @part
 def strains_of(x, body):
-    """Number of strains of body b in each of its terms; 0 without any."""
+    """Number of strains of a body in each of its terms; 0 without any."""
     return (x.start[body + 1] - x.start[body]) // max(1, x.terms[body + 1] - x.terms[body])
 
 
 @part
 def relax_body(scene, body, u, half, pull, f, strain):
-    """`relax` of body b."""
+    """`relax` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
@@ -51,7 +51,7 @@ def relax_body(scene, body, u, half, pull, f, strain):
 
 @part
 def change_strain(scene, body, u, w, strain):
-    """`change_of_strain` of body b."""
+    """`change_of_strain` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
@@ -63,7 +63,7 @@ def change_strain(scene, body, u, w, strain):
 
 @part
 def square(scene, body, e):
-    """Integral of e : D : e over body b, J."""
+    """Integral of e : D : e over a body, J."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
@@ -74,7 +74,7 @@ def square(scene, body, e):
 
 @part
 def pairs_of_body(scene, body):
-    """(first pair, end) of q that move body b."""
+    """(first pair, end) of q that move a body."""
     s, c = scene.plates, scene.compact
     o = s.body_node.shape[0] - 1
     return (c.pair[body - o], c.pair[body - o + 1]) if body >= o else (s.body_node[body], s.body_node[body + 1])
@@ -82,7 +82,7 @@ def pairs_of_body(scene, body):
 
 @part
 def take_pull(x, body, v, pull):
-    """pull = sum g x of body b, from the velocities v (numbers,)."""
+    """pull = sum g x of a body, from the velocities v (numbers,)."""
     at, count = 2 * x.first + x.start[body], pull.shape[0]
     pull[:] = 0.0
     for k in range(x.terms[body], x.terms[body + 1]):
