@@ -151,7 +151,7 @@ def positive(part, name, value, unit):
     """The value as a float; InputError, with part and value, unless it is a finite number above zero."""
     if not is_number(value) or value <= 0:
         raise InputError(f"{part}: {name} = {value!r:.100} must be a positive number of {unit}")
-    if not SMALLEST <= value <= LARGEST:
+    if not SMALLEST <= float(value) <= LARGEST:  # a float16 cannot be compared with these
         raise InputError(f"{part}: {name} = {value!r:.100} must be a number of {unit} from {SMALLEST:g} to {LARGEST:g}")
     return float(value)
 
@@ -161,7 +161,7 @@ def number(part, name, value, unit, least=-math.inf):
     if not (is_number(value) and value >= least):
         least = "" if least == -math.inf else f", {least:g} or more"
         raise InputError(f"{part}: {name} = {value!r:.100} must be a finite number of {unit}{least}")
-    if abs(value) > LARGEST:
+    if abs(float(value)) > LARGEST:
         raise InputError(f"{part}: {name} = {value!r:.100} must be a number of {unit} up to {LARGEST:g}")
     return float(value)
 

@@ -282,7 +282,7 @@ CALLS = {  # what else a good call takes
     "registry.name_of": {"kind": pi.Revolute},
     "problems.get": {"name": "pendulum"},
     "study.work_precision": {"t_end": 2e-3, "integrators": {"alpha": ALPHA}},
-    "study.step_sizes": {"t_end": 2e-3, "h": [1e-3]},
+    "study.step_sizes": {"t_end": 2e-3, "integrators": {"alpha": lambda h: pi.GeneralizedAlpha(h=h)}, "h": [1e-3]},
     "study.conditioning": PLATES | {"states": state, "integrators": {"alpha": ALPHA}, "h": [1e-3]},
     "study.energy": {"t_end": 2e-3, "integrators": {"alpha": ALPHA}},
     "study.drift": {"t_end": 2e-3, "integrators": {"alpha": ALPHA}},
@@ -367,6 +367,7 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
     *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
     *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
     "threads",  # of the whole process
+    "Events.index",  # of every sequence: it raises for what is not there
     "Profile.at",  # in every step
     "ErrorBars.plot_cells",  # takes estimates of the mesh
     *("Rigid.edges", "Reduced.edges"),  # a plate has one named point

@@ -14,8 +14,8 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.radau import exact_steps, step_start_state
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
+from polyida.adjoint.seen_places import with_parts_of
 from polyida.errors import InputError
-from polyida.event import Impact, Impulse, Remove
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import Grid, edges, time_limits
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -71,9 +71,9 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     Notes
     -----
     A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of switches
-    are held, and changes are a hundredth of these: behind a stiff contact the differences are less accurate than the gradient. The error
-    therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction), and that of
-    the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
+    are held, so that parameters change by a hundredth of what they do elsewhere: behind a stiff contact the differences are less accurate than the
+    gradient. The error therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction),
+    and that of the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
 
     A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that of the
     steps over 1e-3.
@@ -203,25 +203,6 @@ class RunWithEvents:
     def can_start(self, model):
         """True if a run of another model can start from the same state."""
         return _fits(self._equations(self.run, model), self.state)
-
-
-def with_parts_of(event, old, new):
-    """An event with the parts of another model of the same names."""
-    if not old.is_scene:
-        return event
-    names = {id(part): name for name, part in old.parts.items()}
-
-    def moved(part):
-        return new.parts[names[id(part)]] if id(part) in names else part
-
-    def other(one):
-        if isinstance(one, Remove):
-            return Remove(*(names.get(id(part), part) for part in one.parts))
-        if isinstance(one, Impulse):
-            return replace(one, at=one.at.on(moved(one.at.body)))
-        return replace(one, rest=tuple(map(moved, one.rest))) if isinstance(one, Impact) else moved(one)
-
-    return replace(event, then=tuple(map(other, event.then)))
 
 
 class ReplayedRadauRun(ReplayedRun):

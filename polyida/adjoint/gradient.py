@@ -127,8 +127,8 @@ def gradient(
     (saltation). The value and the slopes are those of these motions, which differ from the run by the error of the method. Included are contact,
     constant friction and sticking rows, and events of the user, whatever they do; a part counts in the motions in which it acts. Refused are
     slip with friction that pressure gives, events at one time that do not cause each other, an event that ends the run, and parameters that move
-    kinks. Functions of the user are taken to depend on no parameter but by the state, its accelerations and its multipliers. Models of the user
-    in `then` share the parameters of equal names and values.
+    kinks. Functions of the user are taken to depend on no parameter but by what the state gives them: its vectors, and `position`, `velocity`
+    and `reaction`. Models of the user in `then` share the parameters of equal names and values.
 
     The following are held constant. (1) A given initial state (`solve(..., state=pi.static(model))`), and the start of a run at which a motor
     begins. (2) The times at which contacts and other gaps switch, which is right if the forces are continuous there. The slopes are then as

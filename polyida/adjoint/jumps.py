@@ -23,6 +23,7 @@ from polyida.adjoint.mode_totals import TotalsOfModes, wide
 from polyida.adjoint.parameter import stacked
 from polyida.adjoint.resets import moved_along, pulled_through, rate_behind, span_of
 from polyida.adjoint.run import Gradient, Totals, together
+from polyida.adjoint.seen_places import SeenPlaces
 from polyida.adjoint.taped import Tape, TapedModel, pulled_back
 from polyida.errors import InputError
 from polyida.event import Events
@@ -44,7 +45,7 @@ class Jump(NamedTuple):
     """An event, with those that it causes at its time.
 
     modes: before it and behind it; before, after: State of each. function: what locates it (`_RowFunction`, `_UserFunction`). resets: Reset of
-    each, in order.
+    each, in order. seen: SeenPlaces of functions of the user, or None.
     """
 
     modes: tuple
@@ -52,6 +53,7 @@ class Jump(NamedTuple):
     after: State
     function: Any
     resets: list
+    seen: Any = None
 
 
 class _Motions:
@@ -74,7 +76,7 @@ class _Motions:
         self.jumps, self.starts, self.modes, self.resets = [], [], [], []
         change, apply = self.happenings._change, self.happenings._apply
         self.happenings._change = lambda state, fired: self._changed(change, state, fired)
-        self.happenings._apply = lambda event, state: self._applied(apply(event, state))
+        self.happenings._apply = lambda event, state: self._applied(event, state, apply(event, state))
         state = self.happenings.start(first)
         self._begin(self.happenings.mode, state)
         counts, end = Counts(), float(run.t[-1])
@@ -105,12 +107,13 @@ class _Motions:
         self.impact = impact(*arguments), arguments
         return self.impact[0]
 
-    def _applied(self, result):
+    def _applied(self, event, state, result):
         self.resets.append(self.happenings.reset)
+        self.causes.append((event, state))
         return result
 
     def _changed(self, change, state, fired):
-        one, self.impact, self.resets = self.happenings, None, []
+        one, self.impact, self.resets, self.causes = self.happenings, None, [], []
         before, status = one.mode, getattr(one, "status", None)
         if not fired:
             why = f"a contact is hit at the start of the run, t = {state.t:.9g} s, for which there is no adjoint"
@@ -124,12 +127,13 @@ class _Motions:
             raise InputError(f"gradient: {names} happen at one time, t = {state.t:.9g} s, where the motion has no slopes")
         if isinstance(one, Modes):
             function = _RowFunction(self.whole, before, law.law, status[law.law])
-            resets = [self._impact_reset(before)] if self.impact else []
+            resets, seen = [self._impact_reset(before)] if self.impact else [], None
         else:
             function, resets = _UserFunction(one, law, before, state), self.resets
+            seen = SeenPlaces(one, law, before, resets, self.causes)
         self._begin(one.mode, after)
         behind = State(after.t, after.q, after.v, after.a, after.lam[one.mode.columns])
-        self.jumps.append(Jump((before, one.mode), state, behind, function, resets))
+        self.jumps.append(Jump((before, one.mode), state, behind, function, resets, seen))
         return after, happened, stops
 
     def _impact_reset(self, mode):
@@ -388,6 +392,8 @@ def _through(jump, bars, by_time, backward, modes):
         raise InputError(f"gradient: the function of the event at t = {before.t:.9g} s is at rest there, so that its time has no slope")
     c = -(np.concatenate(all_bars) @ rates - bars[0] @ after.v - bars[1] @ after.a + by_time) / rate
     of_q, of_v, *more = jump.function.back(before, c)
+    if jump.seen:
+        modes.add_seen(jump.modes[0], backward.totals, lambda model: jump.seen.weighed(model, state, all_bars, c))
     for mode, of_mode in (*entries, more):
         if of_mode:
             modes.of(mode, backward.totals, backward.held).add(stacked(of_mode))

@@ -11,7 +11,7 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.run import constraints_at, exclude_moving
 from polyida.integrate.sizes import extent
 from polyida.model.differences import central
-from polyida.model.guarded import unguarded
+from polyida.model.guarded import unguarded, writes
 from polyida.model.row_laws import Slips
 
 RANK = 1e-10  # of the largest singular value: directions of a position that places do not depend on
@@ -51,6 +51,14 @@ class TotalsOfModes:
         if self.laws:
             return _LawTotals(totals, mode, self.m)
         return _ModeTotals(totals, held, *self.known(mode))
+
+    def add_seen(self, mode, totals, function):
+        """Add the slopes of a function of the mode in the parameters with which the same q is another position, in all of a user's model."""
+        user = unguarded(mode)
+        own = not mode.is_scene and (writes(user, "position") or hasattr(user, "reactions"))
+        for name, parameter in self.known(mode)[0].items():
+            if parameter.changes_coordinates or own:
+                totals.sums[name] = totals.sums[name] + parameter.of_model(function)
 
     def in_places(self, entries, held):
         """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry has one."""
@@ -140,6 +148,8 @@ class Hold:
 
 class _OfWhole:
     """A parameter of one's own, whose slope is that of the whole model, for a mode."""
+
+    changes_coordinates = False  # else a run with events has refused it
 
     def __init__(self, parameter, mode, m):
         self.parameter, self.mode, self.m = parameter, mode, m

@@ -40,15 +40,19 @@ def _(model: TapedModel, given, t, q, v, a, lam):
     mode, now = model.model, [x.value for x in (q, v, a, lam)]
 
     def back(*bars):
-        def change(q, v, a, lam):
-            q = on_position(mode, t, q) if mode.m else q
-            changed = given(t, q, on_velocity(mode, t, q, v), a, lam)
-            return np.array([sum(float(bar @ x) for bar, x in zip(bars, changed))])
+        def change(*state):
+            return np.array([sum(float(bar @ x) for bar, x in zip(bars, on_constraints(mode, given, t, *state)))])
 
         for k, one in enumerate((q, v, a, lam)):
             add_to(one, jacobian(lambda x, k=k: change(*now[:k], x, *now[k + 1 :]), now[k], 1)[0])
 
     return tuple(model.tape.record(given(t, *now), back))
+
+
+def on_constraints(mode, given, t, q, v, a, lam):
+    """What functions of a Reset give at the nearest place and velocity that the mode allows."""
+    q = on_position(mode, t, q) if mode.m else q
+    return given(t, q, on_velocity(mode, t, q, v), a, lam)
 
 
 def behind(resets, models, t, q, v):

@@ -143,80 +143,80 @@ class SceneAdjointWork(NamedTuple):
 
 
 @part
-def stage(w, i):
+def stage(work, i):
     """The Scratch of stage i."""
-    x = w.first
+    x = work.first
     if i == 1:
-        x = w.second
+        x = work.second
     if i == 2:
-        x = w.third
+        x = work.third
     return x
 
 
 @part
-def pairs(w, x):
+def pairs(work, x):
     """A vector (n,) as (nodes, 2)."""
-    return x.reshape(w.r.shape[2:])
+    return x.reshape(work.r.shape[2:])
 
 
 @part
-def evaluate_mu_terms(w, t, k, i):
+def evaluate_mu_terms(work, t, k, i):
     """Evaluate the terms of mu at stage i, unless the step has none (t is None)."""
     if t is not None:
-        s, x, drives = w.scene.links, stage(w, i), w.drives[k, i]
-        joints.point_values(s, pairs(w, w.v[k, i]), x.points[VZ])
+        s, x, drives = work.scene.links, stage(work, i), work.drives[k, i]
+        joints.point_values(s, pairs(work, work.v[k, i]), x.points[VZ])
         joints.joint_rate_jacobian(s, drives, x.points[DZ], x.points[VZ], t.rates[i])
         t.curvature[i] = 0.0
         joints.joint_curvature(s, drives, t.mu[k, i], t.curvature[i])
 
 
 @part
-def prepare_mode(w, mode, i):
+def prepare_mode(work, mode, i):
     """The frames of a mode's factor, and its border, at stage i."""
     if mode is not None:
-        s, c, workspace = w.scene.links, mode.factored, mode.workspace
-        corotated.turn_frames(s, c, workspace, stage(w, i).rotation)
+        s, c, workspace = work.scene.links, mode.factored, mode.workspace
+        corotated.turn_frames(s, c, workspace, stage(work, i).rotation)
         corotated.points_matrix(s, c, workspace)
-        fill(w, mode, i, workspace.border.slopes, workspace.border.curvature)
+        fill(work, mode, i, workspace.border.slopes, workspace.border.curvature)
         workspace.keeps[0] = 0
 
 
 @part
-def prepare_rates(w, t, k, i):
+def prepare_rates(work, t, k, i):
     """Factor B B^T at stage i of step k, unless the step has no mu (t is None). False if it is singular."""
-    return True if t is None else factor_rates(w.scene.links, t.system, w.drives[k, i], stage(w, i).points[DZ])
+    return True if t is None else factor_rates(work.scene.links, t.system, work.drives[k, i], stage(work, i).points[DZ])
 
 
 @part
-def fill(w, mode, i, slopes, curvature):
+def fill(work, mode, i, slopes, curvature):
     """phi_z of stage i, and the transposed curvature on the points with the point masses."""
-    mirror, x = w.scene.links.coupling.mirror, stage(w, i)
-    put(1.0, w.slopes[i], slopes)
+    mirror, x = work.scene.links.coupling.mirror, stage(work, i)
+    put(1.0, work.slopes[i], slopes)
     for e in range(mirror.shape[0]):
         for j in range(2):
             for o in range(2):
                 curvature[e, j, o] = x.curvature[mirror[e], o, j]
                 if x.slack.shape[0]:
                     curvature[e, j, o] += mode.c[1] * x.slack[mirror[e], o, j]
-    corotated.condense_states(w.scene.links.coupling, mode.factored, curvature)
-    corotated.add_masses(w.scene.links, mode.c[0], curvature)
+    corotated.condense_states(work.scene.links.coupling, mode.factored, curvature)
+    corotated.add_masses(work.scene.links, mode.c[0], curvature)
 
 
 @part
-def correct(w, mode, u, which):
+def correct(work, mode, u, which):
     """Corrections of w and of the multipliers of a mode for the residuals of the columns in `which`. False if the border is singular. u: in the middle."""
     if mode is None:
         return True
     for c in which:
-        mode.sizes[c] = collect(w.r, w.rows, mode, c)
-        eliminate_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c])
+        mode.sizes[c] = collect(work.r, work.rows, mode, c)
+        eliminate_transposed(work.scene, work.scene.relaxation, mode.workspace.elimination, u, mode.r[c])
     solve_columns(mode.factored, mode.workspace, mode.lanes, mode.sizes, mode.r, mode.dw, which)
     for c in which:
-        recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
-        w.sizes[c, UNCONSTRAINED] += size_of(mode.dw[c])
-        if not solve_border(w, mode, w.tied, c):
+        recover_transposed(work.scene, work.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
+        work.sizes[c, UNCONSTRAINED] += size_of(mode.dw[c])
+        if not solve_border(work, mode, work.tied, c):
             return False
-        recover_transposed(w.scene, w.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
+        recover_transposed(work.scene, work.scene.relaxation, mode.workspace.elimination, u, mode.r[c], mode.dw[c])
     return True
 
 
@@ -260,9 +260,9 @@ def solve_columns(factored, workspace, lanes, sizes, r, dw, which):
 
 
 @part
-def solve_border(w, mode, tied, c):
+def solve_border(work, mode, tied, c):
     """The multipliers of a mode in a column, and the effect of their forces on dw. False if the border is singular."""
-    s, factored, workspace, dw = w.scene.links, mode.factored, mode.workspace, mode.dw[c]
+    s, factored, workspace, dw = work.scene.links, mode.factored, mode.workspace, mode.dw[c]
     if not workspace.spin.shape[0]:
         return True
     joints.point_values(s, dw, workspace.moved)
@@ -271,15 +271,15 @@ def solve_border(w, mode, tied, c):
     workspace.keeps[0] = 1
     corotated.apply_point_forces(s, factored, workspace, dw)
     corotated.settle_states(s, factored, workspace.border.curvature, workspace.moved, dw)
-    return solve_kappa(w, mode, tied, c)
+    return solve_kappa(work, mode, tied, c)
 
 
 @part
-def solve_kappa(w, mode, t, c):
+def solve_kappa(work, mode, t, c):
     """kappa of a mode in a column, and mu without c kappa, unless the step has no mu (t is None). False if the system is singular."""
     if t is None:
         return True
-    s, values, rows, multipliers = w.scene.links, mode.workspace.moved, mode.rows[c], mode.multipliers[c]
+    s, values, rows, multipliers = work.scene.links, mode.workspace.moved, mode.rows[c], mode.multipliers[c]
     rate_values(s, t.system, mode.slowing, mode.workspace, mode.c[1], mode.dw[c], values)
     for e in range(rows.shape[1]):
         rows[KAPPA, e] = -rows[KAPPA, e] - joints.along(s, t.system.workspace.slopes, e, values)
@@ -290,75 +290,75 @@ def solve_kappa(w, mode, t, c):
 
 
 @part
-def add_change(w, mode, twice, c):
-    """Add the part of a mode to the corrections of the stages in a column. With one stage mode.dw is w.dw."""
+def add_change(work, mode, twice, c):
+    """Add the part of a mode to the corrections of the stages in a column. With one stage mode.dw is work.dw."""
     if mode is not None:
-        for i in range(w.dw.shape[0]):
+        for i in range(work.dw.shape[0]):
             share = twice * mode.row[i]
-            for a in range(w.dw.shape[2] if w.dw.shape[0] > 1 else 0):
+            for a in range(work.dw.shape[2] if work.dw.shape[0] > 1 else 0):
                 for e in range(2):
-                    w.dw[i, c, a, e] += (share * mode.dw[c, a, e]).real
-            for f in range(w.change.shape[0]):
-                for e in range(w.change.shape[3]):
-                    w.change[f, i, c, e] += (share * mode.multipliers[c, f, e]).real
+                    work.dw[i, c, a, e] += (share * mode.dw[c, a, e]).real
+            for f in range(work.change.shape[0]):
+                for e in range(work.change.shape[3]):
+                    work.change[f, i, c, e] += (share * mode.multipliers[c, f, e]).real
 
 
 @part
-def add_mu_terms(w, t, multipliers, bar, c):
-    """Add the terms of kappa and mu to the products of a column, and B v* to w.rows, unless the step has no mu (t is None)."""
+def add_mu_terms(work, t, multipliers, bar, c):
+    """Add the terms of kappa and mu to the products of a column, and B v* to work.rows, unless the step has no mu (t is None)."""
     if t is None:
         return
-    s, stages, values, forces = w.scene.links, w.r.shape[0], t.points[0], t.points[1]
+    s, stages, values, forces = work.scene.links, work.r.shape[0], t.points[0], t.points[1]
     for i in range(stages):
-        slowing = stage(w, i).slowing[c]
+        slowing = stage(work, i).slowing[c]
         clear(forces)
-        joints.add_rows(s, w.slopes[i], multipliers[KAPPA, i, c], forces)
+        joints.add_rows(s, work.slopes[i], multipliers[KAPPA, i, c], forces)
         joints.spread(s, forces, slowing)
         for a in range(slowing.shape[0]):
             for e in range(2):
                 t.v[i, a, e] = slowing[a, e] + (bar[c, a, e] if i == stages - 1 else 0.0)
     for i in range(stages):
         for j in range(stages):
-            heavy = stage(w, j).heavy[c]
+            heavy = stage(work, j).heavy[c]
             for a in range(heavy.shape[0]):
                 for e in range(2):
-                    t.v[i, a, e] += w.to_v[i, j] * heavy[a, e]
+                    t.v[i, a, e] += work.to_v[i, j] * heavy[a, e]
         joints.point_values(s, t.v[i], values)
         products.pull_back(s.coupling, t.curvature[i], values, forces)
-        for k in range(w.rows.shape[3]):
-            w.rows[KAPPA, i, c, k] = joints.along(s, w.slopes[i], k, values)
+        for k in range(work.rows.shape[3]):
+            work.rows[KAPPA, i, c, k] = joints.along(s, work.slopes[i], k, values)
         joints.add_rows(s, t.rates[i], multipliers[KAPPA, i, c], forces)
-        joints.spread(s, forces, stage(w, i).stiff[c])
+        joints.spread(s, forces, stage(work, i).stiff[c])
 
 
 @part
-def multiply(w, k, now, multipliers, bar, which, moving, anew):
+def multiply(work, k, now, multipliers, bar, which, moving, anew):
     """Compute the products of w and the multipliers at the stages in the columns of `which`, M w only in those of `moving`.
 
     anew: True if the bodies' rotations must be computed.
     """
-    for i in range(w.r.shape[0]):
-        x, u, v = stage(w, i), pairs(w, w.q[k, i]), pairs(w, w.v[k, i])
-        products.body_products(w.scene, w.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
+    for i in range(work.r.shape[0]):
+        x, u, v = stage(work, i), pairs(work, work.q[k, i]), pairs(work, work.v[k, i])
+        products.body_products(work.scene, work.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
         for c in which:
-            products.point_products(w.scene.links, w.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
-            for e in range(w.rows.shape[3]):
-                w.rows[MU, i, c, e] = x.rows[c, e]
+            products.point_products(work.scene.links, work.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
+            for e in range(work.rows.shape[3]):
+                work.rows[MU, i, c, e] = x.rows[c, e]
     for c in which:
-        add_mu_terms(w, w.tied, multipliers, bar, c)
+        add_mu_terms(work, work.tied, multipliers, bar, c)
 
 
 @fast
-def set_residuals(w, right, below, c):
+def set_residuals(work, right, below, c):
     """rows = residuals of the equations in a column, and r (s, columns, nodes, 2) = minus the residuals, rotated to the middle stage."""
-    stages = w.r.shape[0]
+    stages = work.r.shape[0]
     for i in range(stages):
-        stiff, own, r = stage(w, i).stiff[c], stage(w, i).heavy[c], w.r[i, c]
+        stiff, own, r = stage(work, i).stiff[c], stage(work, i).heavy[c], work.r[i, c]
         for a in range(r.shape[0]):
             for e in range(2):
-                r[a, e] = right[i, c, a, e] - stiff[a, e] - w.to_a[i, i] * own[a, e]
+                r[a, e] = right[i, c, a, e] - stiff[a, e] - work.to_a[i, i] * own[a, e]
         for j in range(stages):
-            heavy, slowing, to_v, to_a = stage(w, j).heavy[c], stage(w, j).slowing[c], w.to_v[i, j], w.to_a[i, j]
+            heavy, slowing, to_v, to_a = stage(work, j).heavy[c], stage(work, j).slowing[c], work.to_v[i, j], work.to_a[i, j]
             for a in range(r.shape[0] if j != i else 0):
                 for e in range(2):
                     r[a, e] -= to_a * heavy[a, e]
@@ -366,23 +366,23 @@ def set_residuals(w, right, below, c):
                 for e in range(2):
                     r[a, e] -= to_v * slowing[a, e]
         for e in range(below.shape[2]):
-            w.rows[MU, i, c, e] -= below[i, c, e]
+            work.rows[MU, i, c, e] -= below[i, c, e]
         if stages > 1:
             for a in range(r.shape[0]):
-                co, n, p, q = w.turn[i, a, 0], w.turn[i, a, 1], r[a, 0], r[a, 1]
+                co, n, p, q = work.turn[i, a, 0], work.turn[i, a, 1], r[a, 0], r[a, 1]
                 r[a, 0], r[a, 1] = co * p - n * q, n * p + co * q
 
 
 @fast
-def add_correction(w, now, multipliers, c):
+def add_correction(work, now, multipliers, c):
     """w += dw in a column, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow, and of |dmu| and |mu|."""
     moved = size = mu_moved = mu_size = 0.0
     for i in range(now.shape[0]):
-        dw, own = w.dw[i, c], now[i, c]
+        dw, own = work.dw[i, c], now[i, c]
         for a in range(own.shape[0]):
             p, q = dw[a, 0], dw[a, 1]
             if now.shape[0] > 1:
-                co, n = w.turn[i, a, 0], w.turn[i, a, 1]
+                co, n = work.turn[i, a, 0], work.turn[i, a, 1]
                 p, q = co * p + n * q, co * q - n * p
             own[a, 0] += p
             own[a, 1] += q
@@ -391,20 +391,20 @@ def add_correction(w, now, multipliers, c):
     for f in range(multipliers.shape[0]):
         for i in range(multipliers.shape[1]):
             for e in range(multipliers.shape[3]):
-                multipliers[f, i, c, e] += w.change[f, i, c, e]
+                multipliers[f, i, c, e] += work.change[f, i, c, e]
                 if f == MU:
-                    mu_moved += abs(w.change[f, i, c, e])
+                    mu_moved += abs(work.change[f, i, c, e])
                     mu_size += abs(multipliers[f, i, c, e])
     return moved, size, mu_moved, mu_size
 
 
 @part
-def convergence(w, c, moved, size, mu_moved, mu_size, iteration):
+def convergence(work, c, moved, size, mu_moved, mu_size, iteration):
     """(True if the error of a column after a correction by `moved` is small enough or round-off, True if it will not become so).
 
     The error of mu is that of w times M / h^2, and an error of the bars of the state before: it is estimated by its own last correction.
     """
-    marks, rates, last = w.marks, w.rates[c], w.rates[c, MOVED]
+    marks, rates, last = work.marks, work.rates[c], work.rates[c, MOVED]
     rate, measured, rates[MOVED] = rates[CONTRACTION], iteration > 0 and last > 0.0, moved
     if measured:
         rate = moved / last
@@ -415,8 +415,8 @@ def convergence(w, c, moved, size, mu_moved, mu_size, iteration):
         rate = np.inf
     slow = measured and not rate <= marks[SLOWEST]
     factor = rate / (1.0 - rate) if rate < 1.0 else np.inf
-    small = moved * factor <= w.enough * size and mu_moved * factor <= OF_MU * w.enough * mu_size
-    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * w.sizes[c, LARGEST], slow
+    small = moved * factor <= work.enough * size and mu_moved * factor <= OF_MU * work.enough * mu_size
+    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * work.sizes[c, LARGEST], slow
 
 
 @part

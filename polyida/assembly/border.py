@@ -175,105 +175,105 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def measure(b, w, u):
+def measure(border, work, u):
     """right = F u. u: (points, 2)."""
-    zero(w.right)
-    for n in range(b.block.shape[0] - 1):
-        for r in range(b.row_start[n], b.row_start[n + 1]):
-            for e in range(b.row_entry[r], b.row_entry[r + 1]):
-                at = b.row_component[e]
-                w.right[b.rows[r]] += w.slots[b.row_slot[e]] * u[b.points[b.point_start[n] + at // 2], at % 2]
+    zero(work.right)
+    for n in range(border.block.shape[0] - 1):
+        for r in range(border.row_start[n], border.row_start[n + 1]):
+            for e in range(border.row_entry[r], border.row_entry[r + 1]):
+                at = border.row_component[e]
+                work.right[border.rows[r]] += work.slots[border.row_slot[e]] * u[border.points[border.point_start[n] + at // 2], at % 2]
 
 
 @shared
-def solve_border(b, w):
-    """Solve for w.x, with w.right, w.slots and w.blocks. Returns False if the system is singular."""
-    return solve_in_order(b, w) or solve_pivoted(b, w)
+def solve_border(border, work):
+    """Solve for work.x, with work.right, work.slots and work.blocks. Returns False if the system is singular."""
+    return solve_in_order(border, work) or solve_pivoted(border, work)
 
 
 @part
-def solve_in_order(b, w):
-    """Solve for w.x by elimination in the fixed order. Returns False if the solution is not accurate."""
-    assemble(b, w)
-    put(1.0, w.matrix, w.values)
-    if not eliminate(b.elimination, w.values, w.x):
+def solve_in_order(border, work):
+    """Solve for work.x by elimination in the fixed order. Returns False if the solution is not accurate."""
+    assemble(border, work)
+    put(1.0, work.matrix, work.values)
+    if not eliminate(border.elimination, work.values, work.x):
         return False
-    solve(b.elimination, w.values, w.right, w.x)
-    return is_accurate(b.elimination, w)
+    solve(border.elimination, work.values, work.right, work.x)
+    return is_accurate(border.elimination, work)
 
 
 @part
-def solve_border_again(b, w):
-    """Solve for w.x with another w.right and the factors of `solve_border`."""
-    solve(b.elimination, w.values, w.right, w.x)
+def solve_border_again(border, work):
+    """Solve for work.x with another work.right and the factors of `solve_border`."""
+    solve(border.elimination, work.values, work.right, work.x)
     total = 0.0
-    for u in range(w.x.shape[0]):
-        total += magnitude(w.x[u])
-    return total < np.inf or solve_pivoted(b, w)
+    for u in range(work.x.shape[0]):
+        total += magnitude(work.x[u])
+    return total < np.inf or solve_pivoted(border, work)
 
 
 @part
-def assemble(b, w):
-    """Set w.matrix to I_w + F G E."""
-    zero(w.matrix)
-    row = w.row
-    for n in range(b.block.shape[0] - 1):
-        first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
-        respond(b, w, n, first, count)
-        for r in range(b.row_start[n], b.row_start[n + 1] if count else b.row_start[n]):
+def assemble(border, work):
+    """Set work.matrix to I_w + F G E."""
+    zero(work.matrix)
+    row = work.row
+    for n in range(border.block.shape[0] - 1):
+        first, count = border.column_start[n], border.column_start[n + 1] - border.column_start[n]
+        respond(border, work, n, first, count)
+        for r in range(border.row_start[n], border.row_start[n + 1] if count else border.row_start[n]):
             for j in range(count):
                 row[j] = 0.0
-            for e in range(b.row_entry[r], b.row_entry[r + 1]):
-                value, at = w.slots[b.row_slot[e]], b.row_component[e]
+            for e in range(border.row_entry[r], border.row_entry[r + 1]):
+                value, at = work.slots[border.row_slot[e]], border.row_component[e]
                 for j in range(count):
-                    row[j] += value * w.responses[at, j]
-            at = b.into_start[n] + (r - b.row_start[n]) * count
+                    row[j] += value * work.responses[at, j]
+            at = border.into_start[n] + (r - border.row_start[n]) * count
             for j in range(count):
-                w.matrix[b.into[at + j]] += row[j]
-    for i in range(b.active.shape[0]):
-        w.matrix[b.elimination.diagonal[i]] += 1.0
+                work.matrix[border.into[at + j]] += row[j]
+    for i in range(border.active.shape[0]):
+        work.matrix[border.elimination.diagonal[i]] += 1.0
 
 
 @part
-def respond(b, w, n, first, count):
-    """Set w.responses to G E of body n, (components, columns)."""
-    wide, at = 2 * (b.point_start[n + 1] - b.point_start[n]), b.block[n]
+def respond(border, work, n, first, count):
+    """Set work.responses to G E of body n, (components, columns)."""
+    wide, at = 2 * (border.point_start[n + 1] - border.point_start[n]), border.block[n]
     for j in range(count):
         for p in range(wide):
-            w.responses[p, j] = 0.0
-        for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
-            value, place = w.slots[b.column_slot[e]], at + b.column_component[e]
+            work.responses[p, j] = 0.0
+        for e in range(border.column_entry[first + j], border.column_entry[first + j + 1]):
+            value, place = work.slots[border.column_slot[e]], at + border.column_component[e]
             for p in range(wide):
-                w.responses[p, j] += w.blocks[place + p * wide] * value
+                work.responses[p, j] += work.blocks[place + p * wide] * value
 
 
 @part
-def is_accurate(e, w):
-    """True if w.x solves the system of w.matrix up to round-off. False for nan."""
-    for u in range(w.x.shape[0]):
-        w.left[u], w.terms[u] = 0.0, magnitude(w.right[u])
+def is_accurate(e, work):
+    """True if work.x solves the system of work.matrix up to round-off. False for nan."""
+    for u in range(work.x.shape[0]):
+        work.left[u], work.terms[u] = 0.0, magnitude(work.right[u])
     for f in range(e.size.shape[0]):
         n, at, first = e.size[f], e.start[f], e.first[f]
         for i in range(n):
-            left, terms = 0.0 * w.x[0], 0.0
+            left, terms = 0.0 * work.x[0], 0.0
             for j in range(n if i < e.pivots[f] else e.pivots[f]):
-                value = w.matrix[at + i * n + j] * w.x[e.unknowns[first + j]]
+                value = work.matrix[at + i * n + j] * work.x[e.unknowns[first + j]]
                 left += value
                 terms += magnitude(value)
-            w.left[e.unknowns[first + i]] += left
-            w.terms[e.unknowns[first + i]] += terms
+            work.left[e.unknowns[first + i]] += left
+            work.terms[e.unknowns[first + i]] += terms
     good = True
-    for u in range(w.x.shape[0]):
-        good = good and magnitude(w.right[u] - w.left[u]) <= ACCURATE * w.terms[u]
+    for u in range(work.x.shape[0]):
+        good = good and magnitude(work.right[u] - work.left[u]) <= ACCURATE * work.terms[u]
     return good
 
 
 @shared
-def solve_pivoted(b, w):
-    """Solve for w.x by a dense elimination with pivoting. Returns False if the system is singular."""
-    count = w.x.shape[0]
-    matrix = np.empty((count, count), w.x.dtype)
-    expand(b.elimination, w.matrix, matrix)
-    put(1.0, w.right, w.x)
-    w.values[:] = np.nan  # there are no factors for another right-hand side
-    return solve_small(matrix, w.x)
+def solve_pivoted(border, work):
+    """Solve for work.x by a dense elimination with pivoting. Returns False if the system is singular."""
+    count = work.x.shape[0]
+    matrix = np.empty((count, count), work.x.dtype)
+    expand(border.elimination, work.matrix, matrix)
+    put(1.0, work.right, work.x)
+    work.values[:] = np.nan  # there are no factors for another right-hand side
+    return solve_small(matrix, work.x)

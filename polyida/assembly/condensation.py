@@ -73,44 +73,44 @@ def rows_of(x, at):
 
 
 @entry
-def condensed_force(w, b, displacements, forces, rotations, e, f, g):
+def condensed_force(work, b, displacements, forces, rotations, e, f, g):
     """Add the force of full plate b to r (nodes, 2); the rest as of `kernels.internal_force`."""
-    s, x = w.scene.plates, w.scene.relaxation
+    s, x = work.scene.plates, work.scene.relaxation
     shape = (x.first, 2)
     u, r, rotation = carray(pointer(displacements), shape), carray(pointer(forces), shape), carray(pointer(rotations), shape)
     at, place = x.start[b], (s.body_node[b], s.body_c1[b], s.body_nu[b])
-    pull = w.known[at : at + strains_of(x, b)]
-    return integer_of(kernels.relaxed_force(*cells(s, s.body_operator[b]), *place, u, pull, 1.0 - w.shares[b], r, rotation))
+    pull = work.known[at : at + strains_of(x, b)]
+    return integer_of(kernels.relaxed_force(*cells(s, s.body_operator[b]), *place, u, pull, 1.0 - work.shares[b], r, rotation))
 
 
 @entry
-def add_condensed(w, displacements, forces, c, d, e, f, g):
+def add_condensed(work, displacements, forces, c, d, e, f, g):
     """Add the forces of relaxation of the reduced plates to r (nodes, 2)."""
-    scene, x, full = w.scene, w.scene.relaxation, w.scene.plates.body_operator.shape[0]
+    scene, x, full = work.scene, work.scene.relaxation, work.scene.plates.body_operator.shape[0]
     u, r = carray(pointer(displacements), (x.first, 2)), carray(pointer(forces), (x.first, 2))
     for b in range(full, x.start.shape[0] - 1):
         if x.terms[b] < x.terms[b + 1]:
             at, count = x.start[b], strains_of(x, b)
-            pull, strain = w.known[at : at + count].copy(), np.empty(count)
+            pull, strain = work.known[at : at + count].copy(), np.empty(count)
             take_strain(scene, b, u, strain)
-            add_scaled(pull, w.shares[b], strain)
+            add_scaled(pull, work.shares[b], strain)
             compact.relax(scene.compact, b - full, u, None, pull, r, strain)
     return DONE
 
 
 @entry
-def begin_strains(w, before, numbers, c, d, e, f, g):
+def begin_strains(work, before, numbers, c, d, e, f, g):
     """Fill `known` and the shares of a step from the state at its beginning."""
-    x, p = w.scene.relaxation, carray(pointer(numbers), (10,))
+    x, p = work.scene.relaxation, carray(pointer(numbers), (10,))
     rows, v_of_end = rows_of(x, before), p[TO_V] / p[TO_A]
     for b in range(x.start.shape[0] - 1):
         count, at = strains_of(x, b), 2 * x.first + x.start[b]
-        known, w.shares[b] = w.known[x.start[b] : x.start[b] + count], 0.0
+        known, work.shares[b] = work.known[x.start[b] : x.start[b] + count], 0.0
         known[:] = 0.0
         for k in range(x.terms[b], x.terms[b + 1]):
             share = x.share[k] / (x.time[k] + v_of_end)
             factor = share * x.time[k] * x.unit[b]
-            w.shares[b] += share * v_of_end
+            work.shares[b] += share * v_of_end
             add_scaled(known, factor, rows[1, at : at + count])
             add_scaled(known, factor * p[V_OF_A], rows[2, at : at + count])
             add_scaled(known, factor * p[V_OF_ALG], rows[3, at : at + count])
@@ -119,9 +119,9 @@ def begin_strains(w, before, numbers, c, d, e, f, g):
 
 
 @entry
-def end_strains(w, displacements, before, state, numbers, d, e, f):
+def end_strains(work, displacements, before, state, numbers, d, e, f):
     """Fill the rows of the strains in `state` at the end of a step, from those before, maybe the same, and the displacements at the end."""
-    scene, x, p = w.scene, w.scene.relaxation, carray(pointer(numbers), (10,))
+    scene, x, p = work.scene, work.scene.relaxation, carray(pointer(numbers), (10,))
     u, past, rows = carray(pointer(displacements), (x.first, 2)), rows_of(x, before), rows_of(x, state)
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:

@@ -113,20 +113,20 @@ def unit_loads(model):
 
 
 @entry
-def fill_compliance_columns(c, compliance_columns, rotation, loads, x):
+def fill_compliance_columns(factored, compliance_columns, rotation, loads, x):
     """compliance_columns = S_ref^-1 loads, by the columns of the points, in the factor's frame. rotation: raw, becomes that frame; may be empty."""
     for i in range(rotation.shape[0]):
         size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
-        c.frame[i, 0], c.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
-    order, b = c.fronts.order, c.border
+        factored.frame[i, 0], factored.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
+    order, b = factored.fronts.order, factored.border
     for column in range(loads.shape[0]):
         for i in range(loads.shape[1]):
             x[order[2 * i]], x[order[2 * i + 1]] = loads[column, i, 0], loads[column, i, 1]
-        solve_panels(c.fronts, c.panels, x)
+        solve_panels(factored.fronts, factored.panels, x)
         for n in range(b.point_start.shape[0] - 1):
             e = b.point_start[n] + column // 2
             if e < b.point_start[n + 1]:
-                first, end, at = c.place[b.points[e], 0], c.place[b.points[e], 1], c.place[b.points[e], 2]
+                first, end, at = factored.place[b.points[e], 0], factored.place[b.points[e], 1], factored.place[b.points[e], 2]
                 at += column % 2 * (end - first) - first
                 for i in range(first, end):
                     compliance_columns[at + i, 0], compliance_columns[at + i, 1] = x[order[2 * i]], x[order[2 * i + 1]]
@@ -156,23 +156,23 @@ def solve_panels(fronts, panels, x):
 
 
 @part
-def solve_in_place(c, team, x):
+def solve_in_place(factored, team, x):
     """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
     if team is None:
-        solve_panels(c.fronts, c.panels, x)
+        solve_panels(factored.fronts, factored.panels, x)
     else:
-        solve_together(c.fronts, c.panels, x, team)
+        solve_together(factored.fronts, factored.panels, x, team)
 
 
 @part
-def solve_turned(c, w, size, r, x):
+def solve_turned(factored, work, size, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r; size: of r, by which it is divided in the solve, so that it fits into single precision."""
-    order, b, turn, part = c.fronts.order, w.x, w.turn, 1.0 / size
+    order, b, turn, part = factored.fronts.order, work.x, work.turn, 1.0 / size
     for i in range(turn.shape[0]):
         p, q = part * r[i, 0], part * r[i, 1]
         b[order[2 * i]] = turn[i, 0] * p + turn[i, 1] * q
         b[order[2 * i + 1]] = turn[i, 0] * q - turn[i, 1] * p
-    solve_in_place(c, w.team, b)
+    solve_in_place(factored, work.team, b)
     for i in range(turn.shape[0]):
         p, q = size * b[order[2 * i]], size * b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
@@ -180,9 +180,9 @@ def solve_turned(c, w, size, r, x):
 
 
 @part
-def solve_turned_columns(c, w, lanes, sizes, r, x, which):
+def solve_turned_columns(factored, work, lanes, sizes, r, x, which):
     """The same for the columns in `which`, at most COLUMNS, of r and x (columns, nodes, 2), with one pass through the factor."""
-    order, turn, count, parts = c.fronts.order, w.turn, which.shape[0], np.empty(lanes.shape[1])
+    order, turn, count, parts = factored.fronts.order, work.turn, which.shape[0], np.empty(lanes.shape[1])
     for e in range(count):
         parts[e] = 1.0 / sizes[which[e]]
     for i in range(turn.shape[0]):
@@ -192,7 +192,7 @@ def solve_turned_columns(c, w, lanes, sizes, r, x, which):
             first[e], second[e] = co * p + si * q, co * q - si * p
         for e in range(count, lanes.shape[1]):
             first[e] = second[e] = 0.0
-    solve_columns(c.fronts, c.panels, lanes)
+    solve_columns(factored.fronts, factored.panels, lanes)
     for i in range(turn.shape[0]):
         first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
         for e in range(count):
@@ -201,77 +201,77 @@ def solve_turned_columns(c, w, lanes, sizes, r, x, which):
 
 
 @shared
-def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
+def solve(links, factored, work, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,). rotation, dz: of `equilibrium` at the current q. Returns False if the system is singular."""
-    turn_frames(s, c, w, rotation)
-    solve_turned(c, w, 1.0, r, dq)
-    for i in range(w.turn.shape[0]):
+    turn_frames(links, factored, work, rotation)
+    solve_turned(factored, work, 1.0, r, dq)
+    for i in range(work.turn.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
-    if w.spin.shape[0] == 0:
+    if work.spin.shape[0] == 0:
         return True
-    if not w.keeps[0]:
-        points_matrix(s, c, w)
-        joints.joint_jacobian(s, drives, dz, w.border.slopes)
-        if w.own.shape[0]:
-            turn_slopes(s, w, 1.0, w.own, w.border.curvature)
+    if not work.keeps[0]:
+        points_matrix(links, factored, work)
+        joints.joint_jacobian(links, drives, dz, work.border.slopes)
+        if work.own.shape[0]:
+            turn_slopes(links, work, 1.0, work.own, work.border.curvature)
         else:
-            w.border.curvature[:] = 0.0
-        joints.joint_curvature(s, drives, lam, w.border.curvature)
-        add_masses(s, c_m, w.border.curvature)
-    joints.point_values(s, dq, w.moved)
-    if not solve_multipliers(s, c, w, phi, dlam):
+            work.border.curvature[:] = 0.0
+        joints.joint_curvature(links, drives, lam, work.border.curvature)
+        add_masses(links, c_m, work.border.curvature)
+    joints.point_values(links, dq, work.moved)
+    if not solve_multipliers(links, factored, work, phi, dlam):
         return False
-    apply_point_forces(s, c, w, dq)
-    settle_states(s, c, w.border.curvature, w.moved, dq)
+    apply_point_forces(links, factored, work, dq)
+    settle_states(links, factored, work.border.curvature, work.moved, dq)
     return True
 
 
 @part
-def turn_frames(s, c, w, rotation):
+def turn_frames(links, factored, work, rotation):
     """turn = R(q) R(q_ref)^T at the nodes, spin = its mean at the points, as (cos, sin)."""
-    if not c.turns:
-        for frames in (w.turn, w.spin):
+    if not factored.turns:
+        for frames in (work.turn, work.spin):
             for i in range(frames.shape[0]):
                 frames[i, 0], frames[i, 1] = 1.0, 0.0
         return
-    for i in range(w.turn.shape[0]):
+    for i in range(work.turn.shape[0]):
         x, y = rotation[i, 0], rotation[i, 1]
         size = 1.0 / np.sqrt(x * x + y * y)
         x, y = x * size, y * size
-        w.turn[i, 0] = x * c.frame[i, 0] + y * c.frame[i, 1]
-        w.turn[i, 1] = y * c.frame[i, 0] - x * c.frame[i, 1]
-    for f in range(w.spin.shape[0]):
+        work.turn[i, 0] = x * factored.frame[i, 0] + y * factored.frame[i, 1]
+        work.turn[i, 1] = y * factored.frame[i, 0] - x * factored.frame[i, 1]
+    for f in range(work.spin.shape[0]):
         x = y = 0.0
-        for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-            x += w.turn[s.point_nodes[k], 0]
-            y += w.turn[s.point_nodes[k], 1]
+        for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+            x += work.turn[links.point_nodes[k], 0]
+            y += work.turn[links.point_nodes[k], 1]
         size = 1.0 / np.sqrt(x * x + y * y)
-        w.spin[f, 0] = x * size
-        w.spin[f, 1] = y * size
+        work.spin[f, 0] = x * size
+        work.spin[f, 1] = y * size
 
 
 @part
-def points_matrix(s, c, w):
-    """w.border.blocks = G = A X at the current rotations, body by body."""
-    b, blocks = c.border, w.border.blocks
+def points_matrix(links, factored, work):
+    """work.border.blocks = G = A X at the current rotations, body by body."""
+    b, blocks = factored.border, work.border.blocks
     for n in range(b.block.shape[0] - 1):
         first, end = b.point_start[n], b.point_start[n + 1]
         wide = 2 * (end - first)
         for e in range(first, end):
             for o in range(first, end):
                 f, h = b.points[e], b.points[o]
-                begin, size, at = c.place[h, 0], c.place[h, 1] - c.place[h, 0], c.place[h, 2]
+                begin, size, at = factored.place[h, 0], factored.place[h, 1] - factored.place[h, 0], factored.place[h, 2]
                 xx = xy = yx = yy = 0.0
-                for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-                    i, c0, n0 = s.point_nodes[k], s.point_weights[k, 0], s.point_weights[k, 1]
-                    co, si = c0 * w.turn[i, 0] - n0 * w.turn[i, 1], c0 * w.turn[i, 1] + n0 * w.turn[i, 0]
-                    p, q = c.compliance_columns[at + i - begin, 0], c.compliance_columns[at + i - begin, 1]
+                for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+                    i, c0, n0 = links.point_nodes[k], links.point_weights[k, 0], links.point_weights[k, 1]
+                    co, si = c0 * work.turn[i, 0] - n0 * work.turn[i, 1], c0 * work.turn[i, 1] + n0 * work.turn[i, 0]
+                    p, q = factored.compliance_columns[at + i - begin, 0], factored.compliance_columns[at + i - begin, 1]
                     xx += co * p - si * q
                     yx += si * p + co * q
-                    p, q = c.compliance_columns[at + size + i - begin, 0], c.compliance_columns[at + size + i - begin, 1]
+                    p, q = factored.compliance_columns[at + size + i - begin, 0], factored.compliance_columns[at + size + i - begin, 1]
                     xy += co * p - si * q
                     yy += si * p + co * q
-                co, si = w.spin[h, 0], w.spin[h, 1]
+                co, si = work.spin[h, 0], work.spin[h, 1]
                 to = b.block[n] + 2 * (e - first) * wide + 2 * (o - first)
                 blocks[to], blocks[to + 1] = xx * co - xy * si, xx * si + xy * co
                 blocks[to + wide], blocks[to + wide + 1] = yx * co - yy * si, yx * si + yy * co
@@ -297,7 +297,7 @@ def block_of(coupling, point, other):
 
 
 @entry
-def condense_states(coupling, c, curvature):
+def condense_states(coupling, factored, curvature):
     """Eliminate the states s of force elements from the blocks C of the coupling, z being their other points.
 
     No row holds a state, which moves by `ds = y - g (C_sz dz + C_ss ds)`, g = 1/(c_m mass). With `T = (1 + g C_ss)^-1` it is
@@ -306,7 +306,7 @@ def condense_states(coupling, c, curvature):
     number = 0
     while number < coupling.states.shape[0]:
         row, others, wide = element_of(coupling, number)
-        count, border, g = 2 * (wide - others), 2 * others, c.compliance_columns[c.place[coupling.states[number], 2], 0]
+        count, border, g = 2 * (wide - others), 2 * others, factored.compliance_columns[factored.place[coupling.states[number], 2], 0]
         below, T = np.empty((count, 2 * wide), curvature.dtype), np.empty((count, count), curvature.dtype)
         column, pivots = np.empty(count, curvature.dtype), np.empty(count, np.int64)
         for i in range(count):
@@ -334,20 +334,20 @@ def condense_states(coupling, c, curvature):
 
 
 @part
-def settle_states(s, c, curvature, y, dq):
+def settle_states(links, factored, curvature, y, dq):
     """Fill dq of the states from that of the other points and from y (points, 2); curvature: of `condense_states`."""
-    coupling, number = s.coupling, 0
+    coupling, number = links.coupling, 0
     while number < coupling.states.shape[0]:
         row, others, wide = element_of(coupling, number)
-        g = c.compliance_columns[c.place[coupling.states[number], 2], 0]
+        g = factored.compliance_columns[factored.place[coupling.states[number], 2], 0]
         for i in range(wide - others):
-            ds = dq[s.point_nodes[s.point_ptr[coupling.states[number + i]]]]
+            ds = dq[links.point_nodes[links.point_ptr[coupling.states[number + i]]]]
             ds[0] = ds[1] = 0.0
             for j in range(wide):
                 block, point = curvature[row + i * wide + j], coupling.columns[row + j]
                 p, q = y[point, 0], y[point, 1]
                 if j < others:
-                    p, q = joints.point_value(s, dq, point)
+                    p, q = joints.point_value(links, dq, point)
                     p, q = -g * p, -g * q
                 ds[0] += block[0, 0] * p + block[0, 1] * q
                 ds[1] += block[1, 0] * p + block[1, 1] * q
@@ -355,74 +355,74 @@ def settle_states(s, c, curvature, y, dq):
 
 
 @part
-def turn_slopes(s, w, sense, slopes, out):
+def turn_slopes(links, work, sense, slopes, out):
     """out = R_f slopes R_h^T for the blocks of points f and h, R the rotation of a direction since the factor, 1 of other points.
 
     sense -1: backwards, from the frames of w.spin into those of the factor.
     """
-    for f in range(w.spin.shape[0]):
-        for k in range(s.coupling.start[f], s.coupling.start[f + 1]):
-            block, h = out[k], s.coupling.columns[k]
-            c, n = (w.spin[f, 0], sense * w.spin[f, 1]) if s.point_turns[f] else (1.0, 0.0)
+    for f in range(work.spin.shape[0]):
+        for k in range(links.coupling.start[f], links.coupling.start[f + 1]):
+            block, h = out[k], links.coupling.columns[k]
+            c, n = (work.spin[f, 0], sense * work.spin[f, 1]) if links.point_turns[f] else (1.0, 0.0)
             for j in range(2):
                 x, y = slopes[k, 0, j], slopes[k, 1, j]
                 block[0, j], block[1, j] = c * x - n * y, n * x + c * y
-            c, n = (w.spin[h, 0], sense * w.spin[h, 1]) if s.point_turns[h] else (1.0, 0.0)
+            c, n = (work.spin[h, 0], sense * work.spin[h, 1]) if links.point_turns[h] else (1.0, 0.0)
             for i in range(2):
                 block[i, 0], block[i, 1] = c * block[i, 0] - n * block[i, 1], n * block[i, 0] + c * block[i, 1]
 
 
 @part
-def add_masses(s, c_m, curvature):
+def add_masses(links, c_m, curvature):
     """Blocks of the coupling += c_m times the masses at points."""
-    for f in range(s.point_mass.shape[0]):
-        k = s.coupling.mass[f]
+    for f in range(links.point_mass.shape[0]):
+        k = links.coupling.mass[f]
         if k >= 0:
-            curvature[k, 0, 0] += c_m * s.point_mass[f]
-            curvature[k, 1, 1] += c_m * s.point_mass[f]
+            curvature[k, 0, 0] += c_m * links.point_mass[f]
+            curvature[k, 1, 1] += c_m * links.point_mass[f]
 
 
 @part
-def solve_multipliers(s, c, w, phi, dlam):
+def solve_multipliers(links, factored, work, phi, dlam):
     """The points' forces w.point_forces and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. Returns False if it is singular.
 
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    measure(c.border, w.border, w.moved)
-    count = c.border.active.shape[0]
+    measure(factored.border, work.border, work.moved)
+    count = factored.border.active.shape[0]
     for k in range(phi.shape[0]):
-        w.border.right[count + k] += phi[k]
-    if not (solve_border_again(c.border, w.border) if w.keeps[0] else solve_border(c.border, w.border)):
+        work.border.right[count + k] += phi[k]
+    if not (solve_border_again(factored.border, work.border) if work.keeps[0] else solve_border(factored.border, work.border)):
         return False
-    clear(w.point_forces)
+    clear(work.point_forces)
     for i in range(count):
-        component = c.border.active[i]
-        w.point_forces[component >> 1, component & 1] = w.border.x[i]
-    put(1.0, w.border.x[count:], dlam)
-    joints.add_rows(s, w.border.slopes, dlam, w.point_forces)
+        component = factored.border.active[i]
+        work.point_forces[component >> 1, component & 1] = work.border.x[i]
+    put(1.0, work.border.x[count:], dlam)
+    joints.add_rows(links, work.border.slopes, dlam, work.point_forces)
     return True
 
 
 @part
-def apply_point_forces(s, c, w, dq):
+def apply_point_forces(links, factored, work, dq):
     """dq -= X point_forces at the current rotations: the columns are added up in the factor's frame of each body."""
-    b = c.border
+    b = factored.border
     for n in range(b.point_start.shape[0] - 1):
         first = end = 0
         for e in range(b.point_start[n], b.point_start[n + 1]):
             f = b.points[e]
-            co, si = w.spin[f, 0], w.spin[f, 1]
-            x, y = w.point_forces[f, 0], w.point_forces[f, 1]
+            co, si = work.spin[f, 0], work.spin[f, 1]
+            x, y = work.point_forces[f, 0], work.point_forces[f, 1]
             p, q = co * x + si * y, co * y - si * x
             if p == 0.0 and q == 0.0:
                 continue
-            fresh, first, end = end == 0, c.place[f, 0], c.place[f, 1]
-            add_columns(c.compliance_columns, c.place[f, 2], end - first, p, q, fresh, w.shift)
+            fresh, first, end = end == 0, factored.place[f, 0], factored.place[f, 1]
+            add_columns(factored.compliance_columns, factored.place[f, 2], end - first, p, q, fresh, work.shift)
         for i in range(first, end):
-            gx, gy = w.shift[2 * (i - first)], w.shift[2 * (i - first) + 1]
-            dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
-            dq[i, 1] -= w.turn[i, 1] * gx + w.turn[i, 0] * gy
+            gx, gy = work.shift[2 * (i - first)], work.shift[2 * (i - first) + 1]
+            dq[i, 0] -= work.turn[i, 0] * gx - work.turn[i, 1] * gy
+            dq[i, 1] -= work.turn[i, 1] * gx + work.turn[i, 0] * gy
 
 
 @part

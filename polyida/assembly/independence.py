@@ -194,29 +194,29 @@ def dense_pattern(model, sizes):
 
 
 @part
-def fill_slopes(links, drives, times, k, qs, w):
-    """Fill w.slopes at state k: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
+def fill_slopes(links, drives, times, k, qs, work):
+    """Fill work.slopes at state k: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
     n = qs.shape[1]
     at = address(qs) + 8 * n * k
     if links is None:
-        return call(drives[0], drives[1], 0, address(times) + 8 * k, at, 0, 0, 0, address(w.slopes)) == DONE
-    joints.point_values(links, carray(pointer(at), (n // 2, 2)), w.points)
-    joints.joint_jacobian(links, drives[k], w.points, w.slopes)
+        return call(drives[0], drives[1], 0, address(times) + 8 * k, at, 0, 0, 0, address(work.slopes)) == DONE
+    joints.point_values(links, carray(pointer(at), (n // 2, 2)), work.points)
+    joints.joint_jacobian(links, drives[k], work.points, work.slopes)
     return True
 
 
 @part
-def fill_rows(u, links, drives, times, at, qs, w):
+def fill_rows(u, links, drives, times, at, qs, work):
     """The unit rows at state `at`; nan if the model raises."""
-    rows = w.rows[1]
-    if not fill_slopes(links, drives, times, at, qs, w):
-        w.slopes[:] = np.nan
+    rows = work.rows[1]
+    if not fill_slopes(links, drives, times, at, qs, work):
+        work.slopes[:] = np.nan
     for k in range(u.start.shape[0] - 1):
         square = 0.0
         for i in range(u.start[k], u.start[k + 1]):
             rows[i] = 0.0
             for e in range(u.terms[i], u.terms[i + 1]):
-                rows[i] += u.weights[e] * w.slopes[u.sources[e]]
+                rows[i] += u.weights[e] * work.slopes[u.sources[e]]
             square += rows[i] * rows[i]
         scale = 1.0 / np.sqrt(square) if square > 0.0 else 1.0
         for i in range(u.start[k], u.start[k + 1]):
@@ -224,134 +224,134 @@ def fill_rows(u, links, drives, times, at, qs, w):
 
 
 @part
-def fill_band(u, x, y, below, w):
+def fill_band(u, x, y, below, work):
     """The products of unit rows x with rows y within the band, for each row of x with as many rows before it as `below`."""
-    m, k = w.band.shape[0], w.band.shape[1] // 2
+    m, k = work.band.shape[0], work.band.shape[1] // 2
     for i in range(m):
         for e in range(u.start[i], u.start[i + 1]):
-            w.row[u.columns[e]] = x[e]
+            work.row[u.columns[e]] = x[e]
         for j in range(max(0, i - below), min(m, i + k + 1)):
             product = 0.0
             for e in range(u.start[j], u.start[j + 1]):
-                product += w.row[u.columns[e]] * y[e]
-            w.band[i, j - i + k] = product
+                product += work.row[u.columns[e]] * y[e]
+            work.band[i, j - i + k] = product
         for e in range(u.start[i], u.start[i + 1]):
-            w.row[u.columns[e]] = 0.0
+            work.row[u.columns[e]] = 0.0
 
 
 @part
-def eliminate(w, symmetric, shift):
-    """Eliminate w.band - shift I without pivoting, its upper half if it is symmetric; False if a pivot is not positive."""
-    m, k = w.band.shape[0], w.band.shape[1] // 2
+def eliminate(work, symmetric, shift):
+    """Eliminate work.band - shift I without pivoting, its upper half if it is symmetric; False if a pivot is not positive."""
+    m, k = work.band.shape[0], work.band.shape[1] // 2
     for i in range(m):
-        w.band[i, k] -= shift
-        if not w.band[i, k] > CLOSE * CLOSE:
+        work.band[i, k] -= shift
+        if not work.band[i, k] > CLOSE * CLOSE:
             return False
         last = min(m, i + k + 1)
         for j in range(i + 1, last):
-            share = (w.band[i, j - i + k] if symmetric else w.band[j, i - j + k]) / w.band[i, k]
+            share = (work.band[i, j - i + k] if symmetric else work.band[j, i - j + k]) / work.band[i, k]
             for e in range(j if symmetric else i + 1, last):
-                w.band[j, e - j + k] -= share * w.band[i, e - i + k]
+                work.band[j, e - j + k] -= share * work.band[i, e - i + k]
     return True
 
 
 @part
-def exceeds(u, size, w):
+def exceeds(u, size, work):
     """True if the least singular value of the rows examined is larger than `size`: G - size^2 I is positive definite."""
-    fill_band(u, w.rows[1], w.rows[1], 0, w)
-    return eliminate(w, True, size * size)
+    fill_band(u, work.rows[1], work.rows[1], 0, work)
+    return eliminate(work, True, size * size)
 
 
 @part
-def bound(u, w):
+def bound(u, work):
     """A lower bound of the least singular value of the rows examined, 0 if G is not positive definite."""
-    if not exceeds(u, 0.0, w):
+    if not exceeds(u, 0.0, work):
         return 0.0
-    m, k, inverse, trace = w.band.shape[0], w.band.shape[1] // 2, w.inverse, 0.0
+    m, k, inverse, trace = work.band.shape[0], work.band.shape[1] // 2, work.inverse, 0.0
     for i in range(m - 1, -1, -1):  # inverse[i, j - i] is (G^-1)_ij, j >= i
-        last, pivot = min(m - 1, i + k), w.band[i, k]
+        last, pivot = min(m - 1, i + k), work.band[i, k]
         for j in range(last, i - 1, -1):
             value = 1.0 if j == i else 0.0
             for e in range(i + 1, last + 1):
-                value -= w.band[i, e - i + k] * inverse[min(e, j), abs(e - j)]
+                value -= work.band[i, e - i + k] * inverse[min(e, j), abs(e - j)]
             inverse[i, j - i] = value / pivot
         trace += inverse[i, 0]
     return 1.0 / np.sqrt(trace)
 
 
 @part
-def log_determinant(u, x, y, w):
+def log_determinant(u, x, y, work):
     """log det of the products of unit rows x with rows y; -inf if elimination without pivoting has a pivot that is not positive."""
-    k, total = w.band.shape[1] // 2, 0.0
-    fill_band(u, x, y, k, w)
-    if not eliminate(w, False, 0.0):
+    k, total = work.band.shape[1] // 2, 0.0
+    fill_band(u, x, y, k, work)
+    if not eliminate(work, False, 0.0):
         return -np.inf
-    for i in range(w.band.shape[0]):
-        total += np.log(w.band[i, k])
+    for i in range(work.band.shape[0]):
+        total += np.log(work.band[i, k])
     return total
 
 
 @part
-def same_side(u, w):
+def same_side(u, work):
     """True if elimination without pivoting proves that the row space has not turned far since the reference state."""
-    before, after = w.rows[0], w.rows[1]
-    volumes = 0.5 * (log_determinant(u, before, before, w) + log_determinant(u, after, after, w))
-    return log_determinant(u, before, after, w) - volumes >= np.log(REVERSED)
+    before, after = work.rows[0], work.rows[1]
+    volumes = 0.5 * (log_determinant(u, before, before, work) + log_determinant(u, after, after, work))
+    return log_determinant(u, before, after, work) - volumes >= np.log(REVERSED)
 
 
 @part
-def distance(u, w):
+def distance(u, work):
     """Bound of the spectral norm of the change D of the rows: the smaller of `|D|_F` and `(|D|_1 |D|_inf)^(1/2)`; nan if D is."""
     square = largest_row = largest_column = 0.0
     for i in range(u.start.shape[0] - 1):
         total = 0.0
         for e in range(u.start[i], u.start[i + 1]):
-            change = abs(w.rows[1, e] - w.rows[0, e])
+            change = abs(work.rows[1, e] - work.rows[0, e])
             square += change * change
             total += change
-            w.row[u.columns[e]] += change
+            work.row[u.columns[e]] += change
         largest_row = max(largest_row, total)
-    for e in range(w.rows.shape[1]):
-        largest_column = max(largest_column, w.row[u.columns[e]])
-        w.row[u.columns[e]] = 0.0
+    for e in range(work.rows.shape[1]):
+        largest_column = max(largest_column, work.row[u.columns[e]])
+        work.row[u.columns[e]] = 0.0
     frobenius, product = np.sqrt(square), np.sqrt(largest_row * largest_column)
     return product if product < frobenius else frobenius
 
 
 @part
-def refer(times, qs, k, size, w):
+def refer(times, qs, k, size, work):
     """Make state k, the one examined, the reference, with this bound of its least singular value."""
-    w.least[0] = size
-    put(1.0, w.rows[1], w.rows[0])
-    for i in range(w.past.shape[1]):
-        w.past[1, i] = w.past[0, i]
-        w.past[0, i] = qs[k, i - 1] if i else times[k]
+    work.least[0] = size
+    put(1.0, work.rows[1], work.rows[0])
+    for i in range(work.past.shape[1]):
+        work.past[1, i] = work.past[0, i]
+        work.past[0, i] = qs[k, i - 1] if i else times[k]
 
 
 @entry
-def begin(u, links, drives, times, qs, w):
+def begin(u, links, drives, times, qs, work):
     """Make the only one of the states the reference; return True if its rows are proven independent."""
-    fill_rows(u, links, drives, times, 0, qs, w)
-    refer(times, qs, 0, bound(u, w), w)
-    return w.least[0] > CLOSE
+    fill_rows(u, links, drives, times, 0, qs, work)
+    refer(times, qs, 0, bound(u, work), work)
+    return work.least[0] > CLOSE
 
 
 @entry
-def unproven(u, links, drives, times, qs, first, w):
+def unproven(u, links, drives, times, qs, first, work):
     """The first of the states (count,), from number `first` on, without proof; their number if there is none.
 
     Factors alone show that the least singular value exceeds the reference's bound, and make the bound larger; the trace costs more.
     """
     for k in range(first, qs.shape[0]):
-        fill_rows(u, links, drives, times, k, qs, w)
-        way, size = distance(u, w), RISE * w.least[0]
-        if way < SHARE * w.least[0]:
+        fill_rows(u, links, drives, times, k, qs, work)
+        way, size = distance(u, work), RISE * work.least[0]
+        if way < SHARE * work.least[0]:
             continue
-        if not (way < w.least[0] + size and exceeds(u, size, w)):
-            size = bound(u, w)
-            if not (size > CLOSE and (way < w.least[0] + size or same_side(u, w))):
+        if not (way < work.least[0] + size and exceeds(u, size, work)):
+            size = bound(u, work)
+            if not (size > CLOSE and (way < work.least[0] + size or same_side(u, work))):
                 return k
-        refer(times, qs, k, size, w)
+        refer(times, qs, k, size, work)
     return qs.shape[0]
 
 

@@ -15,47 +15,47 @@ from polyida.linear.dense import put, zero
 
 
 @leaf
-def point_value(s, u, f):
+def point_value(links, u, f):
     """The components (x, y) of `A u` at point f: its displacement or velocity, if u (pairs, 2) has those of the coordinates."""
     x = y = 0.0
-    for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-        c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+    for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+        c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
         x += c * u[i, 0] - n * u[i, 1]
         y += c * u[i, 1] + n * u[i, 0]
     return x, y
 
 
 @entry
-def point_values(s, u, dz):
+def point_values(links, u, dz):
     """dz = A u, (points, 2)."""
     for f in range(dz.shape[0]):
-        dz[f, 0], dz[f, 1] = point_value(s, u, f)
+        dz[f, 0], dz[f, 1] = point_value(links, u, f)
 
 
 @leaf
-def spread_one(s, f, x, y, r):
+def spread_one(links, f, x, y, r):
     """r += A^T of the force (x, y) at point f."""
-    for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-        c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+    for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+        c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
         r[i, 0] += c * x + n * y
         r[i, 1] += c * y - n * x
 
 
 @part
-def spread(s, forces, r):
+def spread(links, forces, r):
     """r += A^T forces."""
     for f in range(forces.shape[0]):
         x, y = forces[f, 0], forces[f, 1]
         if x != 0.0 or y != 0.0:
-            spread_one(s, f, x, y, r)
+            spread_one(links, f, x, y, r)
 
 
 @leaf
-def moved(s, i, dz):
+def moved(links, i, dz):
     """`sum_j W_j dz_j` of vector i."""
     x = y = 0.0
-    for k in range(s.vector_start[i], s.vector_start[i + 1]):
-        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
+    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+        p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
         x += c * dz[p, 0] - n * dz[p, 1]
         y += n * dz[p, 0] + c * dz[p, 1]
     return x, y
@@ -68,61 +68,61 @@ def rotated(c, n, x, y):
 
 
 @leaf
-def turn(s, p, drives):
+def turn(links, p, drives):
     """(cosine, sine, rate, second derivative) of the angle that rotates E of product p."""
-    d = s.product_drive[p]
+    d = links.product_drive[p]
     if d < 0:
         return 1.0, 0.0, 0.0, 0.0
     return np.cos(drives[d, 0]), np.sin(drives[d, 0]), drives[d, 1], drives[d, 2]
 
 
 @leaf
-def factors(s, p, c, n, dz):
+def factors(links, p, c, n, dz):
     """R E and F of product p."""
-    e, f = s.product_first[p], s.product_second[p]
-    x, y = moved(s, e, dz)
-    ex, ey = rotated(c, n, s.vector_rest[e, 0] + x, s.vector_rest[e, 1] + y)
-    x, y = moved(s, f, dz)
-    return ex, ey, s.vector_rest[f, 0] + x, s.vector_rest[f, 1] + y
+    e, f = links.product_first[p], links.product_second[p]
+    x, y = moved(links, e, dz)
+    ex, ey = rotated(c, n, links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y)
+    x, y = moved(links, f, dz)
+    return ex, ey, links.vector_rest[f, 0] + x, links.vector_rest[f, 1] + y
 
 
 @leaf
-def push(s, i, x, y, forces):
+def push(links, i, x, y, forces):
     """forces += `W_j^T (x, y)`: force (x, y) on vector i."""
-    for k in range(s.vector_start[i], s.vector_start[i + 1]):
-        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
+    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+        p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
         forces[p, 0] += c * x + n * y
         forces[p, 1] += c * y - n * x
 
 
 @leaf
-def slope(s, i, row, x, y, slopes):
+def slope(links, i, row, x, y, slopes):
     """Add `W_j^T (x, y)` of vector i to the slopes of a row."""
-    for k in range(s.vector_start[i], s.vector_start[i + 1]):
-        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
-        at = s.row_start[row]
-        while s.row_columns[at] != 2 * p:
+    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+        p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
+        at = links.row_start[row]
+        while links.row_columns[at] != 2 * p:
             at += 2
         slopes[at] += c * x + n * y
         slopes[at + 1] += c * y - n * x
 
 
 @leaf
-def along(s, slopes, k, z):
+def along(links, slopes, k, z):
     """Row k of phi_z, in slopes, times z (points, 2)."""
     total = 0.0
-    for e in range(s.row_start[k], s.row_start[k + 1]):
-        i = s.row_columns[e]
+    for e in range(links.row_start[k], links.row_start[k + 1]):
+        i = links.row_columns[e]
         total += slopes[e] * z[i // 2, i % 2]
     return total
 
 
 @part
-def add_rows(s, slopes, lam, forces):
+def add_rows(links, slopes, lam, forces):
     """forces (points, 2) += phi_z^T lam, phi_z in slopes."""
     for k in range(lam.shape[0]):
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            i = s.row_columns[e]
+        for e in range(links.row_start[k], links.row_start[k + 1]):
+            i = links.row_columns[e]
             forces[i >> 1, i & 1] += slopes[e] * lam[k]
 
 
@@ -133,83 +133,83 @@ def cosine(ex, ey, fx, fy):
 
 
 @shared
-def joint_forces(s, drives, dz, lam, phi, forces):
+def joint_forces(links, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine of the one-way products, 1 without any."""
     least = 1.0
     for k in range(phi.shape[0]):
-        phi[k] = s.row_constant[k] + along(s, s.row_slopes, k, dz)
-    add_rows(s, s.row_slopes, lam, forces)
-    add_shifts(s, drives, 0, phi)
-    for p in range(s.product_row.shape[0]):
-        k = s.product_row[p]
-        c, n, _, _ = turn(s, p, drives)
-        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        phi[k] = links.row_constant[k] + along(links, links.row_slopes, k, dz)
+    add_rows(links, links.row_slopes, lam, forces)
+    add_shifts(links, drives, 0, phi)
+    for p in range(links.product_row.shape[0]):
+        k = links.product_row[p]
+        c, n, _, _ = turn(links, p, drives)
+        ex, ey, fx, fy = factors(links, p, c, n, dz)
         phi[k] += ex * fx + ey * fy
-        if s.product_one_way[p]:
+        if links.product_one_way[p]:
             least = min(least, cosine(ex, ey, fx, fy))
-        if not s.product_rate[p]:
-            push(s, s.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
-        push(s, s.product_second[p], lam[k] * ex, lam[k] * ey, forces)
-    for i in range(s.velocity_rows.shape[0]):
-        phi[s.velocity_rows[i]] = 0.0
+        if not links.product_rate[p]:
+            push(links, links.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
+        push(links, links.product_second[p], lam[k] * ex, lam[k] * ey, forces)
+    for i in range(links.velocity_rows.shape[0]):
+        phi[links.velocity_rows[i]] = 0.0
     return least
 
 
 @part
-def add_shifts(s, values, order, x):
+def add_shifts(links, values, order, x):
     """Add a derivative of the profiles to that derivative (0: phi, 1: rate, 2: bias) of the rows that they shift. values (profiles, 3)."""
-    for i in range(s.shift_row.shape[0]):
-        column = order - 1 + s.shift_order[i]
+    for i in range(links.shift_row.shape[0]):
+        column = order - 1 + links.shift_order[i]
         if column >= 0:
-            x[s.shift_row[i]] += s.shift_factor[i] * values[s.shift_drive[i], column]
+            x[links.shift_row[i]] += links.shift_factor[i] * values[links.shift_drive[i], column]
 
 
 @entry
-def flipped(s, drives, dz):
+def flipped(links, drives, dz):
     """The first row whose one-way product is on the wrong side, or -1."""
-    for p in range(s.product_row.shape[0]):
-        if s.product_one_way[p]:
-            c, n, _, _ = turn(s, p, drives)
-            ex, ey, fx, fy = factors(s, p, c, n, dz)
+    for p in range(links.product_row.shape[0]):
+        if links.product_one_way[p]:
+            c, n, _, _ = turn(links, p, drives)
+            ex, ey, fx, fy = factors(links, p, c, n, dz)
             if not cosine(ex, ey, fx, fy) > 0.0:
-                return s.product_row[p]
+                return links.product_row[p]
     return -1
 
 
 @shared
-def joint_jacobian(s, drives, dz, slopes):
+def joint_jacobian(links, drives, dz, slopes):
     """Fill slopes with phi_z."""
-    put(1.0, s.row_slopes, slopes)
-    for p in range(s.product_row.shape[0]):
-        k = s.product_row[p]
-        c, n, _, _ = turn(s, p, drives)
-        ex, ey, fx, fy = factors(s, p, c, n, dz)
-        if not s.product_rate[p]:
-            slope(s, s.product_first[p], k, c * fx + n * fy, c * fy - n * fx, slopes)
-        slope(s, s.product_second[p], k, ex, ey, slopes)
+    put(1.0, links.row_slopes, slopes)
+    for p in range(links.product_row.shape[0]):
+        k = links.product_row[p]
+        c, n, _, _ = turn(links, p, drives)
+        ex, ey, fx, fy = factors(links, p, c, n, dz)
+        if not links.product_rate[p]:
+            slope(links, links.product_first[p], k, c * fx + n * fy, c * fy - n * fx, slopes)
+        slope(links, links.product_second[p], k, ex, ey, slopes)
 
 
 @entry
-def joint_curvature(s, drives, lam, curvature):
+def joint_curvature(links, drives, lam, curvature):
     """Blocks of the coupling += d(phi_z^T lam)/dz: `lam W_i^T R^T W_j` between the points of E and those of F.
 
     A velocity row acts on the points of F alone, so that its part is not symmetric.
     """
     at = 0
-    for p in range(s.product_row.shape[0]):
-        e, f = s.product_first[p], s.product_second[p]
-        if s.vector_start[e] == s.vector_start[e + 1] or s.vector_start[f] == s.vector_start[f + 1]:
+    for p in range(links.product_row.shape[0]):
+        e, f = links.product_first[p], links.product_second[p]
+        if links.vector_start[e] == links.vector_start[e + 1] or links.vector_start[f] == links.vector_start[f + 1]:
             continue
-        c, n, _, _ = turn(s, p, drives)
-        for i in range(s.vector_start[e], s.vector_start[e + 1]):
-            x, y = rotated(c, n, s.vector_weights[i, 0], s.vector_weights[i, 1])
-            for j in range(s.vector_start[f], s.vector_start[f + 1]):
-                x1, y1 = rotated(x, -y, s.vector_weights[j, 0], s.vector_weights[j, 1])
-                x1, y1 = lam[s.product_row[p]] * x1, lam[s.product_row[p]] * y1
-                block = s.coupling.products[at]
-                if not s.product_rate[p]:
+        c, n, _, _ = turn(links, p, drives)
+        for i in range(links.vector_start[e], links.vector_start[e + 1]):
+            x, y = rotated(c, n, links.vector_weights[i, 0], links.vector_weights[i, 1])
+            for j in range(links.vector_start[f], links.vector_start[f + 1]):
+                x1, y1 = rotated(x, -y, links.vector_weights[j, 0], links.vector_weights[j, 1])
+                x1, y1 = lam[links.product_row[p]] * x1, lam[links.product_row[p]] * y1
+                block = links.coupling.products[at]
+                if not links.product_rate[p]:
                     _couple(block, x1, -y1, curvature)
-                _couple(s.coupling.mirror[block], x1, y1, curvature)
+                _couple(links.coupling.mirror[block], x1, y1, curvature)
                 at += 1
 
 
@@ -223,26 +223,26 @@ def _couple(block, x, y, curvature):
 
 
 @entry
-def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
+def joint_rates(links, drives, dz, vz, phi_t, rate, bias):
     """Fill phi_t, rate = phi_z vz + phi_t and the bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`, each (m,)."""
     for k in range(rate.shape[0]):
         phi_t[k] = bias[k] = 0.0
-        rate[k] = along(s, s.row_slopes, k, vz)
-    for i in range(s.velocity_rows.shape[0]):
-        k = s.velocity_rows[i]
-        phi_t[k] = s.row_constant[k]
-        rate[k] += s.row_constant[k]
-    add_shifts(s, drives, 1, phi_t)
-    add_shifts(s, drives, 1, rate)
-    add_shifts(s, drives, 2, bias)
-    for p in range(s.product_row.shape[0]):
-        k = s.product_row[p]
-        c, n, speed, second = turn(s, p, drives)
-        ex, ey, fx, fy = factors(s, p, c, n, dz)
-        ux, uy = moved(s, s.product_first[p], vz)
+        rate[k] = along(links, links.row_slopes, k, vz)
+    for i in range(links.velocity_rows.shape[0]):
+        k = links.velocity_rows[i]
+        phi_t[k] = links.row_constant[k]
+        rate[k] += links.row_constant[k]
+    add_shifts(links, drives, 1, phi_t)
+    add_shifts(links, drives, 1, rate)
+    add_shifts(links, drives, 2, bias)
+    for p in range(links.product_row.shape[0]):
+        k = links.product_row[p]
+        c, n, speed, second = turn(links, p, drives)
+        ex, ey, fx, fy = factors(links, p, c, n, dz)
+        ux, uy = moved(links, links.product_first[p], vz)
         ux, uy = rotated(c, n, ux, uy)
-        gx, gy = moved(s, s.product_second[p], vz)
-        if s.product_rate[p]:
+        gx, gy = moved(links, links.product_second[p], vz)
+        if links.product_rate[p]:
             rate[k] += ex * gx + ey * gy
             bias[k] += (ux - speed * ey) * gx + (uy + speed * ex) * gy
             continue
@@ -254,26 +254,26 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
 
 
 @part
-def joint_rate_jacobian(s, drives, dz, vz, slopes):
+def joint_rate_jacobian(links, drives, dz, vz, slopes):
     """Fill slopes with d(phi_z vz + phi_t)/dz."""
     zero(slopes)
-    for p in range(s.product_row.shape[0]):
-        k, e, f = s.product_row[p], s.product_first[p], s.product_second[p]
-        c, n, speed, _ = turn(s, p, drives)
-        ex, ey, fx, fy = factors(s, p, c, n, dz)
-        ux, uy = moved(s, e, vz)
+    for p in range(links.product_row.shape[0]):
+        k, e, f = links.product_row[p], links.product_first[p], links.product_second[p]
+        c, n, speed, _ = turn(links, p, drives)
+        ex, ey, fx, fy = factors(links, p, c, n, dz)
+        ux, uy = moved(links, e, vz)
         ux, uy = rotated(c, n, ux, uy)
-        gx, gy = moved(s, f, vz)
-        if s.product_rate[p]:
-            slope(s, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
+        gx, gy = moved(links, f, vz)
+        if links.product_rate[p]:
+            slope(links, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
             continue
         gx, gy = gx + speed * fy, gy - speed * fx
-        slope(s, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
-        slope(s, f, k, ux - speed * ey, uy + speed * ex, slopes)
+        slope(links, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
+        slope(links, f, k, ux - speed * ey, uy + speed * ex, slopes)
 
 
 @entry
-def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
+def joint_change(links, drives, gains, h, dz, vz, dd, dv, phi, rate):
     """Add the changes of phi and rate = phi_z vz + phi_t in a step of h. Their round-off is that of second differences.
 
     Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the profile, of
@@ -281,48 +281,48 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
     becomes `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`. phi of velocity rows stays zero.
     """
     for k in range(phi.shape[0]):
-        phi[k] += h * rate[k] + along(s, s.row_slopes, k, dd)
-        rate[k] += along(s, s.row_slopes, k, dv)
-    for i in range(s.shift_row.shape[0]):
-        k, gain = s.shift_row[i], gains[s.shift_drive[i]]
-        phi[k] += s.shift_factor[i] * gain[1]
-        rate[k] += s.shift_factor[i] * gain[2 * s.shift_order[i]]
-    for p in range(s.product_row.shape[0]):
-        k, f = s.product_row[p], s.product_second[p]
-        c, n, speed, _ = turn(s, p, drives)
-        ex, ey, fx, fy = factors(s, p, c, n, dz)
-        gx, gy = moved(s, f, vz)
-        ddfx, ddfy = moved(s, f, dd)
-        dvfx, dvfy = moved(s, f, dv)
-        ux, uy, ddx, ddy, dvx, dvy = turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv)
+        phi[k] += h * rate[k] + along(links, links.row_slopes, k, dd)
+        rate[k] += along(links, links.row_slopes, k, dv)
+    for i in range(links.shift_row.shape[0]):
+        k, gain = links.shift_row[i], gains[links.shift_drive[i]]
+        phi[k] += links.shift_factor[i] * gain[1]
+        rate[k] += links.shift_factor[i] * gain[2 * links.shift_order[i]]
+    for p in range(links.product_row.shape[0]):
+        k, f = links.product_row[p], links.product_second[p]
+        c, n, speed, _ = turn(links, p, drives)
+        ex, ey, fx, fy = factors(links, p, c, n, dz)
+        gx, gy = moved(links, f, vz)
+        ddfx, ddfy = moved(links, f, dd)
+        dvfx, dvfy = moved(links, f, dv)
+        ux, uy, ddx, ddy, dvx, dvy = turning_change(links, p, c, n, speed, gains, h, dz, vz, dd, dv)
         dex, dey, dfx, dfy = h * ux + ddx, h * uy + ddy, h * gx + ddfx, h * gy + ddfy
-        if s.product_rate[p]:
+        if links.product_rate[p]:
             rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
             continue
         phi[k] += ddx * fx + ddy * fy + ex * ddfx + ey * ddfy + dex * dfx + dey * dfy
         rate[k] += dvx * (fx + dfx) + dvy * (fy + dfy) + ux * dfx + uy * dfy
         rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
-    for i in range(s.velocity_rows.shape[0]):
-        phi[s.velocity_rows[i]] = 0.0
+    for i in range(links.velocity_rows.shape[0]):
+        phi[links.velocity_rows[i]] = 0.0
 
 
 @part
-def turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv):
+def turning_change(links, p, c, n, speed, gains, h, dz, vz, dd, dv):
     """Velocity of e = R E of product p, its move minus h times the velocity, and its change of velocity.
 
     i rotates by a right angle, g is the increment of the angle, k = g - h theta', E_1 = E + h E' + dd_E:
     `e' = R (E' + theta' i E)`, `dd_e = R (dd_E + (cos g - 1) E_1 + (sin g - g) i E_1 + g i (E_1 - E) + k i E)`,
     `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
     """
-    e = s.product_first[p]
-    ux, uy = moved(s, e, vz)
-    ddx, ddy = moved(s, e, dd)
-    dvx, dvy = moved(s, e, dv)
-    d = s.product_drive[p]
+    e = links.product_first[p]
+    ux, uy = moved(links, e, vz)
+    ddx, ddy = moved(links, e, dd)
+    dvx, dvy = moved(links, e, dv)
+    d = links.product_drive[p]
     if d < 0:
         return ux, uy, ddx, ddy, dvx, dvy
-    x, y = moved(s, e, dz)
-    x, y = s.vector_rest[e, 0] + x, s.vector_rest[e, 1] + y
+    x, y = moved(links, e, dz)
+    x, y = links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y
     g, ahead, faster = gains[d, 0], gains[d, 1], gains[d, 2]
     mx, my = h * ux + ddx, h * uy + ddy
     x1, y1 = x + mx, y + my

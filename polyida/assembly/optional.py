@@ -31,73 +31,75 @@ class Parts(NamedTuple):
 
 
 @part
-def nodal(w, at):
+def nodal(work, at):
     """The array (nodes, 2) at an address."""
-    return carray(pointer(at), w.scene.plates.weight.shape)
+    return carray(pointer(at), work.scene.plates.weight.shape)
 
 
 @part
-def at_points(w, at):
+def at_points(work, at):
     """The array (points, 2) at an address."""
-    return carray(pointer(at), (w.scene.links.point_mass.shape[0], 2))
+    return carray(pointer(at), (work.scene.links.point_mass.shape[0], 2))
 
 
 @part
-def values(w, at):
+def values(work, at):
     """The values of the profiles at an address."""
-    return carray(pointer(at), (w.profiles, 3))
+    return carray(pointer(at), (work.profiles, 3))
 
 
 @entry
-def law_forces(w, drives, u, v, r, d, e, f):
+def law_forces(work, drives, u, v, r, d, e, f):
     """Add the forces of the laws to r."""
-    finite = add_own_forces(w.laws, w.scene.links, values(w, drives), nodal(w, u), nodal(w, v), nodal(w, r))
+    finite = add_own_forces(work.laws, work.scene.links, values(work, drives), nodal(work, u), nodal(work, v), nodal(work, r))
     return DONE if finite else NOT_FINITE
 
 
 @entry
-def law_slopes(w, drives, dz, vz, c_v, own, e, f):
+def law_slopes(work, drives, dz, vz, c_v, own, e, f):
     """Add K + c_v C of the laws to the blocks of the coupling; c_v: address of the number."""
-    coupling = w.scene.links.coupling
+    coupling = work.scene.links.coupling
     blocks, factor = carray(pointer(own), (coupling.columns.shape[0], 2, 2)), carray(pointer(c_v), (1,))[0]
-    add_own_curvature(w.laws, coupling, values(w, drives), at_points(w, dz), at_points(w, vz), 1.0, factor, blocks)
+    add_own_curvature(work.laws, coupling, values(work, drives), at_points(work, dz), at_points(work, vz), 1.0, factor, blocks)
     return DONE
 
 
 @entry
-def law_damping(w, drives, dz, vz, moved, forces, e, f):
+def law_damping(work, drives, dz, vz, moved, forces, e, f):
     """Add C moved of the laws to the forces at the points."""
-    take_damping_forces(w.laws, values(w, drives), at_points(w, dz), at_points(w, vz), at_points(w, moved), at_points(w, forces))
+    take_damping_forces(
+        work.laws, values(work, drives), at_points(work, dz), at_points(work, vz), at_points(work, moved), at_points(work, forces)
+    )
     return DONE
 
 
 @entry
-def law_middle(w, drives, dz0, dz1, vz, half, forces, f):
+def law_middle(work, drives, dz0, dz1, vz, half, forces, f):
     """Add the forces of the laws in the middle of a step to the forces at the points."""
-    places = at_points(w, dz0), at_points(w, dz1)
-    others = at_points(w, vz), at_points(w, half), at_points(w, forces)
-    finite = take_midpoint_forces(w.laws, values(w, drives), places[0], places[1], others[0], others[1], others[2])
+    places = at_points(work, dz0), at_points(work, dz1)
+    others = at_points(work, vz), at_points(work, half), at_points(work, forces)
+    finite = take_midpoint_forces(work.laws, values(work, drives), places[0], places[1], others[0], others[1], others[2])
     return DONE if finite else NOT_FINITE
 
 
 @entry
-def relaxing(w, still, u, v, r, d, e, f):
+def relaxing(work, still, u, v, r, d, e, f):
     """Add the forces of relaxation to r; still: as of `add_relaxation`."""
-    add_relaxation(w.scene, nodal(w, u), None, nodal(w, v), float(still), nodal(w, r))
+    add_relaxation(work.scene, nodal(work, u), None, nodal(work, v), float(still), nodal(work, r))
     return DONE
 
 
 @entry
-def relaxing_middle(w, u0, u1, um, vm, r, e, f):
+def relaxing_middle(work, u0, u1, um, vm, r, e, f):
     """Add the forces of relaxation in the middle of a step to r."""
-    add_relaxation_middle(w.scene, nodal(w, u0), nodal(w, u1), nodal(w, um), nodal(w, vm), nodal(w, r))
+    add_relaxation_middle(work.scene, nodal(work, u0), nodal(work, u1), nodal(work, um), nodal(work, vm), nodal(work, r))
     return DONE
 
 
 @entry
-def damping(w, u, v, elastic, r, d, e, f):
+def damping(work, u, v, elastic, r, d, e, f):
     """Add the damping forces of bodies to r."""
-    add_damping(w.scene, nodal(w, u), nodal(w, v), nodal(w, elastic), nodal(w, r))
+    add_damping(work.scene, nodal(work, u), nodal(work, v), nodal(work, elastic), nodal(work, r))
     return DONE
 
 

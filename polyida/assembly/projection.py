@@ -84,45 +84,45 @@ def _threads(model):
 
 
 @entry
-def constrained(s, p, phi, y, dlam):
+def constrained(links, projection, phi, y, dlam):
     """y -= M^-1 B^T dlam, so that `B y = -phi`. Returns False if this is singular."""
-    joints.point_values(s, y, p.vz)
+    joints.point_values(links, y, projection.vz)
     for k in range(phi.shape[0]):
-        p.bias[k] = phi[k] + joints.along(s, p.slopes, k, p.vz)
-    regular = project(s, p, p.bias, y)
-    put(1.0, p.eta, dlam)
+        projection.bias[k] = phi[k] + joints.along(links, projection.slopes, k, projection.vz)
+    regular = project(links, projection, projection.bias, y)
+    put(1.0, projection.eta, dlam)
     return regular
 
 
 @part
-def velocity_rate(s, drives, dz, v, p):
-    """p.rate = phi_q v + phi_t; p.slopes and p.bias too."""
-    joints.point_values(s, v, p.vz)
-    joints.joint_rates(s, drives, dz, p.vz, p.eta, p.rate, p.bias)
-    joints.joint_jacobian(s, drives, dz, p.slopes)
+def velocity_rate(links, drives, dz, v, projection):
+    """projection.rate = phi_q v + phi_t; projection.slopes and projection.bias too."""
+    joints.point_values(links, v, projection.vz)
+    joints.joint_rates(links, drives, dz, projection.vz, projection.eta, projection.rate, projection.bias)
+    joints.joint_jacobian(links, drives, dz, projection.slopes)
 
 
 @part
-def project(s, p, right, x):
+def project(links, projection, right, x):
     """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = right`. Returns False if this is singular."""
-    put(1.0, right, p.workspace.right)
-    if not solve_border(p.border, p.workspace):
+    put(1.0, right, projection.workspace.right)
+    if not solve_border(projection.border, projection.workspace):
         return False
-    p.point_forces[:] = 0.0
-    joints.add_rows(s, p.slopes, p.eta, p.point_forces)
-    for f in range(p.point_forces.shape[0]):
-        px, py = p.point_forces[f, 0], p.point_forces[f, 1]
+    projection.point_forces[:] = 0.0
+    joints.add_rows(links, projection.slopes, projection.eta, projection.point_forces)
+    for f in range(projection.point_forces.shape[0]):
+        px, py = projection.point_forces[f, 0], projection.point_forces[f, 1]
         if px != 0.0 or py != 0.0:
-            first, at = p.place[f, 0], p.place[f, 2]
-            for i in range(first, p.place[f, 1]):
-                re, im = p.columns[at + i - first, 0], p.columns[at + i - first, 1]
+            first, at = projection.place[f, 0], projection.place[f, 2]
+            for i in range(first, projection.place[f, 1]):
+                re, im = projection.columns[at + i - first, 0], projection.columns[at + i - first, 1]
                 x[i, 0] -= re * px - im * py
                 x[i, 1] -= re * py + im * px
     return True
 
 
 @part
-def constrain(s, p, drives, dz, v, a, lam):
+def constrain(links, projection, drives, dz, v, a, lam):
     """From a without constraint forces to a and lam with `phi_q a + phi_bias = 0`. Returns False if it is singular."""
-    velocity_rate(s, drives, dz, v, p)
-    return constrained(s, p, p.bias, a, lam)
+    velocity_rate(links, drives, dz, v, projection)
+    return constrained(links, projection, projection.bias, a, lam)

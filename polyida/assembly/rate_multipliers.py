@@ -90,9 +90,9 @@ def _entries(matrix, rows, columns):
 
 
 @part
-def factor_rates(s, x, drives, dz):
+def factor_rates(links, x, drives, dz):
     """Factor B B^T at places dz of the points. False if it is singular."""
-    joints.joint_jacobian(s, drives, dz, x.workspace.slopes)
+    joints.joint_jacobian(links, drives, dz, x.workspace.slopes)
     zero(x.workspace.right)
     return solve_border(x.border, x.workspace)
 
@@ -115,50 +115,50 @@ def solve_rates(x, right, mu):
 
 
 @part
-def subtract_rates(s, x, z, right):
+def subtract_rates(links, x, z, right):
     """right -= H dq. z: dq at the points, (points, 2)."""
     for k in range(right.shape[0]):
-        right[k] -= joints.along(s, x.rates, k, z)
+        right[k] -= joints.along(links, x.rates, k, z)
 
 
 @part
-def add_rate_forces(s, x, slowing, w, c, mu, r):
-    """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; w: SolveWorkspace with the frames of the nodes and points."""
-    forces = w.point_forces
+def add_rate_forces(links, x, slowing, work, factor, mu, r):
+    """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; work: SolveWorkspace with the frames of the nodes and points."""
+    forces = work.point_forces
     clear(forces)
-    joints.add_rows(s, x.workspace.slopes, mu, forces)
+    joints.add_rows(links, x.workspace.slopes, mu, forces)
     for f in range(forces.shape[0]):
         px, py = forces[f, 0], forces[f, 1]
         if px == 0.0 and py == 0.0:
             continue
         for e in range(x.start[f], x.start[f + 1]):
             i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
-            r[i, 0] += c * (a * px - b * py)
-            r[i, 1] += c * (a * py + b * px)
+            r[i, 0] += factor * (a * px - b * py)
+            r[i, 1] += factor * (a * py + b * px)
         if slowing.shape[0]:
-            co, si = w.spin[f, 0], w.spin[f, 1]
+            co, si = work.spin[f, 0], work.spin[f, 1]
             p, q = co * px + si * py, co * py - si * px
             for e in range(x.start[f], x.start[f + 1]):
                 i = x.pairs[e]
                 gx, gy = slowing[e, 0, 0] * p + slowing[e, 0, 1] * q, slowing[e, 1, 0] * p + slowing[e, 1, 1] * q
-                r[i, 0] += w.turn[i, 0] * gx - w.turn[i, 1] * gy
-                r[i, 1] += w.turn[i, 1] * gx + w.turn[i, 0] * gy
+                r[i, 0] += work.turn[i, 0] * gx - work.turn[i, 1] * gy
+                r[i, 1] += work.turn[i, 1] * gx + work.turn[i, 0] * gy
 
 
 @part
-def rate_values(s, x, slowing, w, c, dw, values):
+def rate_values(links, x, slowing, work, factor, dw, values):
     """values (points, 2) = A (c M + C)^T dw."""
     for f in range(values.shape[0]):
-        px, py, qx, qy = 0.0 * c, 0.0 * c, 0.0 * c, 0.0 * c
+        px, py, qx, qy = 0.0 * factor, 0.0 * factor, 0.0 * factor, 0.0 * factor
         for e in range(x.start[f], x.start[f + 1]):
             i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
-            px += c * (a * dw[i, 0] + b * dw[i, 1])
-            py += c * (a * dw[i, 1] - b * dw[i, 0])
+            px += factor * (a * dw[i, 0] + b * dw[i, 1])
+            py += factor * (a * dw[i, 1] - b * dw[i, 0])
             if slowing.shape[0]:
-                gx = w.turn[i, 0] * dw[i, 0] + w.turn[i, 1] * dw[i, 1]
-                gy = w.turn[i, 0] * dw[i, 1] - w.turn[i, 1] * dw[i, 0]
+                gx = work.turn[i, 0] * dw[i, 0] + work.turn[i, 1] * dw[i, 1]
+                gy = work.turn[i, 0] * dw[i, 1] - work.turn[i, 1] * dw[i, 0]
                 qx += slowing[e, 0, 0] * gx + slowing[e, 1, 0] * gy
                 qy += slowing[e, 0, 1] * gx + slowing[e, 1, 1] * gy
         if slowing.shape[0]:
-            px, py = px + w.spin[f, 0] * qx - w.spin[f, 1] * qy, py + w.spin[f, 1] * qx + w.spin[f, 0] * qy
+            px, py = px + work.spin[f, 0] * qx - work.spin[f, 1] * qy, py + work.spin[f, 1] * qx + work.spin[f, 0] * qy
         values[f, 0], values[f, 1] = px, py

@@ -33,60 +33,60 @@ from polyida.validation import pairs_of
 
 
 @part
-def strains_of(x, b):
-    """Number of strains of body b in each of its terms; 0 without any."""
-    return (x.start[b + 1] - x.start[b]) // max(1, x.terms[b + 1] - x.terms[b])
+def strains_of(x, body):
+    """Number of strains of a body in each of its terms; 0 without any."""
+    return (x.start[body + 1] - x.start[body]) // max(1, x.terms[body + 1] - x.terms[body])
 
 
 @part
-def relax_body(scene, b, u, half, pull, f, strain):
-    """`relax` of body b."""
+def relax_body(scene, body, u, half, pull, f, strain):
+    """`relax` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
-    if b >= o:
-        compact.relax(scene.compact, b - o, u, half, pull, f, strain)
+    if body >= o:
+        compact.relax(scene.compact, body - o, u, half, pull, f, strain)
     else:
-        relax(*cells(s, s.body_operator[b]), s.body_node[b], s.body_c1[b], s.body_nu[b], u, half, pull, f, strain)
+        relax(*cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, half, pull, f, strain)
 
 
 @part
-def change_strain(scene, b, u, w, strain):
-    """`change_of_strain` of body b."""
+def change_strain(scene, body, u, w, strain):
+    """`change_of_strain` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
-    if b >= o:
-        compact.change_of_strain(scene.compact, b - o, u, w, strain)
+    if body >= o:
+        compact.change_of_strain(scene.compact, body - o, u, w, strain)
     else:
-        layout, corners, gradients, _ = cells(s, s.body_operator[b])
-        change_of_strain(layout, corners, gradients, s.body_node[b], u, w, strain)
+        layout, corners, gradients, _ = cells(s, s.body_operator[body])
+        change_of_strain(layout, corners, gradients, s.body_node[body], u, w, strain)
 
 
 @part
-def square(scene, b, e):
-    """Integral of e : D : e over body b, J."""
+def square(scene, body, e):
+    """Integral of e : D : e over a body, J."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
-    if b >= o:
-        return compact.strain_square(scene.compact, b - o, e)
-    first = s.body_operator[b]
-    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[b], s.body_nu[b], e)
+    if body >= o:
+        return compact.strain_square(scene.compact, body - o, e)
+    first = s.body_operator[body]
+    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[body], s.body_nu[body], e)
 
 
 @part
-def pairs_of_body(scene, b):
-    """(first pair, end) of q that move body b."""
+def pairs_of_body(scene, body):
+    """(first pair, end) of q that move a body."""
     s, c = scene.plates, scene.compact
     o = s.body_node.shape[0] - 1
-    return (c.pair[b - o], c.pair[b - o + 1]) if b >= o else (s.body_node[b], s.body_node[b + 1])
+    return (c.pair[body - o], c.pair[body - o + 1]) if body >= o else (s.body_node[body], s.body_node[body + 1])
 
 
 @part
-def take_pull(x, b, v, pull):
-    """pull = sum g x of body b, from the velocities v (numbers,)."""
-    at, count = 2 * x.first + x.start[b], pull.shape[0]
+def take_pull(x, body, v, pull):
+    """pull = sum g x of a body, from the velocities v (numbers,)."""
+    at, count = 2 * x.first + x.start[body], pull.shape[0]
     pull[:] = 0.0
-    for k in range(x.terms[b], x.terms[b + 1]):
-        add_real(pull, x.share[k] * x.unit[b], v[at : at + count], 0)
+    for k in range(x.terms[body], x.terms[body + 1]):
+        add_real(pull, x.share[k] * x.unit[body], v[at : at + count], 0)
         at += count
 
 
@@ -201,26 +201,26 @@ def recover(w, u, dq):
 
 
 @entry
-def eliminate_whole(w, displacements, b, c, d, e, f, g):
+def eliminate_whole(w, displacements, body, c, d, e, f, g):
     """Fill w.r from the residuals w.whole."""
     scene, x, r, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
     copy_matrix(r[: x.first], w.r)
     residuals = r.reshape(-1)[2 * x.first :]
-    for b in range(x.start.shape[0] - 1):
-        if x.terms[b] == x.terms[b + 1]:
+    for body in range(x.start.shape[0] - 1):
+        if x.terms[body] == x.terms[body + 1]:
             continue
-        count, at, (first, end) = strains_of(x, b), x.start[b], pairs_of_body(scene, b)
+        count, at, (first, end) = strains_of(x, body), x.start[body], pairs_of_body(scene, body)
         pull, strain = np.empty(count), np.empty(count)
-        for k in range(x.terms[b], x.terms[b + 1]):
-            factor = x.unit[b] * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
+        for k in range(x.terms[body], x.terms[body + 1]):
+            factor = x.unit[body] * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
             put(factor, residuals[at : at + count], w.strains[at : at + count])
             at += count
         for p in range(w.parts.shape[0]):
-            pull[:], w.force[:], at = 0.0, 0.0, x.start[b]
-            for k in range(x.terms[b], x.terms[b + 1]):
+            pull[:], w.force[:], at = 0.0, 0.0, x.start[body]
+            for k in range(x.terms[body], x.terms[body + 1]):
                 add_real(pull, x.share[k], w.strains[at : at + count], p)
                 at += count
-            relax_body(scene, b, u, None, pull, w.force, strain)
+            relax_body(scene, body, u, None, pull, w.force, strain)
             for i in range(first, end):
                 w.r[i, 0] -= w.parts[p] * w.force[i, 0]
                 w.r[i, 1] -= w.parts[p] * w.force[i, 1]
@@ -228,26 +228,26 @@ def eliminate_whole(w, displacements, b, c, d, e, f, g):
 
 
 @entry
-def recover_whole(w, displacements, b, c, d, e, f, g):
+def recover_whole(w, displacements, body, c, d, e, f, g):
     """Fill the corrections of the strains in w.whole."""
     scene, x, dq, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
     changes, c_v = dq.reshape(-1)[2 * x.first :], w.rates[1]
-    for b in range(x.start.shape[0] - 1):
-        if x.terms[b] == x.terms[b + 1]:
+    for body in range(x.start.shape[0] - 1):
+        if x.terms[body] == x.terms[body + 1]:
             continue
-        count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+        count, (first, end) = strains_of(x, body), pairs_of_body(scene, body)
         strain = np.empty(count)
         for p in range(w.parts.shape[0]):
             for i in range(first, end):
                 for k in range(2):
                     w.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
-            change_strain(scene, b, u, w.force, strain)
-            at = x.start[b]
-            for k in range(x.terms[b], x.terms[b + 1]):
+            change_strain(scene, body, u, w.force, strain)
+            at = x.start[body]
+            for k in range(x.terms[body], x.terms[body + 1]):
                 own = changes[at : at + count]
                 if p == 0:
-                    put(-1.0 / (x.unit[b] * c_v), w.strains[at : at + count], own)
-                add_scaled(own, w.parts[p] / (x.unit[b] * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
+                    put(-1.0 / (x.unit[body] * c_v), w.strains[at : at + count], own)
+                add_scaled(own, w.parts[p] / (x.unit[body] * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
                 at += count
     return DONE
 
@@ -331,11 +331,11 @@ def _strain_slopes(model, b, q):
     return B, B.T @ summed(moduli, 3 * len(weights))
 
 
-def _form_slopes(model, b, q):
+def _form_slopes(model, body, q):
     """The same of a reduced plate."""
     from scipy.sparse import csr_array
 
-    placed = model.few[b - len(model.bodies)]
+    placed = model.few[body - len(model.bodies)]
     form, z = placed.form[0], pairs_of(placed.rest) + q.reshape(-1, 2)
     slopes = np.zeros((len(form), len(q) - 2))
     compact.add_y_jacobian(len(z) - 1, z[1:], 1.0, slopes)

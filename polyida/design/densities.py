@@ -110,7 +110,7 @@ def mass(rho: ArrayLike, low: float = 0.0, void: float = 1e-3) -> tuple[np.ndarr
     Polynomial of Du, Olhoff, Struct. Multidisc. Optim. 34 (2007).
     """
     rho, void = _densities("mass", rho), _fraction("mass", "void", void)
-    if not (is_number(low) and (low == 0 or SMALLEST <= low < 1)):
+    if not (is_number(low) and (low == 0 or SMALLEST <= float(low) < 1)):
         raise InputError(f"mass: low = {low!r:.100} must be 0, or from {SMALLEST:g} to 1")
     part = np.where(rho < low, rho / (low or 1.0), 1.0)
     value = np.where(rho < low, low * (6.0 - 5.0 * part) * part**6, rho)

@@ -58,7 +58,7 @@ def unit_size(unit, of_file=None):
         return of_file or 1.0
     if is_one_of(unit, METRES):
         return METRES[unit]
-    if is_number(unit) and SMALLEST <= unit <= LARGEST:
+    if is_number(unit) and SMALLEST <= float(unit) <= LARGEST:
         return float(unit)
     raise InputError(f"unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
 

@@ -54,11 +54,12 @@ class Change(NamedTuple):
 class Push(NamedTuple):
     """Velocities that an event changes by an impulse.
 
-    kind: "impulse" or "impact". impulse: what is given, N s; along (n,): its generalised force. function: of (t, q), whose rate an impact changes by `-factor` of it.
+    kind: "impulse" or "impact". impulse: what is given, N s; at: the attachment; along (n,): its generalised force. function: of (t, q), whose rate an impact changes by `-factor` of it.
     """
 
     kind: str
     impulse: tuple = ()
+    at: Any = None
     along: Any = None
     function: Any = None
     factor: float = 1.0
@@ -97,6 +98,11 @@ class Reset:
             sizes.append(size)
             v, impulses = v + y * size, impulses + lam * size
         return q, v, impulses, sizes
+
+
+def pull_of(model, at, impulse):
+    """The generalised force (n,) of an impulse on an attachment."""
+    return model.pulled((at, "point"), np.array([complex(*impulse)]))[0]
 
 
 def _require_free(model, pushes, t, q):
@@ -425,8 +431,7 @@ class Happenings:
                 if slow and not one.rest:
                     stops = f"{label} came to rest at t = {t:.9g} s, slower than {one.least_speed:g}: give pi.Impact `rest` to go on"
             elif isinstance(one, Impulse):
-                w = self.whole.pulled((one.at, "point"), np.array([complex(*one.impulse)]))[0]
-                pushes.append(Push("impulse", tuple(map(float, one.impulse)), w))
+                pushes.append(Push("impulse", tuple(map(float, one.impulse)), one.at, pull_of(self.whole, one.at, one.impulse)))
             elif callable(one):
                 given.append(one)
                 q, v, model = self._given(label, one(moment), q, v, model)

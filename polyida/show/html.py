@@ -102,7 +102,7 @@ def _cell(value, form, numeric):
     missing, code = is_missing(value), form == "code" and not is_missing(value)
     text = format_value(value, "{}" if form == "code" else form)
     css = " ".join(["number"] * numeric + ["empty"] * missing + ["long"] * (len(text) > LONG_TEXT and not code))
-    return SimpleNamespace(text=text, css=css, is_code=code, value=repr(float(value)) if numeric and not missing else None)
+    return SimpleNamespace(text=text, css=css, is_code=code, value=_order(value) if numeric and not missing else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,15 @@ class Picture:
 
 def is_missing(value):
     """True for None and for numbers that are not finite."""
-    return value is None or (isinstance(value, Real) and not math.isfinite(value))
+    return value is None or (isinstance(value, Real) and not isinstance(value, int) and not math.isfinite(value))
+
+
+def _order(value):
+    """Text of the number by which a page sorts; the largest one of an int beyond the floats."""
+    try:
+        return repr(float(value))
+    except OverflowError:
+        return "1e308" if value > 0 else "-1e308"
 
 
 def format_value(value, form="{}", dash=DASH):
@@ -156,7 +164,10 @@ def format_value(value, form="{}", dash=DASH):
         return dash
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return form.format(value) if isinstance(value, Real) else str(value)
+    try:
+        return form.format(value) if isinstance(value, Real) else str(value)
+    except (OverflowError, ValueError):  # an int beyond the floats, or of more digits than Python prints
+        return f"about 10^{int(abs(value)).bit_length() * math.log10(2.0):.0f}"
 
 
 POSITIONS, SHADES = 65535, 64  # integer steps of a coordinate, over the longer side, and of the colours

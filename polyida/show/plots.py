@@ -88,7 +88,12 @@ def deformed(run, times=None, snapshots=6, width=6.4):
 
 
 def _frames(run, times, snapshots):
-    return plates.spread(run, snapshots) if times is None else plates.frames_at(run, vector("deformed", "times", times))
+    if times is None:
+        return plates.spread(run, snapshots)
+    times = vector("deformed", "times", times)
+    if not len(times):
+        raise InputError("deformed: times = [] has no time; give one, or leave it out")
+    return plates.frames_at(run, times)
 
 
 def _bounds_of_frames(run, frames):

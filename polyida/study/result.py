@@ -119,6 +119,8 @@ class Result:
         """
         folder = path_of("report", "folder", folder)
         flag("report", "overwrite", overwrite)
+        if not isinstance(command, str):
+            raise InputError(f"report: command = {command!r:.60} must be a text")
         if folder.exists() and not folder.is_dir():
             raise InputError(f"report: {folder} is a file; give a folder")
         if folder.is_dir() and any(folder.iterdir()) and not overwrite:
@@ -128,12 +130,18 @@ class Result:
         except OSError as error:
             raise InputError(f"report: the folder {folder} cannot be made: {error.strerror}") from error
         with disk_errors(f"report: {folder}"):
-            self.write(folder, command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"))
+            self.write(
+                folder,
+                printable(command) or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"),
+            )
         return folder
 
     def write(self, folder: Path, command: str, writer: Any = None) -> dict:
         """Write figures.json and the page into an existing folder; returns the data of figures.json. writer: a FigureWriter."""
-        data = finite(json.loads(json.dumps(self.as_dict() | {"command": command}, default=to_json)))
+        try:
+            data = finite(json.loads(json.dumps(self.as_dict() | {"command": command}, default=to_json)))
+        except (ValueError, RecursionError) as error:  # a list that contains itself, an int of thousands of digits
+            raise InputError(f"report: a value of the rows cannot be written: {error}") from None
         write_file(folder / "figures.json", json.dumps(data, indent=1, allow_nan=False) + "\n", sync=True)
         html.write(folder, self.title, self.page(), command, data["machine"], self.lead, writer)
         return data

@@ -10,12 +10,12 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -77,37 +77,57 @@ def vector(at, size):
 
 
 @part
-def evaluate(w, function, time, out):
-    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `set_state`. Returns the status."""
-    if w.flags[ENDED] == DONE:
-        t = address(w.t) + 8 * time
-        w.flags[ENDED] = call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
-    return w.flags[ENDED]
+def coordinates(work, at):
+    """The array (n,) at an address."""
+    return carray(pointer(at), work.q.shape)
 
 
 @part
-def set_state(w, instant, q, v):
+def multipliers(work, at):
+    """The array (m,) at an address."""
+    return carray(pointer(at), work.lam.shape)
+
+
+@part
+def factors(work, at):
+    """The array (2,) at an address, c_m and c_v."""
+    return carray(pointer(at), work.c.shape)
+
+
+@part
+def evaluate(work, function, time, out):
+    """Call a function of the model at work.t[time], work.q, work.v, work.a, work.lam, unless one failed since `set_state`. Returns the status."""
+    if work.flags[ENDED] == DONE:
+        t = address(work.t) + 8 * time
+        work.flags[ENDED] = call(
+            work.functions[function], work.data, 0, t, address(work.q), address(work.v), address(work.a), address(work.lam), address(out)
+        )
+    return work.flags[ENDED]
+
+
+@part
+def set_state(work, instant, q, v):
     """Set t, q and v of the functions' arguments."""
-    w.flags[ENDED] = DONE
-    w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
-    dense.put(1.0, vector(q, w.q.shape[0]), w.q)
-    dense.put(1.0, vector(v, w.q.shape[0]), w.v)
+    work.flags[ENDED] = DONE
+    work.t[INNER], work.t[END] = work.times[instant, INNER], work.times[instant, END]
+    dense.put(1.0, q, work.q)
+    dense.put(1.0, v, work.v)
 
 
 @part
-def set_a_lam(w, a, lam):
+def set_a_lam(work, a, lam):
     """Set a and lam of the functions' arguments."""
-    dense.put(1.0, vector(a, w.a.shape[0]), w.a)
-    dense.put(1.0, vector(lam, w.lam.shape[0]), w.lam)
+    dense.put(1.0, a, work.a)
+    dense.put(1.0, lam, work.lam)
 
 
 @part
-def evaluate_rows(w):
+def evaluate_rows(work):
     """Evaluate B at the state if it varies."""
-    if w.lam.shape[0] and w.flags[ROWS_VARY] and not w.flags[ROWS_CURRENT]:
-        w.flags[FACTORED] = 0
-        evaluate(w, PHI_Q, INNER, w.B)
-    return w.flags[ENDED]
+    if work.lam.shape[0] and work.flags[ROWS_VARY] and not work.flags[ROWS_CURRENT]:
+        work.flags[FACTORED] = 0
+        evaluate(work, PHI_Q, INNER, work.B)
+    return work.flags[ENDED]
 
 
 @part
@@ -120,163 +140,168 @@ def finite(x):
 
 
 @part
-def equilibrium(w, r):
-    """r = `M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
-    if w.functions[WHOLE]:
-        evaluate(w, WHOLE, INNER, w.g)
-        dense.put(1.0, w.g, r)
-        return w.flags[ENDED]
-    if w.flags[MASS_VARIES]:
-        evaluate(w, MASS, INNER, w.M)
-    evaluate(w, FORCE, INNER, w.g)
+def equilibrium(work, r):
+    """r = `M a + g + B^T lam` at work.t, work.q, work.v, work.a, work.lam with work.B."""
+    if work.functions[WHOLE]:
+        evaluate(work, WHOLE, INNER, work.g)
+        dense.put(1.0, work.g, r)
+        return work.flags[ENDED]
+    if work.flags[MASS_VARIES]:
+        evaluate(work, MASS, INNER, work.M)
+    evaluate(work, FORCE, INNER, work.g)
     for i in range(r.shape[0]):
-        total = w.g[i]
+        total = work.g[i]
         for j in range(r.shape[0]):
-            total += w.M[i, j] * w.a[j]
-        for k in range(w.lam.shape[0]):
-            total += w.B[k, i] * w.lam[k]
+            total += work.M[i, j] * work.a[j]
+        for k in range(work.lam.shape[0]):
+            total += work.B[k, i] * work.lam[k]
         r[i] = total
-    return w.flags[ENDED]
+    return work.flags[ENDED]
 
 
-@entry
-def residual(w, instant, q, v, a, lam, r, phi):
+@part
+def residual(work, instant, q, v, a, lam, r, phi):
     """r at the state inside the step, phi at its end."""
-    set_state(w, instant, q, v)
-    set_a_lam(w, a, lam)
-    out, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
-    if rows.shape[0]:
-        evaluate(w, PHI, END, w.phi)
-        dense.put(1.0, w.phi, rows)
-        evaluate_rows(w)
-    ended = equilibrium(w, out)
-    return NOT_FINITE if ended == DONE and not (finite(out) and finite(rows)) else ended
+    set_state(work, instant, q, v)
+    set_a_lam(work, a, lam)
+    if phi.shape[0]:
+        evaluate(work, PHI, END, work.phi)
+        dense.put(1.0, work.phi, phi)
+        evaluate_rows(work)
+    ended = equilibrium(work, r)
+    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
 
 
-@entry
-def begin(w, instant, q, v, c, d, e, f):
+@part
+def begin(work, instant):
     """Do nothing: phi is computed from positions."""
     return DONE
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(work, instant, q, phi):
     """phi at the end; the rate is unchanged."""
-    if not w.lam.shape[0]:
+    if not work.lam.shape[0]:
         return DONE
-    set_state(w, instant, q, address(w.v))
-    ended = evaluate(w, PHI, END, w.phi)
-    dense.put(1.0, w.phi, vector(phi, w.lam.shape[0]))
+    set_state(work, instant, q, work.v)
+    ended = evaluate(work, PHI, END, work.phi)
+    dense.put(1.0, work.phi, phi)
     return ended
 
 
 @part
-def bordered(A, w, matrix, size):
+def constraints_behind(work, instant, q, dq, dv, phi, rate):
+    """`constraints`, which needs no increments."""
+    return constraints(work, instant, q, phi)
+
+
+@part
+def bordered(A, work, matrix, size):
     """A = [[matrix, s B^T], [s B, 0]], s = size."""
-    n, m = w.q.shape[0], w.lam.shape[0]
+    n, m = work.q.shape[0], work.lam.shape[0]
     for i in range(n):
         dense.put(1.0, matrix[i], A[i])
         for k in range(m):
-            A[i, n + k] = size * w.B[k, i]
-            A[n + k, i] = size * w.B[k, i]
+            A[i, n + k] = size * work.B[k, i]
+            A[n + k, i] = size * work.B[k, i]
     for k in range(m):
         dense.zero(A[n + k, n:])
 
 
 @part
-def combined(w, function, out):
+def combined(work, function, out):
     """The value of a function: M a for "mass", B^T lam for "phi_q"."""
     if function == FORCE:
-        ended = evaluate(w, FORCE, INNER, w.g)
-        dense.put(1.0, w.g, out)
+        ended = evaluate(work, FORCE, INNER, work.g)
+        dense.put(1.0, work.g, out)
         return ended
-    ended = evaluate(w, MASS, INNER, w.slope) if function == MASS else evaluate(w, PHI_Q, INNER, w.B)
+    ended = evaluate(work, MASS, INNER, work.slope) if function == MASS else evaluate(work, PHI_Q, INNER, work.B)
     for i in range(out.shape[0]):
         total = 0.0
         if function == MASS:
-            for j in range(w.a.shape[0]):
-                total += w.slope[i, j] * w.a[j]
+            for j in range(work.a.shape[0]):
+                total += work.slope[i, j] * work.a[j]
         else:
-            for k in range(w.lam.shape[0]):
-                total += w.B[k, i] * w.lam[k]
+            for k in range(work.lam.shape[0]):
+                total += work.B[k, i] * work.lam[k]
         out[i] = total
     return ended
 
 
 @part
-def add_difference(w, function, x, c):
+def add_difference(work, function, x, c):
     """S += c d/dx of a function's value, by differences of fourth order (model/differences.py)."""
     for j in range(x.shape[0]):
         at = x[j]
         step = REACH * max(1.0, abs(at))
         for e in range(4):
             x[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
-            combined(w, function, w.near[e])
+            combined(work, function, work.near[e])
         x[j] = at
-        for i in range(w.S.shape[0]):
-            w.S[i, j] += c * (8.0 * (w.near[0, i] - w.near[1, i]) - (w.near[2, i] - w.near[3, i])) / (12.0 * step)
-    return w.flags[ENDED]
+        for i in range(work.S.shape[0]):
+            work.S[i, j] += c * (8.0 * (work.near[0, i] - work.near[1, i]) - (work.near[2, i] - work.near[3, i])) / (12.0 * step)
+    return work.flags[ENDED]
 
 
 @part
-def add_slope(w, written, function, x, c):
+def add_slope(work, written, function, x, c):
     """S += c times a derivative that the model writes, or its difference."""
-    if not w.functions[written]:
-        return add_difference(w, function, x, c)
-    ended = evaluate(w, written, INNER, w.slope)
-    for i in range(w.S.shape[0]):
-        for j in range(w.S.shape[0]):
-            w.S[i, j] += c * w.slope[i, j]
+    if not work.functions[written]:
+        return add_difference(work, function, x, c)
+    ended = evaluate(work, written, INNER, work.slope)
+    for i in range(work.S.shape[0]):
+        for j in range(work.S.shape[0]):
+            work.S[i, j] += c * work.slope[i, j]
     return ended
 
 
 @part
-def add_slopes(w):
-    """S as the sum of the model's terms at w.t, w.q, w.v, w.a, w.lam."""
-    if w.flags[MASS_VARIES]:
-        evaluate(w, MASS, INNER, w.M)
-    for i in range(w.S.shape[0]):
-        dense.put(w.c[0], w.M[i], w.S[i])
-    add_slope(w, FORCE_Q, FORCE, w.q, 1.0)
-    if w.flags[VELOCITY]:
-        add_slope(w, FORCE_V, FORCE, w.v, w.c[1])
-    if w.flags[MASS_VARIES]:
-        add_slope(w, MASS_A_Q, MASS, w.q, 1.0)
-    if w.flags[ROWS_VARY_WITH_Q] and w.lam.shape[0]:
-        add_slope(w, REACTION_Q, PHI_Q, w.q, 1.0)
-    return w.flags[ENDED]
+def add_slopes(work):
+    """S as the sum of the model's terms at work.t, work.q, work.v, work.a, work.lam."""
+    if work.flags[MASS_VARIES]:
+        evaluate(work, MASS, INNER, work.M)
+    for i in range(work.S.shape[0]):
+        dense.put(work.c[0], work.M[i], work.S[i])
+    add_slope(work, FORCE_Q, FORCE, work.q, 1.0)
+    if work.flags[VELOCITY]:
+        add_slope(work, FORCE_V, FORCE, work.v, work.c[1])
+    if work.flags[MASS_VARIES]:
+        add_slope(work, MASS_A_Q, MASS, work.q, 1.0)
+    if work.flags[ROWS_VARY_WITH_Q] and work.lam.shape[0]:
+        add_slope(work, REACTION_Q, PHI_Q, work.q, 1.0)
+    return work.flags[ENDED]
 
 
 @part
-def matrices_at(w, K, C, M):
-    """Fill K = dr/dq, C = dr/dv, unless that is zero, and M at w.t, w.q, w.v, w.a, w.lam. Returns the status."""
-    if w.flags[VELOCITY]:
-        dense.clear(w.S)
-        add_slope(w, FORCE_V, FORCE, w.v, 1.0)
-        dense.copy_matrix(w.S, C)
-    if w.flags[MASS_VARIES]:
-        evaluate(w, MASS, INNER, w.M)
-    dense.copy_matrix(w.M, M)
-    w.c[0] = w.c[1] = 0.0
-    ended = evaluate(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
-    dense.copy_matrix(w.S, K)
+def matrices_at(work, K, C, M):
+    """Fill K = dr/dq, C = dr/dv, unless that is zero, and M at work.t, work.q, work.v, work.a, work.lam. Returns the status."""
+    if work.flags[VELOCITY]:
+        dense.clear(work.S)
+        add_slope(work, FORCE_V, FORCE, work.v, 1.0)
+        dense.copy_matrix(work.S, C)
+    if work.flags[MASS_VARIES]:
+        evaluate(work, MASS, INNER, work.M)
+    dense.copy_matrix(work.M, M)
+    work.c[0] = work.c[1] = 0.0
+    ended = evaluate(work, TANGENT, INNER, work.S) if work.functions[TANGENT] else add_slopes(work)
+    dense.copy_matrix(work.S, K)
     return ended
 
 
 @entry
-def factor(w, instant, q, v, a, lam, c, f):
+def factor(work, instant, q, v, a, lam, c):
     """S at a state; `solve` factors it with B."""
-    n = w.q.shape[0]
-    set_state(w, instant, q, v)
-    set_a_lam(w, a, lam)
-    dense.put(1.0, vector(c, 2), w.c)
-    w.made_at[0] = w.t[INNER]
-    dense.put(1.0, w.q, w.made_at[1:])
-    dense.put(1.0, w.v, w.made_at[1 + n :])
-    dense.put(1.0, w.a, w.made_at[1 + 2 * n :])
-    dense.put(1.0, w.lam, w.made_at[1 + 3 * n :])
-    w.flags[FACTORED] = 0
-    return evaluate(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
+    n = work.q.shape[0]
+    set_state(work, instant, q, v)
+    set_a_lam(work, a, lam)
+    dense.put(1.0, c, work.c)
+    work.made_at[0] = work.t[INNER]
+    dense.put(1.0, work.q, work.made_at[1:])
+    dense.put(1.0, work.v, work.made_at[1 + n :])
+    dense.put(1.0, work.a, work.made_at[1 + 2 * n :])
+    dense.put(1.0, work.lam, work.made_at[1 + 3 * n :])
+    work.flags[FACTORED] = 0
+    return evaluate(work, TANGENT, INNER, work.S) if work.functions[TANGENT] else add_slopes(work)
 
 
 @part
@@ -289,139 +314,137 @@ def typical(matrix):
 
 
 @part
-def solve_bordered(w, A, pivots, size):
-    """w.x becomes the solution of a factored `bordered` system."""
-    for k in range(w.q.shape[0], w.x.shape[0]):
-        w.x[k] *= size
-    dense.solve(A, pivots, w.x)
-    for k in range(w.q.shape[0], w.x.shape[0]):
-        w.x[k] *= size
+def solve_bordered(work, A, pivots, size):
+    """work.x becomes the solution of a factored `bordered` system."""
+    for k in range(work.q.shape[0], work.x.shape[0]):
+        work.x[k] *= size
+    dense.solve(A, pivots, work.x)
+    for k in range(work.q.shape[0], work.x.shape[0]):
+        work.x[k] *= size
 
 
 @part
-def solve_masses(w):
-    """w.x becomes the solution of the system of M and B. Returns the status."""
-    size = typical(w.M)
-    bordered(w.masses, w, w.M, size)
-    if not dense.factor(w.masses, w.mass_pivots):
+def solve_masses(work):
+    """work.x becomes the solution of the system of M and B. Returns the status."""
+    size = typical(work.M)
+    bordered(work.masses, work, work.M, size)
+    if not dense.factor(work.masses, work.mass_pivots):
         return SINGULAR
-    solve_bordered(w, w.masses, w.mass_pivots, size)
+    solve_bordered(work, work.masses, work.mass_pivots, size)
     return DONE
 
 
-@entry
-def solve(w, instant, q, lam, r, phi, dq, dlam):
+@part
+def solve(work, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    n, m, size = w.q.shape[0], w.lam.shape[0], typical(w.S)
-    if not w.flags[FACTORED]:
-        bordered(w.lu, w, w.S, size)
-        if not dense.factor(w.lu, w.pivots):
+    n, size = work.q.shape[0], typical(work.S)
+    if not work.flags[FACTORED]:
+        bordered(work.lu, work, work.S, size)
+        if not dense.factor(work.lu, work.pivots):
             return SINGULAR
-        w.flags[FACTORED] = 1
-    dense.put(-1.0, vector(r, n), w.x)
-    dense.put(-1.0, vector(phi, m), w.x[n:])
-    solve_bordered(w, w.lu, w.pivots, size)
-    dense.put(1.0, w.x[:n], vector(dq, n))
-    dense.put(1.0, w.x[n:], vector(dlam, m))
+        work.flags[FACTORED] = 1
+    dense.put(-1.0, r, work.x)
+    dense.put(-1.0, phi, work.x[n:])
+    solve_bordered(work, work.lu, work.pivots, size)
+    dense.put(1.0, work.x[:n], dq)
+    dense.put(1.0, work.x[n:], dlam)
     return DONE
 
 
-@entry
-def rate(w, instant, q, v, out, d, e, f):
-    """phi_q v + phi_t."""
-    rows = vector(out, w.lam.shape[0])
-    set_state(w, instant, q, v)
-    evaluate_rows(w)
-    if w.flags[DRIVEN]:
-        evaluate(w, PHI_T, INNER, w.phi_t)
+@part
+def rate(work, instant, q, v, rows):
+    """rows = phi_q v + phi_t."""
+    set_state(work, instant, q, v)
+    evaluate_rows(work)
+    if work.flags[DRIVEN]:
+        evaluate(work, PHI_T, INNER, work.phi_t)
     for k in range(rows.shape[0]):
-        total = w.phi_t[k]
-        for i in range(w.q.shape[0]):
-            total += w.B[k, i] * w.v[i]
+        total = work.phi_t[k]
+        for i in range(work.q.shape[0]):
+            total += work.B[k, i] * work.v[i]
         rows[k] = total
-    return w.flags[ENDED]
+    return work.flags[ENDED]
 
 
-@entry
-def project(w, instant, rows, x, from_zero, d, e, f):
-    """Change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    if w.flags[MASS_VARIES] and evaluate(w, MASS, INNER, w.M) != DONE:
-        return w.flags[ENDED]
-    right, moved = vector(rows, m), vector(x, n)
+@part
+def project(work, instant, right, moved, from_zero):
+    """Change `moved` by the least M-norm, so that B moved falls by `right`; from_zero: the least one with B moved = B moved_before - right."""
+    n, m = work.q.shape[0], work.lam.shape[0]
+    if work.flags[MASS_VARIES] and evaluate(work, MASS, INNER, work.M) != DONE:
+        return work.flags[ENDED]
     for k in range(m):
         total = right[k]
         if from_zero:
             for i in range(n):
-                total -= w.B[k, i] * moved[i]
-        w.x[n + k] = -total
-    dense.zero(w.x[:n])
-    if solve_masses(w) != DONE:
+                total -= work.B[k, i] * moved[i]
+        work.x[n + k] = -total
+    dense.zero(work.x[:n])
+    if solve_masses(work) != DONE:
         return SINGULAR
     for i in range(n):
-        moved[i] = w.x[i] if from_zero else moved[i] + w.x[i]
+        moved[i] = work.x[i] if from_zero else moved[i] + work.x[i]
     return DONE
 
 
-@entry
-def accept(w, instant, q, b, c, d, e, f):
+@part
+def accept(work, instant, q):
     """Ask the model whether it accepts the state."""
-    if not w.functions[ACCEPTED]:
+    if not work.functions[ACCEPTED]:
         return DONE
-    set_state(w, instant, q, address(w.v))
-    return evaluate(w, ACCEPTED, END, w.x)
+    set_state(work, instant, q, work.v)
+    return evaluate(work, ACCEPTED, END, work.x)
 
 
 @part
-def reach(w):
+def reach(work):
     """The s, at most 1, for which |s v| is 1 + |q|, in the maximum norm."""
     size = pace = 0.0
-    for i in range(w.q.shape[0]):
-        size, pace = max(size, abs(w.q[i])), max(pace, abs(w.v[i]))
+    for i in range(work.q.shape[0]):
+        size, pace = max(size, abs(work.q[i])), max(pace, abs(work.v[i]))
     return (1.0 + size) / pace if pace > 1.0 + size else 1.0
 
 
 @part
-def bias(w):
-    """w.phi_bias at w.t, w.q, w.v: the model's, or, without drives, differences of fourth order of `phi_q v` along v. Changes w.B."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    if w.functions[PHI_BIAS]:
-        return evaluate(w, PHI_BIAS, INNER, w.phi_bias)
-    dense.zero(w.phi_bias)
-    if not w.flags[ROWS_VARY]:
+def bias(work):
+    """work.phi_bias at work.t, work.q, work.v: the model's, or, without drives, differences of fourth order of `phi_q v` along v. Changes work.B."""
+    n, m = work.q.shape[0], work.lam.shape[0]
+    if work.functions[PHI_BIAS]:
+        return evaluate(work, PHI_BIAS, INNER, work.phi_bias)
+    dense.zero(work.phi_bias)
+    if not work.flags[ROWS_VARY]:
         return DONE
-    at, step = w.near[0], REACH * reach(w)
-    dense.put(1.0, w.q, at)
+    at, step = work.near[0], REACH * reach(work)
+    dense.put(1.0, work.q, at)
     for e in range(4):
         s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
         for i in range(n):
-            w.q[i] = at[i] + s * w.v[i]
-        evaluate(w, PHI_Q, INNER, w.B)
+            work.q[i] = at[i] + s * work.v[i]
+        evaluate(work, PHI_Q, INNER, work.B)
         for k in range(m):
             for i in range(n):
-                w.phi_bias[k] += weight * w.B[k, i] * w.v[i]
-    dense.put(1.0, at, w.q)
-    return w.flags[ENDED]
+                work.phi_bias[k] += weight * work.B[k, i] * work.v[i]
+    dense.put(1.0, at, work.q)
+    return work.flags[ENDED]
 
 
-@entry
-def acceleration(w, instant, q, v, a, lam, e, f):
+@part
+def acceleration(work, instant, q, v, a, lam):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    set_state(w, instant, q, v)
-    if w.flags[MASS_VARIES]:
-        evaluate(w, MASS, INNER, w.M)
-    evaluate(w, FORCE, INNER, w.g)
+    n, m = work.q.shape[0], work.lam.shape[0]
+    set_state(work, instant, q, v)
+    if work.flags[MASS_VARIES]:
+        evaluate(work, MASS, INNER, work.M)
+    evaluate(work, FORCE, INNER, work.g)
     if m:
-        bias(w)
-    if evaluate_rows(w) != DONE:
-        return w.flags[ENDED]
-    dense.put(-1.0, w.g, w.x)
-    dense.put(-1.0, w.phi_bias, w.x[n:])
-    if solve_masses(w) != DONE:
+        bias(work)
+    if evaluate_rows(work) != DONE:
+        return work.flags[ENDED]
+    dense.put(-1.0, work.g, work.x)
+    dense.put(-1.0, work.phi_bias, work.x[n:])
+    if solve_masses(work) != DONE:
         return SINGULAR
-    dense.put(1.0, w.x[:n], vector(a, n))
-    dense.put(1.0, w.x[n:], vector(lam, m))
+    dense.put(1.0, work.x[:n], a)
+    dense.put(1.0, work.x[n:], lam)
     return DONE
 
 
@@ -431,23 +454,35 @@ def values(d, t, q, v, a, lam, r, phi, rates, biases):
     ended = DONE
     for k in range(t.shape[0]):
         d.times[0, INNER] = d.times[0, END] = t[k]
-        state = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
         if r.shape[0]:
-            ended = residual(d, 0, state[0], state[1], state[2], state[3], address(r[k]), address(d.phi))
+            ended = residual(d, 0, q[k], v[k], a[k], lam[k], r[k], d.phi)
         elif phi.shape[0]:
-            set_state(d, 0, state[0], state[1])
+            set_state(d, 0, q[k], v[k])
             ended = evaluate(d, PHI, END, d.phi)
         if phi.shape[0]:
             dense.put(1.0, d.phi, phi[k])
         if ended == DONE and rates.shape[0]:
-            ended = rate(d, 0, state[0], state[1], address(rates[k]), 0, 0, 0)
+            ended = rate(d, 0, q[k], v[k], rates[k])
         if ended == DONE and biases.shape[0]:
-            set_state(d, 0, state[0], state[1])
+            set_state(d, 0, q[k], v[k])
             ended = bias(d)
             dense.put(1.0, d.phi_bias, biases[k])
         if ended != DONE:
             return ended
     return DONE
+
+
+SERVED = {
+    RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
+    BEGIN: served(begin),
+    CONSTRAINTS: served(constraints_behind, coordinates, None, None, multipliers, None),
+    FACTOR: served(factor, coordinates, coordinates, coordinates, multipliers, factors),
+    SOLVE: served(solve, None, None, coordinates, multipliers, coordinates, multipliers),
+    RATE: served(rate, coordinates, coordinates, multipliers),
+    PROJECT: served(project, multipliers, coordinates, None),
+    ACCEPT: served(accept, coordinates),
+}
+OF_FRAMES = {ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers)}
 
 
 @cache
@@ -459,7 +494,4 @@ def example():
 @cache
 def addresses():
     """{number: address} of the entries, for all Dense."""
-    entries = {
-        RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept,
-    }  # fmt: skip
-    return {number: table_address(function, typeof(example())) for number, function in entries.items()}
+    return {number: table_address(function, typeof(example())) for number, function in SERVED.items()}

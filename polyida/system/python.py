@@ -259,7 +259,7 @@ class DenseTable(PythonTable):
         w, self.w.times[0] = self.w, t
         self.evaluate_constants(t, q)
         arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
-        ended = small.factor(w, 0, *(x.ctypes.data for x in arrays), 0)
+        ended = small.factor(w, 0, *arrays)
         self.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)

@@ -18,7 +18,7 @@ from polyida.assembly.projection import project as project_rows
 from polyida.assembly.relaxation import eliminate, recover
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, put
@@ -62,153 +62,170 @@ class SceneWork(NamedTuple):
 
 
 @part
-def pairs(w, at):
+def pairs(work, at):
     """The coordinates at an address as (nodes, 2)."""
-    return carray(pointer(at), w.rotation.shape)
+    return carray(pointer(at), work.rotation.shape)
 
 
 @part
-def rows(w, at):
+def rows(work, at):
     """The array (m,) at an address."""
-    return carray(pointer(at), w.level.shape)
+    return carray(pointer(at), work.level.shape)
 
 
 @part
-def add_slowing(w, u, v, still, r):
+def add_slowing(work, u, v, still, r):
     """Add damping and relaxation to r; still, 0 or 1: as of `add_relaxation`."""
-    optional = w.optional
+    optional = work.optional
     if optional[DAMPING] != 0:
-        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(w.damp), address(r), 0, 0, 0)
+        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(work.damp), address(r), 0, 0, 0)
     if optional[RELAXING] != 0:
         call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
 
 
 @part
-def add_forces(w, drives, u, v, r):
+def add_forces(work, drives, u, v, r):
     """Add damping, relaxation and force elements to r. Returns a status."""
-    add_slowing(w, u, v, 1, r)
-    if w.optional[LAW_FORCES] != 0:
-        return call(w.optional[LAW_FORCES], w.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
-    return DONE
-
-
-@entry
-def residual(w, instant, q, v, a, lam, r, phi):
-    """r and phi, from positions."""
-    u, out, drives = pairs(w, q), pairs(w, r), w.drives[instant + 1]
-    det, cosine = kernels.equilibrium(
-        w.scene, drives, u, pairs(w, a), rows(w, lam), out, rows(w, phi), w.rotation, w.points[DZ], w.points[FORCES]
-    )
-    w.numbers[COSINE] = cosine
-    if not det > 0.0:
-        return INVERTED if det <= 0.0 else NOT_FINITE
-    status = add_forces(w, drives, u, pairs(w, v), out)
-    if w.condensed.calls[0] != 0:
-        call(w.condensed.calls[2], w.condensed.calls[0], q, r, 0, 0, 0, 0, 0)
-    return status
-
-
-@entry
-def begin(w, instant, q, v, c, d, e, f):
-    """Store the points at a step's start."""
-    joints.point_values(w.scene.links, pairs(w, q), w.points[START])
-    joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
+    add_slowing(work, u, v, 1, r)
+    if work.optional[LAW_FORCES] != 0:
+        return call(work.optional[LAW_FORCES], work.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
     return DONE
 
 
 @part
-def renew_slopes(w, drives, dz, vz):
+def residual(work, instant, u, v, a, lam, r, phi):
+    """r and phi, from positions."""
+    drives, points = work.drives[instant + 1], work.points
+    det, cosine = kernels.equilibrium(work.scene, drives, u, a, lam, r, phi, work.rotation, points[DZ], points[FORCES])
+    work.numbers[COSINE] = cosine
+    if not det > 0.0:
+        return INVERTED if det <= 0.0 else NOT_FINITE
+    status = add_forces(work, drives, u, v, r)
+    if work.condensed.calls[0] != 0:
+        call(work.condensed.calls[2], work.condensed.calls[0], address(u), address(r), 0, 0, 0, 0, 0)
+    return status
+
+
+@part
+def begin(work, instant, u, v):
+    """Store the points at a step's start."""
+    joints.point_values(work.scene.links, u, work.points[START])
+    joints.point_values(work.scene.links, v, work.points[VX])
+    return DONE
+
+
+@part
+def renew_slopes(work, drives, dz, vz):
     """Renew the slopes of force elements on plates at the state of the last residual: points at dz with velocities vz."""
-    if w.optional[RENEW] != 0:
-        call(w.optional[RENEW], address(w), address(drives), address(dz), address(vz), 0, 0, 0, 0)
+    if work.optional[RENEW] != 0:
+        call(work.optional[RENEW], address(work), address(drives), address(dz), address(vz), 0, 0, 0, 0)
 
 
 @entry
-def new_slopes(w, drives, dz, vz, d, e, f, g):
+def new_slopes(work, drives, dz, vz, d, e, f, g):
     """`renew_slopes` of scenes with force elements and plates, in methods that ask for it; without plates, a solve costs less than the slopes."""
-    own, optional = w.workspace.own, w.optional
+    own, optional = work.workspace.own, work.optional
     own[:] = 0.0
-    call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(w.numbers[TO_V:]), address(own), 0, 0)
-    corotated.condense_states(w.scene.links.coupling, w.factored, own)
-    corotated.turn_frames(w.scene.links, w.factored, w.workspace, w.rotation)
-    corotated.turn_slopes(w.scene.links, w.workspace, -1.0, own, own)
+    call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(work.numbers[TO_V:]), address(own), 0, 0)
+    corotated.condense_states(work.scene.links.coupling, work.factored, own)
+    corotated.turn_frames(work.scene.links, work.factored, work.workspace, work.rotation)
+    corotated.turn_slopes(work.scene.links, work.workspace, -1.0, own, own)
     return DONE
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(work, instant, u, du, dv, phi, rate):
     """phi and its rate, by increments since the step's start; or phi from positions."""
-    s, dx, vx = w.scene.links, w.points[DX], w.points[DV]
-    if w.numbers[INCREMENTAL] != 0.0:
-        joints.point_values(s, pairs(w, dd), dx)
-        joints.point_values(s, pairs(w, dv), vx)
-        start = w.points[START], w.points[VX]
-        joints.joint_change(s, w.drives[instant], w.gains[instant], w.numbers[H], start[0], start[1], dx, vx, rows(w, phi), rows(w, rate))
+    links, points = work.scene.links, work.points
+    if work.numbers[INCREMENTAL] != 0.0:
+        joints.point_values(links, du, points[DX])
+        joints.point_values(links, dv, points[DV])
+        drives, gains = work.drives[instant], work.gains[instant]
+        joints.joint_change(links, drives, gains, work.numbers[H], points[START], points[VX], points[DX], points[DV], phi, rate)
     else:
-        joints.point_values(s, pairs(w, q), dx)
-        joints.joint_forces(s, w.drives[instant + 1], dx, w.level, rows(w, phi), w.points[FORCES])
+        joints.point_values(links, u, points[DX])
+        joints.joint_forces(links, work.drives[instant + 1], points[DX], work.level, phi, points[FORCES])
     return DONE
 
 
-@entry
-def solve(w, instant, q, lam, r, phi, dq, dlam):
+@part
+def solve(work, instant, u, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    s, drives, out, strains = w.scene.links, w.drives[instant + 1], (pairs(w, dq), rows(w, dlam)), w.workspace.elimination
-    condensed = w.condensed.calls[0] != 0
-    right = pairs(w, r) if condensed else eliminate(strains, pairs(w, q), pairs(w, r))
-    state = rows(w, lam), right, rows(w, phi)
+    drives, strains = work.drives[instant + 1], work.workspace.elimination
+    condensed = work.condensed.calls[0] != 0
+    right = r if condensed else eliminate(strains, u, r)
     regular = corotated.solve(
-        s, w.factored, w.workspace, drives, w.rotation, w.points[DZ], state[0], state[1], state[2], w.numbers[TO_A], out[0], out[1]
+        work.scene.links,
+        work.factored,
+        work.workspace,
+        drives,
+        work.rotation,
+        work.points[DZ],
+        lam,
+        right,
+        phi,
+        work.numbers[TO_A],
+        dq,
+        dlam,
     )
     if not condensed:
-        recover(strains, pairs(w, q), out[0])
+        recover(strains, u, dq)
     return DONE if regular else SINGULAR
 
 
-@entry
-def rate(w, instant, q, v, out, d, e, f):
+@part
+def rate(work, instant, u, v, out):
     """phi_q v + phi_t."""
-    joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
-    velocity_rate(w.scene.links, w.drives[instant + 1], w.points[DX], pairs(w, v), w.projection)
-    put(1.0, w.projection.rate, rows(w, out))
+    joints.point_values(work.scene.links, u, work.points[DX])
+    velocity_rate(work.scene.links, work.drives[instant + 1], work.points[DX], v, work.projection)
+    put(1.0, work.projection.rate, out)
     return DONE
 
 
-@entry
-def project(w, instant, right, x, from_zero, d, e, f):
-    """Change x by the least M-norm, so that B x falls by right; from_zero: x becomes the least x with B x = B x_before - right."""
-    s, p, changes, vector = w.scene.links, w.projection, rows(w, right), pairs(w, x)
-    put(1.0, changes, p.bias)
+@part
+def project(work, instant, changes, x, from_zero):
+    """Change x by the least M-norm, so that B x falls by `changes`; from_zero: x becomes the least x with B x = B x_before - changes."""
+    links, projection = work.scene.links, work.projection
+    put(1.0, changes, projection.bias)
     if from_zero:
-        joints.point_values(s, vector, p.vz)
+        joints.point_values(links, x, projection.vz)
         for k in range(changes.shape[0]):
-            p.bias[k] -= joints.along(s, p.slopes, k, p.vz)
-        clear(vector)
-    return DONE if project_rows(s, p, p.bias, vector) else SINGULAR
+            projection.bias[k] -= joints.along(links, projection.slopes, k, projection.vz)
+        clear(x)
+    return DONE if project_rows(links, projection, projection.bias, x) else SINGULAR
 
 
-@entry
-def strains(w, instant, past, now, state, numbers, e, f):
-    """Begin a step of the strains, or end it."""
-    calls = w.condensed.calls
+@part
+def strains(work, instant, past, now, state, numbers):
+    """Begin a step of the strains if state is 0, or end it; addresses of arrays."""
+    calls = work.condensed.calls
     if state == 0:
         return call(calls[3], calls[0], past, numbers, 0, 0, 0, 0, 0)
     return call(calls[4], calls[0], now, past, state, numbers, 0, 0, 0)
 
 
 @entry
-def idle(w, instant, b, c, d, e, f, g):
+def idle(work, instant, b, c, d, e, f, g):
     """Do nothing: takes the place of a function that a scene does not need."""
     return DONE
 
 
-@entry
-def accept(w, instant, q, b, c, d, e, f):
+@part
+def accept(work, instant):
     """Reject a state if a motor is on the wrong half-turn; q is that of the last RESIDUAL up to one correction."""
-    return DONE if w.numbers[COSINE] > 0.0 else HALF_TURN
+    return DONE if work.numbers[COSINE] > 0.0 else HALF_TURN
 
 
-FUNCTIONS = {RESIDUAL: residual, BEGIN: begin, CONSTRAINTS: constraints, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+FUNCTIONS = {
+    RESIDUAL: served(residual, pairs, pairs, pairs, rows, pairs, rows),
+    BEGIN: served(begin, pairs, pairs),
+    CONSTRAINTS: served(constraints, pairs, pairs, pairs, rows, rows),
+    SOLVE: served(solve, pairs, rows, pairs, rows, pairs, rows),
+    RATE: served(rate, pairs, pairs, rows),
+    PROJECT: served(project, rows, pairs, None),
+    ACCEPT: served(accept),
+}
+OF_STRAINS = {STRAINS: served(strains, None, None, None, None)}
 
 
 @cache
@@ -254,7 +271,7 @@ class SceneTable:
         if not tied:
             self.entries = self.entries | {RATE: idle, PROJECT: idle}
         if condensed:
-            self.entries = self.entries | {STRAINS: strains}
+            self.entries = self.entries | OF_STRAINS
 
     def system(self, settings):
         return settings.step_matrix(self.model)

@@ -1,9 +1,13 @@
 """Slopes through events: each way to locate one and each thing that it does, against closed forms and differences of runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameter import Parameter, total, with_part
+from polyida.model.differences import along
 
 ALPHA = pi.GeneralizedAlpha(h=5e-3, tolerance=1e-12)
 RADAU = pi.RadauIIA(rtol=1e-9, tolerance=1e-13)
@@ -105,7 +109,52 @@ def test_impact_on_a_moving_table():
     assert slopes["v0"][0] == pytest.approx(end(9.81, 1e-30j).imag / 1e-30, abs=1e-8)
 
 
+def falling_rod(mass, then):
+    """A rod that falls freely and turns. then: function of the rod -> what happens where its end is 0.05 m below its start."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    ends = {"A": (-0.5, 0.0), "B": (0.5, 0.0)}
+    rod = scene.add(pi.RigidBody(mass=mass, inertia=1 / 12, points=ends, origin=(0.5, 0.0), spin=0.4, name="rod"))
+    event = pi.Event(lambda s: s.position(rod.at("B"))[1] + 0.05, then(rod), name="low")
+    return scene.build(), event
+
+
+def load_of(rod):
+    return pi.PointLoad(rod.at("B"), (1.0, 0.5), name="load")
+
+
+@BOTH
+def test_mass_of_a_body_whose_place_locates_an_event(integrator):
+    """The mass moves no place, but the coordinates in which it is told: dx/dm = -F/m^2 (1/2) (T - t)^2, t that of the event."""
+    model, event = falling_rod(1.0, load_of)
+    run = pi.solve(model, 0.27, integrator, events=event)
+    expected = -0.5 * (0.27 - run.events.t[0]) ** 2
+    assert pi.gradient(run, last(), parameters=["rod.mass"])["rod.mass"] == pytest.approx(expected, rel=1e-7)
+    assert pi.check_gradient(run, last(), parameters=["rod.mass"])["rod.mass"] < 1e-6
+
+
+PUSHES = {
+    "impact": lambda rod: pi.Impact(0.6),
+    "impulse": lambda rod: pi.Impulse(rod.at("B"), (0.1, 0.4)),
+    "function": lambda rod: lambda s: (0.5 + s.position(rod.at("B"))[1] + 0.1 * s.velocity(rod.at("A"))[1]) * s.v,
+}
+
+
+@pytest.mark.parametrize("push", PUSHES)
+def test_mass_of_a_body_that_an_event_pushes_at_a_point(push):
+    """The direction of the push in the coordinates depends on the mass, and so does what functions see of places."""
+
+    def end(change):
+        model, event = falling_rod(1.0 + change, PUSHES[push])
+        return pi.solve(model, 0.2, RADAU, events=event)
+
+    J, run = last(3), end(0.0)
+    assert len(run.events) == 1
+    assert pi.gradient(run, J, parameters=["rod.mass"])["rod.mass"] == pytest.approx(difference(lambda s: J(end(s))), rel=1e-6)
+
+
 VALUES = {  # of the parameters of the arm; all are changed at once
+    "rod.mass": 1.0,
+    "rod.inertia": 1 / 12,
     "tip.mass": 0.3,
     "spring.stiffness": 3.0,
     "element.damping": 0.4,
@@ -114,7 +163,7 @@ VALUES = {  # of the parameters of the arm; all are changed at once
     "load.force": 0.7,
     "late.stiffness": 5.0,
 }
-WEIGHTS = dict(zip(VALUES, (1.0, -0.7, 0.6, 0.8, 1.1, -0.9, 0.5)))  # relative changes
+WEIGHTS = dict(zip(VALUES, (0.9, -0.6, 1.0, -0.7, 0.6, 0.8, 1.1, -0.9, 0.5)))  # relative changes
 WHEN = {  # functions that are zero between 0.15 and 0.3 s
     "time": lambda s: s.t - 0.21,
     "place": lambda s: s.position("tip")[1] + 0.20,
@@ -131,7 +180,9 @@ class Arm:
     def __init__(self, change=0.0):
         value = {name: VALUES[name] * (1.0 + change * WEIGHTS[name]) for name in VALUES}
         self.scene = scene = pi.Scene(gravity=(0.0, -9.81))
-        self.rod = rod = pi.RigidBody(mass=1.0, inertia=1 / 12, points={"A": (-0.5, 0.0), "B": (0.5, 0.0)}, origin=(0.5, 0.0), name="rod")
+        self.rod = rod = pi.RigidBody(
+            mass=value["rod.mass"], inertia=value["rod.inertia"], points={"A": (-0.5, 0.0), "B": (0.5, 0.0)}, origin=(0.5, 0.0), name="rod"
+        )
         self.end, high = rod.at("B"), pi.ground.at((1.0, 1.0))
         scene.add(rod)
         scene.add(pi.Revolute(pi.ground, rod.at("A"), name="pin"))
@@ -230,3 +281,73 @@ def test_a_mean_over_time_through_an_event_at_a_place():
     of_time = (d**2 + d * v * left + v**2 * left**2 / 4) * by_v
     exact = -(d**3) / (3 * v**2) + d * left**2 / 2 + v * left**3 / 6 + of_time
     assert pi.gradient(run, J, ["v0"])["v0"][0] == pytest.approx(exact, rel=1e-4)
+
+
+class Pendulum(pi.Model):
+    """A mass on a rod of length L with a torsion spring k; its tip is a named point."""
+
+    n, m, parameters = 1, 0, ("L", "k")
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def __init__(self, L, k):
+        self.L, self.k = L, k
+
+    def mass(self, q):
+        return np.array([[self.L**2]])
+
+    def force(self, t, q, v):
+        return np.array([9.81 * self.L * np.sin(q[0]) + self.k * q[0]])
+
+    def position(self, name, q):
+        return self.L * np.stack([np.sin(q[:, 0]), -np.cos(q[:, 0])], axis=1)
+
+
+@pytest.mark.parametrize("then", [lambda s: (s.position("tip")[0] - 1.1) * s.v, pi.Impact(0.5)], ids=["function", "impact"])
+def test_parameters_by_which_an_own_model_places_a_point(then):
+    """The length counts in where the tip is, also at a held angle."""
+
+    def solved(L, k=2.0):
+        event = pi.Event(lambda s: s.position("tip")[0] - 0.4, then, name="event")
+        return pi.solve(Pendulum(L, k), 0.9, RADAU, q0=[1.0], v0=[0.0], events=event)
+
+    run, J = solved(1.3), last()
+    assert len(run.events) == 1
+    slopes = pi.gradient(run, J)
+    assert slopes["L"] == pytest.approx(difference(lambda s: J(solved(1.3 + s))), rel=1e-6)
+    assert slopes["k"] == pytest.approx(difference(lambda s: J(solved(1.3, 2.0 + s))), rel=1e-6)
+
+
+class Stiffness(Parameter):
+    """The stiffness of the spring, as a parameter of one's own."""
+
+    def replaced(self, value):
+        return with_part(self.model, "spring", replace(self.model.parts["spring"], stiffness=value))
+
+    def slope(self, work):
+        return float(along(lambda s: total(self.replaced(self.value + s), work), self.value))
+
+
+class Heaviness(Stiffness):
+    """The same, which is said to move places."""
+
+    changes_coordinates = True
+
+
+def test_parameters_of_ones_own_through_events():
+    """They count where the parts stay the same, and are refused by name if parts change, or if they may move places."""
+
+    def solved(then):
+        scene, one = body(x=1.0)
+        scene.add(spring_of(one))
+        return pi.solve(scene.build(), 1.0, RADAU, events=pi.Event(**HALF, then=then))
+
+    slower, removed = solved(lambda s: 0.5 * s.v), solved(pi.Remove("spring"))
+    known = pi.gradient(slower, last(), parameters=["spring.stiffness"])["spring.stiffness"]
+    own = pi.gradient(slower, last(), parameters=[Stiffness("own", 4.0, slower.model)])["own"]
+    assert own == pytest.approx(known, rel=1e-8)
+    with pytest.raises(pi.InputError, match="'own' has no slope: it is one of the whole model, and events change the model"):
+        pi.gradient(removed, last(), parameters=[Stiffness("own", 4.0, removed.model)])
+    with pytest.raises(pi.InputError, match="'own' has no slope: it may move the places that events read or push"):
+        pi.gradient(slower, last(), parameters=[Heaviness("own", 4.0, slower.model)])
+    with pytest.raises(pi.InputError, match="error_of: the run has events or impacts, whose times have errors of their own"):
+        pi.error_of(slower, last())

@@ -82,8 +82,8 @@ def test_refined_and_factored_equations_agree(form, monkeypatch):
     run = pi.solve(MODEL, 0.03, pi.RadauIIA(h=4e-3, form=form))
     refined = pi.gradient(run, ALL, parameters=NAMES)
     assert refined.counts.factorizations < 5 * run.counts.factorizations
-    compiled, calls = radau.stretch, iter(range(99))
-    monkeypatch.setattr(radau, "stretch", lambda *given: (given[3], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
+    compiled, calls = radau.sweep_back, iter(range(99))
+    monkeypatch.setattr(radau, "sweep_back", lambda *given: (given[3], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
     partly = pi.gradient(run, ALL, parameters=NAMES)
     monkeypatch.setattr(radau.RadauAdjoint, "_table", radau.RadauAdjoint._exact)
     factored = pi.gradient(run, ALL, parameters=NAMES)

@@ -105,8 +105,8 @@ def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch)
     model = scenes.jointed("slot", cells=12).build()
     settings, steps = steps_of(model)
     wanted = swept(exact(model, settings, H, pi.Counts()), steps, True)
-    compiled, calls = loop.stretch, iter(range(99))
-    monkeypatch.setattr(loop, "stretch", lambda *given: (given[5], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
+    compiled, calls = loop.sweep_back, iter(range(99))
+    monkeypatch.setattr(loop, "sweep_back", lambda *given: (given[5], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
     assert agree(swept(Sweep(model, settings, H, pi.Counts()), steps, True), wanted)
 
 

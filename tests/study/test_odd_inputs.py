@@ -137,3 +137,15 @@ def test_a_reference_is_not_said_to_be_known_better_than_it_is():
     found = make_reference(initial_value_problem("study", p.model, p.t_end, p.q0), lambda values: {"q": 1.0, "v": 1.0, "lam": 1.0})
     for part, known in found["known_to"].items():
         assert known >= 0.9 * np.abs(found[part] - p.reference[part]).max() - p.known_to[part]
+
+
+def test_values_of_any_size_are_shown_and_those_that_no_file_holds_are_refused(tmp_path):
+    circular = []
+    circular.append(circular)
+    assert "about 10^5000" in str(pi.study.Result([{"a": 10**5000}]))
+    pi.study.Result([{"a": 10**400}]).report(tmp_path / "large")
+    assert "[[...]]" in str(pi.study.Result([{"a": circular}]))
+    with pytest.raises(InputError, match="a value of the rows cannot be written"):
+        pi.study.Result([{"a": circular}]).report(tmp_path / "page")
+    with pytest.raises(InputError, match="command = 3 must be a text"):
+        pi.study.Result([{"a": 1}]).report(tmp_path / "page", command=3)

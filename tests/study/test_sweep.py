@@ -391,7 +391,7 @@ WRONG = {
     "closed": (lambda: pi.study.sweep(square, ONE, _closed()), "takes no work: cannot schedule new futures after shutdown"),
     "lambda": (lambda: pi.study.sweep(lambda number: {}, ONE, ProcessPoolExecutor(1)), "cannot be sent to other processes"),
     "file": (lambda: pi.study.sweep(square, ONE, folder=__file__), "is none and cannot be made one"),
-    "folder": (lambda: pi.study.sweep(square, ONE, folder=3), "folder = 3 must be the path of a folder"),
+    "folder": (lambda: pi.study.sweep(square, ONE, folder=3), "folder = 3 must be the path of a file or folder"),
     "progress": (lambda: pi.study.sweep(square, ONE, progress=3), "progress = 3 must be a function"),
 }
 

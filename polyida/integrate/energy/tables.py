@@ -24,7 +24,7 @@ from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import entry, part
+from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, put
@@ -32,7 +32,7 @@ from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
 from polyida.system import scene as of_scene
-from polyida.system.dense import END, ENDED, INNER, vector
+from polyida.system.dense import END, ENDED, INNER
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
@@ -50,24 +50,28 @@ def table_of(model):
 
 
 @part
-def potential(w, x, d, s):
+def potential(work, x, d, s):
     """V at x + s d."""
-    for i in range(w.q.shape[0]):
-        w.q[i] = x[i] + s * d[i]
-    small.evaluate(w, small.POTENTIAL, INNER, w.x)
-    return w.x[0]
+    for i in range(work.q.shape[0]):
+        work.q[i] = x[i] + s * d[i]
+    small.evaluate(work, small.POTENTIAL, INNER, work.x)
+    return work.x[0]
 
 
-@entry
-def own_middle(w, instant, states, lam, r, phi, e, f):
+@part
+def five_states(work, at):
+    """The vectors q_0, q_1, and q, v, a of the middle at an address, (5, n)."""
+    return carray(pointer(at), (5, work.q.shape[0]))
+
+
+@part
+def own_middle(w, instant, states, lam, r, phi):
     """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    small.set_state(w, instant - 1, states + 16 * n, states + 24 * n)
-    small.set_a_lam(w, states + 32 * n, lam)
-    residual, constraints = vector(r, n), vector(phi, m)
+    n, x0, x1, x, d = w.q.shape[0], states[0], states[1], states[2], w.near[0]
+    small.set_state(w, instant - 1, x, states[3])
+    small.set_a_lam(w, states[4], lam)
     small.evaluate_rows(w)
-    small.equilibrium(w, residual)
-    x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
+    small.equilibrium(w, r)
     for i in range(n):
         d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
     first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
@@ -84,19 +88,23 @@ def own_middle(w, instant, states, lam, r, phi, e, f):
     bracket = last - first - work
     if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
         for i in range(n):
-            residual[i] += bracket / size * metric[i]
-    if m:
-        small.set_state(w, instant, states + 8 * n, states + 24 * n)
+            r[i] += bracket / size * metric[i]
+    ended = DONE
+    if phi.shape[0]:
+        small.set_state(w, instant, x1, states[3])
         ended = small.evaluate(w, small.PHI, END, w.phi)
-        put(1.0, w.phi, constraints)
-    return NOT_FINITE if ended == DONE and not (small.finite(residual) and small.finite(constraints)) else ended
+        put(1.0, w.phi, phi)
+    return NOT_FINITE if ended == DONE and not (small.finite(r) and small.finite(phi)) else ended
+
+
+OWN_MIDDLE = {MIDDLE: served(own_middle, five_states, small.multipliers, small.coordinates, small.multipliers)}
 
 
 @cache
 def own_addresses():
     """{number: address} of these functions, for every small model."""
     kind = typeof(small.example())
-    functions = {MIDDLE: own_middle, ACCELERATION: small.acceleration}
+    functions = OWN_MIDDLE | small.OF_FRAMES
     return {number: table_address(function, kind) for number, function in functions.items()}
 
 
@@ -154,11 +162,11 @@ class DenseOwn(MiddleTable, DenseTable):
         super().__init__(model)
         self.functions[MIDDLE] = own_addresses()[MIDDLE]
 
-    def _functions(self, w):
+    def _functions(self, work):
         def potential(*_):
-            w.x[0] = self.model.potential(w.q.copy())
+            work.x[0] = self.model.potential(work.q.copy())
 
-        return super()._functions(w) | {"potential": self._protected(potential)}
+        return super()._functions(work) | {"potential": self._protected(potential)}
 
 
 class CompiledOwn(MiddleTable, CompiledTable):
@@ -174,26 +182,28 @@ class CompiledOwn(MiddleTable, CompiledTable):
 
 
 @entry
-def middle(w, instant, states, lam, r, phi, e, f):
+def middle(work, instant, states, lam, r, phi, e, f):
     """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    links, out, points, drives = w.scene.links, pairs(w, r), w.points, w.drives[instant]
+    links, out, points, drives = work.scene.links, pairs(work, r), work.points, work.drives[instant]
     fields = carray(pointer(states), (5, out.shape[0], 2))
-    least = equilibrium(w.scene, drives, w.numbers[H], fields, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
+    least = equilibrium(
+        work.scene, drives, work.numbers[H], fields, rows(work, lam), rows(work, phi), points[DX], points[FORCES], out, work.rotation
+    )
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
-    if w.optional[RELAXING_MIDDLE] != 0:
+    if work.optional[RELAXING_MIDDLE] != 0:
         ends, um, vm = (address(fields[0]), address(fields[1])), address(fields[2]), address(fields[3])
-        call(w.optional[RELAXING_MIDDLE], w.optional[PARTS], ends[0], ends[1], um, vm, address(out), 0, 0)
+        call(work.optional[RELAXING_MIDDLE], work.optional[PARTS], ends[0], ends[1], um, vm, address(out), 0, 0)
     joints.point_values(links, fields[1], points[DZ])
-    status = add_elements(w, drives, w.numbers[H], fields, points, out)
-    w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
+    status = add_elements(work, drives, work.numbers[H], fields, points, out)
+    work.numbers[COSINE] = joints.joint_forces(links, work.drives[instant + 1], points[DZ], work.level, rows(work, phi), points[DV])
     return status
 
 
 @part
-def add_elements(w, drives, h, states, points, r):
+def add_elements(work, drives, h, states, points, r):
     """Add force elements to r, and renew their slopes. Returns a status."""
-    links, optional, status = w.scene.links, w.optional, DONE
+    links, optional, status = work.scene.links, work.optional, DONE
     if optional[LAW_MIDDLE] != 0:
         joints.point_values(links, states[0], points[START])
         joints.point_values(links, states[3], points[VX])
@@ -207,7 +217,7 @@ def add_elements(w, drives, h, states, points, r):
         status = call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
         joints.spread(links, points[FORCES], r)
         joints.point_values(links, states[2], points[DX])
-        renew_slopes(w, drives, points[DX], points[VX])
+        renew_slopes(work, drives, points[DX], points[VX])
     return status
 
 
@@ -246,17 +256,17 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
 
 
 @entry
-def acceleration(w, instant, q, v, a, lam, e, f):
+def acceleration(work, instant, q, v, a, lam, e, f):
     """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` of a scene without plates."""
-    s, links, drives, out, multipliers = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
-    u, speed = pairs(w, q), pairs(w, v)
-    kernels.equilibrium(w.scene, drives, u, s.still, w.level, s.r, multipliers, w.rotation, w.points[DZ], w.points[FORCES])
-    of_scene.add_forces(w, drives, u, speed, s.r)
+    s, links, drives, out, multipliers = work.solid, work.scene.links, work.drives[instant + 1], pairs(work, a), rows(work, lam)
+    u, speed = pairs(work, q), pairs(work, v)
+    kernels.equilibrium(work.scene, drives, u, s.still, work.level, s.r, multipliers, work.rotation, work.points[DZ], work.points[FORCES])
+    of_scene.add_forces(work, drives, u, speed, s.r)
     for i in range(out.shape[0]):
         s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
     clear(out)
     compact.momentum(s.inverse, s.r, out)
-    return DONE if constrain(links, w.projection, drives, w.points[DZ], speed, out, multipliers) else SINGULAR
+    return DONE if constrain(links, work.projection, drives, work.points[DZ], speed, out, multipliers) else SINGULAR
 
 
 class EnergyTable(SceneTable):

@@ -31,10 +31,9 @@ from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
 from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
-from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs
-from polyida.integrate.radau.tables.scene import rows as rows_at
+from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs, rows
 from polyida.integrate.radau.tables.scene_factors import Solver
-from polyida.jit import entry
+from polyida.jit import part, served
 from polyida.linear.lu import dense, first_order_sizes
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
@@ -134,18 +133,19 @@ class PythonForm(PythonStages):
         return FormRows(self.system, self.factored.c[0], *at, B)
 
 
-@entry
-def rate(w, instant, q, v, out, known, e, f):
+@part
+def rate(work, instant, u, v, out, known):
     """phi_q v + phi_t at the q of the last residual; known: with its v."""
-    vz = w.vz
+    vz = work.vz
     if not known:
-        vz = w.points[DV]
-        joints.point_values(w.scene.links, pairs(w, v), vz)
-    joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], vz, w.spare, rows_at(w, out), w.spare)
+        vz = work.points[DV]
+        joints.point_values(work.scene.links, v, vz)
+    joints.joint_rates(work.scene.links, work.drives[instant], work.dz[0], vz, work.spare, out, work.spare)
     return DONE
 
 
-FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.INERTIA, of.REAL)} | {of.RATE: rate}
+FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.INERTIA, of.REAL)}
+FUNCTIONS |= {of.RATE: served(rate, pairs, pairs, rows, None)}
 
 
 class SceneForm(SceneStages):

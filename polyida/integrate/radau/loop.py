@@ -173,7 +173,10 @@ def mark_used(slots, slot, marks):
 
 @entry
 def reserve_slot(slots, h, begin, memory):
-    """The slot for a new factor of step h at the time `begin` and the state of y: the slot of this h, a free one, or the one not used for the longest time."""
+    """The slot for a new factor of step h at the time `begin` and the state in `memory`.
+
+    It is the slot of this h, a free one, or the one not used for the longest time.
+    """
     slot = slot_of_step(slots, h)
     if slot < 0:
         slot = 0
@@ -201,13 +204,13 @@ def clamp(method, time):
 
 @part
 def allowed_error(method, memory):
-    """atol + rtol |q| at the state of y."""
+    """atol + rtol |q| at the state in `memory`."""
     return method.atol + method.rtol * np.sqrt(step.mean_square(memory.places, memory.q))
 
 
 @part
 def newton_tolerance(method, h, memory):
-    """Newton's tolerance, of q, in a step of h from the state of y."""
+    """Newton's tolerance, of q, in a step of h from the state in `memory`."""
     if method.tolerance > 0.0:
         return method.tolerance
     if method.share > 0.0:
@@ -346,5 +349,5 @@ def take_steps(functions, workspace, first, method, tableau, control, slots, fre
 
 @part
 def make_factors(model, at, tableau, memory, work, slot):
-    """Make the factors of a slot at the state of y, for the step of the last attempt. Returns a status."""
+    """Make the factors of a slot at the state in `memory`, for the step of the last attempt. Returns a status."""
     return ask.matrices(model, at, memory.q, memory.v, memory.a, memory.lam, slot, selected(tableau, work))

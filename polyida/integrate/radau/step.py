@@ -379,7 +379,7 @@ def fit(products, known, fits):
 
 @part
 def stage_state(tableau, h, memory, trial, work, k):
-    """Write q and v of stage k to z."""
+    """Write q and v of stage k to the workspace."""
     c = tableau.c[k] * h
     for i in range(work.q.shape[0]):
         work.q[i] = memory.q[i] + (c * memory.v[i] + trial.e[k, i])
@@ -411,7 +411,7 @@ def stage_velocities(model, first, method, tableau, h, memory, trial, work):
 
 @part
 def phi_by_increments(model, first, memory, trial, work, k):
-    """phi and phi' of stage k by increments from the start of the step; z.q is q of the stage."""
+    """phi and phi' of stage k by increments from the start of the step; work.q is q of the stage."""
     phi, rate = work.rows[PHI, k], work.rows[PHI_RATE, k]
     put(1.0, memory.phi_start[PHI], phi)
     put(1.0, memory.phi_start[PHI_RATE], rate)
@@ -464,7 +464,7 @@ def into_modes(method, tableau, h, work):
 
 @fast
 def from_modes(tableau, work):
-    """Transform the corrections of the modes to the stages, in z.r."""
+    """Transform the corrections of the modes to the stages, in work.r."""
     for k in range(work.r.shape[0]):
         real, pair = tableau.real_column[k] if tableau.real_row.shape[0] else 0.0, 2.0 * tableau.pair_column[k]
         for i in range(work.r.shape[1]):
@@ -524,7 +524,7 @@ def iterate(model, first, method, tableau, h, memory, trial, work):
 
 @part
 def newton(model, first, method, tableau, h, memory, trial, work, allowed, counts):
-    """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in x."""
+    """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in `trial`."""
     size = np.sqrt(mean_square(memory.shares, memory.q)) + h * np.sqrt(mean_square(memory.shares, memory.v))
     contraction = min(2.0 * memory.marks[CONTRACTION], 1.0) if memory.marks[AGE] < MAX_AGE else 1.0
     last, worst, round_off = np.inf, 0.0, max(ROUND * size, method.least)
@@ -557,7 +557,7 @@ def newton(model, first, method, tableau, h, memory, trial, work, allowed, count
 
 @part
 def solve_stages(model, first, method, tableau, h, memory, trial, work, allowed, counts):
-    """Solve the stages of a step from y: (status, iterations)."""
+    """Solve the stages of a step from the state in `memory`: (status, iterations)."""
     status = ask.begin(model, first, memory.q, memory.v, work.times)
     if status != DONE:
         return status, 0
@@ -658,7 +658,7 @@ def local_error(model, first, method, tableau, h, memory, trial, work, counts):
 
 @part
 def end_state(model, first, h, memory, trial, work):
-    """The state at the step's end in z, with a and lam of the equations of motion, or of the last stage if these are singular."""
+    """Write the state at the step's end to the workspace, with a and lam of the equations of motion, or of the last stage if these are singular."""
     k, n = trial.e.shape[0] - 1, trial.e.shape[1]
     total = 0.0
     for i in range(n):

@@ -8,8 +8,8 @@ from numba import carray, typeof
 
 from polyida import system as of
 from polyida.errors import DONE, NO_MATRIX, SINGULAR
-from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import address, complex_pointer
+from polyida.jit import entry, pack, part, served
+from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear import dense as lu
 from polyida.linear.lu import FACTORS as SLOTS
@@ -63,294 +63,344 @@ def workspace(d, stages, levels):
 
 
 @part
-def complex_vector(at, size):
-    """The array (size,) of complex numbers at an address."""
-    return carray(complex_pointer(at), (size,))
+def coordinates(work, at):
+    """The array (n,) at an address."""
+    return carray(pointer(at), work.D.shape)
 
 
-@entry
-def prepare(w, first, times, b, c, d, e, f):
+@part
+def multipliers(work, at):
+    """The array (m,) at an address."""
+    return carray(pointer(at), work.dense.lam.shape)
+
+
+@part
+def blocks(work, at):
+    """The array (2 m,) at an address: rows of phi, and of phi'."""
+    return carray(pointer(at), (2 * work.B.shape[0],))
+
+
+@part
+def complex_coordinates(work, at):
+    """The complex array (n,) at an address."""
+    return carray(complex_pointer(at), work.D.shape)
+
+
+@part
+def complex_blocks(work, at):
+    """The complex array (2 m,) at an address."""
+    return carray(complex_pointer(at), (2 * work.B.shape[0],))
+
+
+@part
+def step_times(work, at):
+    """h, t and the times of the instants at an address."""
+    return carray(pointer(at), (3 + work.rows.shape[0],))
+
+
+@part
+def mode_values(work, at):
+    """c of the real mode, and the real and imaginary part of that of the complex one, at an address."""
+    return carray(pointer(at), (3,))
+
+
+@part
+def prepare(work, first, times):
     """Store the times of a step."""
-    values = dense.vector(times, 3 + w.rows.shape[0])
-    for i in range(1 + w.rows.shape[0]):
-        w.dense.times[first + i, dense.INNER] = w.dense.times[first + i, dense.END] = values[2 + i]
+    for i in range(1 + work.rows.shape[0]):
+        work.dense.times[first + i, dense.INNER] = work.dense.times[first + i, dense.END] = times[2 + i]
     return DONE
 
 
-@entry
-def reaction(w, instant, q, mu, dv, known, e, f):
+@part
+def begin(work, first):
+    """Do nothing: phi is computed from positions."""
+    return DONE
+
+
+@part
+def reaction(work, instant, q, mu, dv, known):
     """dv += D^-1 B^T mu. B at q is stored for the residual there; known: B of the middle stage is used."""
-    n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
+    n, m, ended, B = work.K.shape[1], work.B.shape[0], DONE, work.B
     if not known:
-        dense.set_state(w.dense, instant, q, address(w.dense.v))
-        ended, B = dense.evaluate_rows(w.dense), w.dense.B
-        lu.copy_matrix(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
-    multipliers, moved = dense.vector(mu, m), dense.vector(dv, n)
+        dense.set_state(work.dense, instant, q, work.dense.v)
+        ended, B = dense.evaluate_rows(work.dense), work.dense.B
+        lu.copy_matrix(B, work.rows[(instant - 1) % (work.rows.shape[0] + 1)])
     for i in range(n):
         total = 0.0
         for e in range(m):
-            total += B[e, i] * multipliers[e]
-        moved[i] += w.D[i] * total
+            total += B[e, i] * mu[e]
+        dv[i] += work.D[i] * total
     return ended
 
 
 @part
-def restore_rows(w, instant):
+def restore_rows(work, instant):
     """Use the stored B of a stage in the next call."""
-    if w.state[TIED]:
-        lu.copy_matrix(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
-        w.dense.flags[dense.ROWS_CURRENT] = 1
+    if work.state[TIED]:
+        lu.copy_matrix(work.rows[(instant - 1) % (work.rows.shape[0] + 1)], work.dense.B)
+        work.dense.flags[dense.ROWS_CURRENT] = 1
 
 
-@entry
-def residual(w, instant, q, v, a, lam, r, phi):
+@part
+def residual(work, instant, q, v, a, lam, r, phi):
     """r and phi."""
-    restore_rows(w, instant)
-    ended = dense.residual(w.dense, instant, q, v, a, lam, r, phi)
-    w.dense.flags[dense.ROWS_CURRENT] = 0
+    restore_rows(work, instant)
+    ended = dense.residual(work.dense, instant, q, v, a, lam, r, phi)
+    work.dense.flags[dense.ROWS_CURRENT] = 0
     return ended
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(work, instant, q, dq, dv, phi, rate):
     """phi at a state."""
-    return dense.constraints(w.dense, instant, q, dd, dv, phi, rate, f)
+    return dense.constraints(work.dense, instant, q, phi)
 
 
-@entry
-def rate(w, instant, q, v, out, known, e, f):
+@part
+def rate(work, instant, q, v, out, known):
     """phi_q v + phi_t; known: with B of the last REACTION of this stage."""
     if known:
-        restore_rows(w, instant)
-    ended = dense.rate(w.dense, instant, q, v, out, 0, 0, 0)
-    w.dense.flags[dense.ROWS_CURRENT] = 0
+        restore_rows(work, instant)
+    ended = dense.rate(work.dense, instant, q, v, out)
+    work.dense.flags[dense.ROWS_CURRENT] = 0
     return ended
 
 
-@entry
-def project(w, instant, rows, x, anew, d, e, f):
-    """As of system/dense.py."""
-    return dense.project(w.dense, instant, rows, x, anew, 0, 0, 0)
-
-
-@entry
-def accept(w, instant, q, b, c, d, e, f):
-    """Status of a state: accepted or rejected by the model."""
-    return dense.accept(w.dense, instant, q, 0, 0, 0, 0, 0)
+@part
+def project(work, instant, rows, x, from_zero):
+    """As `project` of system/dense.py."""
+    return dense.project(work.dense, instant, rows, x, from_zero)
 
 
 @part
-def bend(w, q, a):
-    """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a may be 0."""
-    d, step, n = w.dense, NEAR * dense.reach(w.dense), w.dense.q.shape[0]
-    at, towards = dense.vector(q, n), dense.vector(a, n if a else 0)
+def accept(work, instant, q):
+    """Status of a state: accepted or rejected by the model."""
+    return dense.accept(work.dense, instant, q)
+
+
+@part
+def bend(work, q, a):
+    """work.H and work.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a: the address of a, or 0."""
+    d, step, n = work.dense, NEAR * dense.reach(work.dense), work.dense.q.shape[0]
+    towards = dense.vector(a, n if a else 0)
     t, ended = d.t[dense.INNER], DONE
     for e in range(2):
         s = (step, -step)[e]
         for i in range(d.q.shape[0]):
-            d.q[i] = at[i] + s * d.v[i]
+            d.q[i] = q[i] + s * d.v[i]
         for i in range(towards.shape[0]):
             d.q[i] += 0.5 * s * s * towards[i]
         d.t[dense.INNER] = t + s
         if ended == DONE:
             ended = dense.evaluate(d, dense.PHI_Q, dense.INNER, d.B)
-        for k in range(w.H.shape[0]):
-            for i in range(w.H.shape[1]):
-                change = d.B[k, i] - w.B[k, i]
-                w.N[k, i] = change if e == 0 else (w.N[k, i] + change) / (step * step)
-                w.H[k, i] = d.B[k, i] if e == 0 else (w.H[k, i] - d.B[k, i]) / (2.0 * step)
+        for k in range(work.H.shape[0]):
+            for i in range(work.H.shape[1]):
+                change = d.B[k, i] - work.B[k, i]
+                work.N[k, i] = change if e == 0 else (work.N[k, i] + change) / (step * step)
+                work.H[k, i] = d.B[k, i] if e == 0 else (work.H[k, i] - d.B[k, i]) / (2.0 * step)
     d.t[dense.INNER] = t
-    lu.put(1.0, at, d.q)
-    lu.copy_matrix(w.B, d.B)
+    lu.put(1.0, q, d.q)
+    lu.copy_matrix(work.B, d.B)
     return ended
 
 
 @part
-def row_size(w, c, level):
+def row_size(work, c, level):
     """Divisor of the rows of a block: the factor of B in them."""
-    return abs(w.levels[level, 0] + c * (w.levels[level, 1] + c * w.levels[level, 2]))
+    return abs(work.levels[level, 0] + c * (work.levels[level, 1] + c * work.levels[level, 2]))
 
 
 @part
-def whole(A, w, c, size):
+def whole(A, work, c, size):
     """Fill A with the matrix of a mode. lam is in units of the typical size of S, mu in those of |c|; rows are divided by `row_size`."""
-    k, n, m, scale = w.state[CHOSEN], w.K.shape[1], w.B.shape[0], abs(c)
-    K, C, M = w.K[k], w.C[k], w.M[k]
+    k, n, m, scale = work.state[CHOSEN], work.K.shape[1], work.B.shape[0], abs(c)
+    K, C, M = work.K[k], work.C[k], work.M[k]
     for i in range(n):
         for j in range(n):
             A[i, j] = (K[i, j] + c * (C[i, j] + c * M[i, j])) / size
         for e in range(m):
-            A[i, n + e] = w.B[e, i]
-    for level in range(w.levels.shape[0]):
-        rate, second, at = w.levels[level, 1], w.levels[level, 2], n + level * m
-        of_B, of_H, unit = w.levels[level, 0] + c * (rate + c * second), rate + 2.0 * c * second, row_size(w, c, level)
+            A[i, n + e] = work.B[e, i]
+    for level in range(work.levels.shape[0]):
+        rate, second, at = work.levels[level, 1], work.levels[level, 2], n + level * m
+        of_B, of_H, unit = work.levels[level, 0] + c * (rate + c * second), rate + 2.0 * c * second, row_size(work, c, level)
         for e in range(m):
             for i in range(n):
-                A[at + e, i] = (of_B * w.B[e, i] + of_H * w.H[e, i] + second * w.N[e, i]) / unit
+                A[at + e, i] = (of_B * work.B[e, i] + of_H * work.H[e, i] + second * work.N[e, i]) / unit
             lu.zero(A[at + e, n:])
-    if w.levels.shape[0] == 2:
+    if work.levels.shape[0] == 2:
         for e in range(m):
             for i in range(n):
                 total = 0.0 * c
                 for j in range(n):
-                    total += (C[i, j] + c * M[i, j]) * w.G[e, j]
+                    total += (C[i, j] + c * M[i, j]) * work.G[e, j]
                 A[i, n + m + e] = total * (scale / size)
             for o in range(m):
                 total = 0.0 * c
                 for j in range(n):
-                    total += w.B[e, j] * w.G[o, j]
+                    total += work.B[e, j] * work.G[o, j]
                 A[n + m + e, n + m + o] = total
 
 
 @part
-def factored(w, c, number, A):
+def factored(work, c, number, A):
     """Factor the matrix of a mode. False if it is singular."""
-    k, total = w.state[CHOSEN], 0.0
-    for i in range(w.K.shape[1]):
-        total += abs(w.K[k, i, i] + c * (w.C[k, i, i] + c * w.M[k, i, i]))
-    w.sizes[number] = total / w.K.shape[1] if total > 0.0 else 1.0
-    whole(A, w, c, w.sizes[number])
-    return lu.factor(A, w.pivots[number])
+    k, total = work.state[CHOSEN], 0.0
+    for i in range(work.K.shape[1]):
+        total += abs(work.K[k, i, i] + c * (work.C[k, i, i] + c * work.M[k, i, i]))
+    work.sizes[number] = total / work.K.shape[1] if total > 0.0 else 1.0
+    whole(A, work, c, work.sizes[number])
+    return lu.factor(A, work.pivots[number])
 
 
-@entry
-def rows(w, instant, q, v, a, known, e, f):
+@part
+def rows(work, instant, q, v, a, known):
     """B, G, H and N of the middle stage, and the factors with them."""
-    m, own = w.B.shape[0], w.dense
-    if w.state[FACTORED] and not (m and own.flags[dense.ROWS_VARY]):
+    m, own = work.B.shape[0], work.dense
+    if work.state[FACTORED] and not (m and own.flags[dense.ROWS_VARY]):
         return DONE
     if m:
         dense.set_state(own, instant, q, v)
         own.flags[dense.ROWS_CURRENT] = known
         ended = dense.evaluate_rows(own)
         own.flags[dense.ROWS_CURRENT] = 0
-        lu.copy_matrix(own.B, w.B)
-        if ended == DONE and w.state[TIED] and own.flags[dense.ROWS_VARY]:
-            ended = bend(w, q, a)
+        lu.copy_matrix(own.B, work.B)
+        if ended == DONE and work.state[TIED] and own.flags[dense.ROWS_VARY]:
+            ended = bend(work, q, a)
         for k in range(m):
-            for i in range(w.B.shape[1]):
-                w.G[k, i] = w.B[k, i] * w.D[i]
+            for i in range(work.B.shape[1]):
+                work.G[k, i] = work.B[k, i] * work.D[i]
         if ended != DONE:
             return ended
-    w.state[FACTORED] = 1
-    if w.c[0] != 0.0 and not factored(w, w.c[0], 0, w.real):
+    work.state[FACTORED] = 1
+    if work.c[0] != 0.0 and not factored(work, work.c[0], 0, work.real):
         return SINGULAR
-    return DONE if w.c[2] == 0.0 or factored(w, complex(w.c[1], w.c[2]), 1, w.pair) else SINGULAR
+    return DONE if work.c[2] == 0.0 or factored(work, complex(work.c[1], work.c[2]), 1, work.pair) else SINGULAR
 
 
 @part
-def corrected(w, A, number, c, x, r, closing, dq, multipliers):
+def corrected(work, A, number, c, x, r, closing, dq, multipliers):
     """The correction of a mode."""
-    n, m, size = w.K.shape[1], w.B.shape[0], w.sizes[number]
+    n, m, size = work.K.shape[1], work.B.shape[0], work.sizes[number]
     for i in range(n):
         x[i] = -r[i] / size
-    for level in range(w.levels.shape[0]):
-        unit = row_size(w, c, level)
+    for level in range(work.levels.shape[0]):
+        unit = row_size(work, c, level)
         for e in range(level * m, (level + 1) * m):
             x[n + e] = -closing[e] / unit
-    lu.solve(A, w.pivots[number], x)
+    lu.solve(A, work.pivots[number], x)
     lu.put(1.0, x[:n], dq)
     for e in range(m):
         multipliers[e] = size * x[n + e]
-        multipliers[m + e] = abs(c) * x[n + m + e] if w.levels.shape[0] == 2 else 0.0 * x[0]
+        multipliers[m + e] = abs(c) * x[n + m + e] if work.levels.shape[0] == 2 else 0.0 * x[0]
 
 
-@entry
-def real(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def real(work, instant, r, closing, lam, dq, multipliers):
     """The correction of the real mode."""
-    n, m = w.K.shape[1], w.B.shape[0]
-    vectors = dense.vector(r, n), dense.vector(closing, 2 * m), dense.vector(dq, n), dense.vector(multipliers, 2 * m)
-    corrected(w, w.real, 0, w.c[0], w.x, vectors[0], vectors[1], vectors[2], vectors[3])
+    corrected(work, work.real, 0, work.c[0], work.x, r, closing, dq, multipliers)
     return DONE
 
 
-@entry
-def pair(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def pair(work, instant, r, closing, lam, dq, multipliers):
     """The correction of the complex mode."""
-    n, m = w.K.shape[1], w.B.shape[0]
-    vectors = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
-    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, vectors[0], vectors[1], vectors[2], vectors[3])
+    corrected(work, work.pair, 1, complex(work.c[1], work.c[2]), work.x_pair, r, closing, dq, multipliers)
     return DONE
 
 
-@entry
-def bias(w, instant, q, v, a, out, e, f):
+@part
+def bias(work, instant, q, v, a, out):
     """The second derivative of phi."""
-    own, n = w.dense, w.K.shape[1]
+    own, n = work.dense, work.K.shape[1]
     dense.set_state(own, instant, q, v)
-    ended, acceleration, value = dense.bias(own), dense.vector(a, n), dense.vector(out, w.B.shape[0])
-    restore_rows(w, instant)
+    ended = dense.bias(own)
+    restore_rows(work, instant)
     own.flags[dense.ROWS_CURRENT] = 0
-    for k in range(w.B.shape[0]):
-        value[k] = own.phi_bias[k]
+    for k in range(work.B.shape[0]):
+        out[k] = own.phi_bias[k]
         for i in range(n):
-            value[k] += own.B[k, i] * acceleration[i]
+            out[k] += own.B[k, i] * a[i]
     return ended
 
 
-@entry
-def inertia(w, instant, v, a, r, p, q, rows):
-    """r = C v + M a, p = M v, rows = the blocks of rows times v; B v in place of a second block that is not there."""
-    k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
-    slow, fast, force, momentum = dense.vector(v, n), dense.vector(a, n), dense.vector(r, n), dense.vector(p, n if p else 0)
+@part
+def inertia(work, instant, v, a, r, p, q, rows):
+    """r = C v + M a, and unless their addresses are 0: p = M v, rows = the blocks of rows times v, B v in place of a second block that is not there."""
+    k, n, m = work.state[CHOSEN], work.K.shape[1], work.B.shape[0]
+    momentum = dense.vector(p, n if p else 0)
     for i in range(n):
-        force[i] = 0.0
+        r[i] = 0.0
         for j in range(n):
-            force[i] += w.C[k, i, j] * slow[j] + w.M[k, i, j] * fast[j]
+            r[i] += work.C[k, i, j] * v[j] + work.M[k, i, j] * a[j]
     for i in range(momentum.shape[0]):
         momentum[i] = 0.0
         for j in range(n):
-            momentum[i] += w.M[k, i, j] * slow[j]
+            momentum[i] += work.M[k, i, j] * v[j]
     for level in range(2 if rows else 0):
         of_H, of_B, out = 0.0, 1.0, dense.vector(rows + 8 * level * m, m)
-        if level < w.levels.shape[0]:
-            of_H, of_B = 2.0 * w.levels[level, 2], w.levels[level, 1] + w.c[0] * w.levels[level, 2]
+        if level < work.levels.shape[0]:
+            of_H, of_B = 2.0 * work.levels[level, 2], work.levels[level, 1] + work.c[0] * work.levels[level, 2]
         for e in range(m):
             out[e] = 0.0
             for i in range(n):
-                out[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * slow[i]
+                out[e] += (of_B * work.B[e, i] + of_H * work.H[e, i]) * v[i]
     return DONE
 
 
-@entry
-def acceleration(w, instant, q, v, a, lam, e, f):
-    """As of system/dense.py."""
-    return dense.acceleration(w.dense, instant, q, v, a, lam, 0, 0)
+@part
+def acceleration(work, instant, q, v, a, lam):
+    """As `acceleration` of system/dense.py."""
+    return dense.acceleration(work.dense, instant, q, v, a, lam)
 
 
 @entry
-def factor(w, instant, q, v, a, lam, slot, f):
+def factor(work, instant, q, v, a, lam, slot):
     """Evaluate K, C and M at a state."""
-    d, n = w.dense, w.K.shape[1]
-    K, C, M = w.K[slot], w.C[slot], w.M[slot]
+    d, n = work.dense, work.K.shape[1]
+    K, C, M = work.K[slot], work.C[slot], work.M[slot]
     dense.set_state(d, instant, q, v)
     dense.set_a_lam(d, a, lam)
     ended = dense.matrices_at(d, K, C, M)
-    w.state[FACTORED] = 0
+    work.state[FACTORED] = 0
     good = dense.finite(K.reshape(n * n)) and dense.finite(C.reshape(n * n)) and dense.finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX
 
 
-@entry
-def select(w, slot, c, b, d, e, f, g):
-    """Use the matrices of a slot."""
-    new = dense.vector(c, 3)
-    same = w.state[CHOSEN] == slot
+@part
+def select(work, slot, new):
+    """Use the matrices of a slot, with c of the modes."""
+    same = work.state[CHOSEN] == slot
     for i in range(3):
-        same = same and w.c[i] == new[i]
-        w.c[i] = new[i]
+        same = same and work.c[i] == new[i]
+        work.c[i] = new[i]
     if not same:
-        w.state[CHOSEN], w.state[FACTORED] = slot, 0
+        work.state[CHOSEN], work.state[FACTORED] = slot, 0
     return DONE
+
+
+SERVED = {
+    of.PREPARE: served(prepare, step_times),
+    of.BEGIN: served(begin),
+    of.REACTION: served(reaction, coordinates, multipliers, coordinates, None),
+    of.RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
+    of.CONSTRAINTS: served(constraints, coordinates, None, None, multipliers, None),
+    of.RATE: served(rate, coordinates, coordinates, multipliers, None),
+    of.PROJECT: served(project, multipliers, coordinates, None),
+    of.ACCEPT: served(accept, coordinates),
+    of.ROWS: served(rows, coordinates, coordinates, None, None),
+    of.REAL: served(real, coordinates, blocks, None, coordinates, blocks),
+    of.PAIR: served(pair, complex_coordinates, complex_blocks, None, complex_coordinates, complex_blocks),
+    of.INERTIA: served(inertia, coordinates, coordinates, coordinates, None, None, None),
+    of.ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers),
+    of.MATRICES: served(factor, coordinates, coordinates, coordinates, multipliers, None),
+    of.SELECT: served(select, mode_values),
+    of.BIAS: served(bias, coordinates, coordinates, coordinates, multipliers),
+}
 
 
 @cache
 def addresses():
     """{number of the entry: address} of all functions, valid for every DenseStages."""
     example = workspace(dense.example(), 3, np.eye(1, 3))
-    functions = {
-        of.PREPARE: prepare, of.BEGIN: dense.begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project,
-        of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia, of.ACCELERATION: acceleration, of.MATRICES: factor,
-        of.SELECT: select, of.BIAS: bias,
-    }  # fmt: skip
-    return {number: table_address(function, typeof(example)) for number, function in functions.items()}
+    return {number: table_address(function, typeof(example)) for number, function in SERVED.items()}

@@ -201,7 +201,7 @@ class DenseStages(Stages, DenseTable):
         self.evaluate_constants(float(made_at[0]), made_at[1 : 1 + n])
         self.times[0] = made_at[0]
         q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([n] * 3)))
-        ended = small.factor(w, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, 0)
+        ended = small.factor(w, 0, q, v, a, lam, slot)
         self.raise_error()
         if ended != DONE:
             raise SingularSystem(REASONS[ended][1])

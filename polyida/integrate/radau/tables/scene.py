@@ -42,7 +42,7 @@ from polyida.integrate.radau.tables.scene_factors import (
     matrices,
     scene_factors,
 )
-from polyida.jit import entry, fast, pack, part
+from polyida.jit import fast, pack, part, served
 from polyida.jit.intrinsics import address, call, complex_pointer, pointer
 from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.dense import clear, copy_matrix
@@ -98,116 +98,138 @@ class SceneWork(NamedTuple):
 
 
 @part
-def pairs(w, at):
+def pairs(work, at):
     """The coordinates at an address as (nodes, 2)."""
-    return carray(pointer(at), w.turn.shape[1:])
+    return carray(pointer(at), work.turn.shape[1:])
 
 
 @part
-def complex_pairs(w, at):
+def complex_pairs(work, at):
     """The complex coordinates at an address as (nodes, 2)."""
-    return carray(complex_pointer(at), w.turn.shape[1:])
+    return carray(complex_pointer(at), work.turn.shape[1:])
 
 
 @part
-def rows(w, at):
+def rows(work, at):
     """The array (m,) at an address."""
-    return carray(pointer(at), w.level.shape)
+    return carray(pointer(at), work.level.shape)
 
 
 @part
-def stage(w, instant):
+def both_rows(work, at):
+    """The array (2, m) at an address: rows of phi, and of phi'."""
+    return carray(pointer(at), (2, work.level.shape[0]))
+
+
+@part
+def complex_rows(work, at):
+    """The complex array (2, m) at an address."""
+    return carray(complex_pointer(at), (2, work.level.shape[0]))
+
+
+@part
+def stages(work, at):
+    """The coordinates of all stages at an address, (s, nodes, 2)."""
+    return carray(pointer(at), work.turn.shape)
+
+
+@part
+def step_times(work, at):
+    """h, t and the times of the stages at an address."""
+    return carray(pointer(at), (3 + work.c.shape[0],))
+
+
+@part
+def stage(work, instant):
     """Number of the stage of an instant."""
-    return (instant - 1) % (w.c.shape[0] + 1)
+    return (instant - 1) % (work.c.shape[0] + 1)
 
 
-@entry
-def prepare(w, first, times, b, c, d, e, f):
+@part
+def prepare(work, first, times):
     """Evaluate loads and motors for a step."""
-    values = carray(pointer(times), (3 + w.c.shape[0],))
-    take_step(w.moves, values[0], values[1], values[2], values[3:], w.c, w.drives[first:], w.gains[first:])
+    take_step(work.moves, times[0], times[1], times[2], times[3:], work.c, work.drives[first:], work.gains[first:])
     return DONE
 
 
-@entry
-def begin(w, first, q, v, times, d, e, f):
+@part
+def begin(work, first, u, v, times):
     """Store h, and positions and velocities of the points at the start of the step."""
-    w.h[0] = carray(pointer(times), (1,))[0]
-    joints.point_values(w.scene.links, pairs(w, q), w.points[START])
-    joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
+    work.h[0] = times[0]
+    joints.point_values(work.scene.links, u, work.points[START])
+    joints.point_values(work.scene.links, v, work.points[VX])
     return DONE
 
 
-@entry
-def reaction(w, instant, q, mu, dv, d, e, f):
+@part
+def reaction(work, instant, u, mu, dv):
     """dv += B^T mu."""
-    s, dz = w.scene.links, w.dz[stage(w, instant)]
-    joints.point_values(s, pairs(w, q), dz)
-    clear(w.forces)
-    joints.joint_forces(s, w.drives[instant], dz, rows(w, mu), w.spare, w.forces)
-    joints.spread(s, w.forces, pairs(w, dv))
+    links, dz = work.scene.links, work.dz[stage(work, instant)]
+    joints.point_values(links, u, dz)
+    clear(work.forces)
+    joints.joint_forces(links, work.drives[instant], dz, mu, work.spare, work.forces)
+    joints.spread(links, work.forces, dv)
     return DONE
 
 
-@entry
-def residual(w, instant, q, v, a, lam, r, phi):
+@part
+def residual(work, instant, u, v, a, lam, r, phi):
     """r and phi, from positions."""
-    s, k, drives, u, speed, out = w.scene, stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), pairs(w, r)
-    det, cosine = kernels.equilibrium(s, drives, u, pairs(w, a), rows(w, lam), out, rows(w, phi), w.rotation[k], w.dz[k], w.forces)
+    k, drives = stage(work, instant), work.drives[instant]
+    det, cosine = kernels.equilibrium(work.scene, drives, u, a, lam, r, phi, work.rotation[k], work.dz[k], work.forces)
     if not det > 0.0:
         return INVERTED if det <= 0.0 else NOT_FINITE
     if not cosine > 0.0:
         return HALF_TURN
-    status = add_forces(w, drives, u, speed, out)
-    if k == w.c.shape[0] // 2:
-        copy_matrix(u[: w.u.shape[0]], w.u)
-        joints.point_values(s.links, speed, w.vz)
+    status = add_forces(work, drives, u, v, r)
+    if k == work.c.shape[0] // 2:
+        copy_matrix(u[: work.u.shape[0]], work.u)
+        joints.point_values(work.scene.links, v, work.vz)
     return status
 
 
-@entry
-def constraints(w, instant, q, dd, dv, phi, rate, f):
+@part
+def constraints(work, instant, u, du, dv, phi, rate):
     """phi and phi' from those at the start of the step and the increments of q and v."""
-    s, k, points = w.scene.links, stage(w, instant), w.points
-    joints.point_values(s, pairs(w, dd), points[DX])
-    joints.point_values(s, pairs(w, dv), points[DV])
-    drives, gains, values = w.drives[instant - 1 - k], w.gains[instant], (rows(w, phi), rows(w, rate))
-    joints.joint_change(s, drives, gains, w.c[k] * w.h[0], points[START], points[VX], points[DX], points[DV], values[0], values[1])
+    links, k, points = work.scene.links, stage(work, instant), work.points
+    joints.point_values(links, du, points[DX])
+    joints.point_values(links, dv, points[DV])
+    drives, gains = work.drives[instant - 1 - k], work.gains[instant]
+    joints.joint_change(links, drives, gains, work.c[k] * work.h[0], points[START], points[VX], points[DX], points[DV], phi, rate)
     return DONE
 
 
-@entry
-def rate(w, instant, q, v, out, known, e, f):
+@part
+def rate(work, instant, u):
     """Compute the slopes of the rows for `project`; phi_rate itself comes from increments."""
-    s, dz = w.scene.links, w.dz[stage(w, instant)]
-    joints.point_values(s, pairs(w, q), dz)
-    joints.joint_jacobian(s, w.drives[instant], dz, w.tie.slopes)
+    links, dz = work.scene.links, work.dz[stage(work, instant)]
+    joints.point_values(links, u, dz)
+    joints.joint_jacobian(links, work.drives[instant], dz, work.tie.slopes)
     return DONE
 
 
-@entry
-def project(w, instant, changes, x, anew, d, e, f):
-    """Change x by the least M-norm, so that B x falls by rows."""
-    return DONE if project_rows(w.scene.links, w.tie, rows(w, changes), pairs(w, x)) else SINGULAR
+@part
+def project(work, instant, changes, x):
+    """Change x by the least M-norm, so that B x falls by `changes`."""
+    return DONE if project_rows(work.scene.links, work.tie, changes, x) else SINGULAR
 
 
-@entry
-def middle_rows(w, instant, q, v, c, d, e, f):
+@part
+def middle_rows(work, instant):
     """Have the borders computed at the next solve, for all iterations of a step."""
-    w.anew[0] = w.anew[1] = w.anew[TIED] = 1
+    work.anew[0] = work.anew[1] = work.anew[TIED] = 1
     return DONE
 
 
-@entry
-def turn(w, first, r, back, c, d, e, f):
-    """Rotate r of all stages in place: back = 0 turns residuals into the frame of the middle stage and stores the rotations in w.turn, back = 1
-    turns corrections back by these."""
-    r = carray(pointer(r), w.turn.shape)
+@part
+def turn(work, first, r, back):
+    """Rotate r of all stages in place: back = 0 turns residuals into the frame of the middle stage and stores the rotations in work.turn, back
+    = 1 turns corrections back by these."""
     for k in range(r.shape[0]):
         if back:
-            turn_back(w.turn[k, : w.rotation.shape[1]], r[k])
+            turn_back(work.turn[k, : work.rotation.shape[1]], r[k])
         else:
-            turn_to(w.rotation[k], w.rotation[r.shape[0] // 2], w.turn[k], r[k])
+            turn_to(work.rotation[k], work.rotation[r.shape[0] // 2], work.turn[k], r[k])
     return DONE
 
 
@@ -232,123 +254,126 @@ def turn_back(turn, dq):
 
 
 @part
-def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
+def solve_mode(work, instant, number, mode, r, closing, lam, dq, multipliers):
     """Solve for dq and multipliers of one mode, rows and curvature being those of the middle stage. Returns a status; DONE if mode is None.
 
     number: 0 for the real mode, 1 for the complex one. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten.
     """
     if mode is None:
         return DONE
-    k, s, drives, c = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
-    factored, workspace, rotation, dz = mode.factored, mode.workspace, w.rotation[k], w.dz[k]
-    right = eliminate(workspace.elimination, w.u, r)
-    if w.tied:
-        if w.anew[TIED]:
-            w.anew[TIED] = 0
-            joints.joint_rate_jacobian(s, drives, dz, w.vz, w.rates.rates)
-            if not factor_rates(s, w.rates, drives, dz):
+    k, s, drives, c = stage(work, instant), work.scene.links, work.drives[instant], mode.c[0]
+    factored, workspace, rotation, dz = mode.factored, mode.workspace, work.rotation[k], work.dz[k]
+    right = eliminate(workspace.elimination, work.u, r)
+    if work.tied:
+        if work.anew[TIED]:
+            work.anew[TIED] = 0
+            joints.joint_rate_jacobian(s, drives, dz, work.vz, work.rates.rates)
+            if not factor_rates(s, work.rates, drives, dz):
                 return SINGULAR
         for e in range(closing.shape[1]):
             closing[1, e] = c * closing[0, e] - closing[1, e]
-        if not solve_rates(w.rates, closing[1], multipliers[1]):
+        if not solve_rates(work.rates, closing[1], multipliers[1]):
             return SINGULAR
         if mode.slowing.shape[0]:
             corotated.turn_frames(s, factored, workspace, rotation)
-        add_rate_forces(s, w.rates, mode.slowing, workspace, c, multipliers[1], right)
-    workspace.keeps[0], w.anew[number] = 1 - w.anew[number], 0
+        add_rate_forces(s, work.rates, mode.slowing, workspace, c, multipliers[1], right)
+    workspace.keeps[0], work.anew[number] = 1 - work.anew[number], 0
     good = corotated.solve(s, factored, workspace, drives, rotation, dz, lam, right, closing[0], c * c, dq, multipliers[0])
     workspace.keeps[0] = 0
-    if w.tied:
+    if work.tied:
         joints.point_values(s, dq, workspace.moved)
-        subtract_rates(s, w.rates, workspace.moved, closing[1])
-        good = solve_rates(w.rates, closing[1], multipliers[1]) and good
-    recover(workspace.elimination, w.u, dq)
+        subtract_rates(s, work.rates, workspace.moved, closing[1])
+        good = solve_rates(work.rates, closing[1], multipliers[1]) and good
+    recover(workspace.elimination, work.u, dq)
     return DONE if good else SINGULAR
 
 
-@entry
-def real(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def real(work, instant, r, closing, lam, dq, multipliers):
     """The correction of the real mode."""
-    shape = (2, w.level.shape[0])
-    arguments = pairs(w, r), carray(pointer(closing), shape), rows(w, lam), pairs(w, dq), carray(pointer(multipliers), shape)
-    return solve_mode(w, instant, 0, w.real, arguments[0], arguments[1], arguments[2], arguments[3], arguments[4])
+    return solve_mode(work, instant, 0, work.real, r, closing, lam, dq, multipliers)
 
 
-@entry
-def pair(w, instant, r, closing, lam, dq, multipliers, f):
+@part
+def pair(work, instant, r, closing, lam, dq, multipliers):
     """The correction of the complex mode."""
-    shape = (2, w.level.shape[0])
-    right, correction = complex_pairs(w, r), complex_pairs(w, dq)
-    right_rows, changes = carray(complex_pointer(closing), shape), carray(complex_pointer(multipliers), shape)
-    return solve_mode(w, instant, 1, w.pair, right, right_rows, rows(w, lam), correction, changes)
+    return solve_mode(work, instant, 1, work.pair, r, closing, lam, dq, multipliers)
 
 
 @part
-def momentum(w, b, r):
-    """r += M b."""
-    kernels.momentum(w.scene, b, r)
-    s = w.scene.links
-    joints.point_values(s, b, w.points[DX])
-    for f in range(w.forces.shape[0]):
-        w.forces[f, 0] = s.point_mass[f] * w.points[DX, f, 0]
-        w.forces[f, 1] = s.point_mass[f] * w.points[DX, f, 1]
-    joints.spread(s, w.forces, r)
+def momentum(work, a, r):
+    """r += M a."""
+    kernels.momentum(work.scene, a, r)
+    links = work.scene.links
+    joints.point_values(links, a, work.points[DX])
+    for p in range(work.forces.shape[0]):
+        work.forces[p, 0] = links.point_mass[p] * work.points[DX, p, 0]
+        work.forces[p, 1] = links.point_mass[p] * work.points[DX, p, 1]
+    joints.spread(links, work.forces, r)
 
 
 @part
-def add_law_damping(w, drives, dz, v, r):
+def add_law_damping(work, drives, dz, v, r):
     """r += C v of the force elements, at the places dz of the points and the velocities of the last residual."""
-    moved, forces, optional = w.points[DX], w.forces, w.optional
+    moved, forces, optional = work.points[DX], work.forces, work.optional
     if optional[LAW_DAMPING] != 0:
-        joints.point_values(w.scene.links, v, moved)
+        joints.point_values(work.scene.links, v, moved)
         clear(forces)
-        call(optional[LAW_DAMPING], optional[PARTS], address(drives), address(dz), address(w.vz), address(moved), address(forces), 0, 0)
-        joints.spread(w.scene.links, forces, r)
+        call(optional[LAW_DAMPING], optional[PARTS], address(drives), address(dz), address(work.vz), address(moved), address(forces), 0, 0)
+        joints.spread(work.scene.links, forces, r)
 
 
-@entry
-def inertia(w, instant, v, a, r, p, q, rates):
-    """r = C v + M a, p = M v, C at q; rates (2, m) = (0, B v), B of the stage's last residual."""
-    slow, force = pairs(w, v), pairs(w, r)
-    clear(force)
-    momentum(w, pairs(w, a), force)
-    add_slowing(w, pairs(w, q), slow, 0, force)
-    add_law_damping(w, w.drives[instant], w.dz[stage(w, instant)], slow, force)
+@part
+def inertia(work, instant, v, a, r, p, u, rates):
+    """r = C v + M a, C at u. p = M v and rates (2, m) = (0, B v), B of the stage's last residual, unless their addresses are 0."""
+    clear(r)
+    momentum(work, a, r)
+    add_slowing(work, u, v, 0, r)
+    add_law_damping(work, work.drives[instant], work.dz[stage(work, instant)], v, r)
     if p:
-        impulse = pairs(w, p)
+        impulse = pairs(work, p)
         clear(impulse)
-        momentum(w, slow, impulse)
+        momentum(work, v, impulse)
     if rates:
-        joints.point_values(w.scene.links, slow, w.points[DX])
-        links, dz, out = w.scene.links, w.dz[stage(w, instant)], carray(pointer(rates), (2, w.level.shape[0]))
-        joints.joint_jacobian(links, w.drives[instant], dz, w.tie.slopes)
+        joints.point_values(work.scene.links, v, work.points[DX])
+        links, dz, out = work.scene.links, work.dz[stage(work, instant)], both_rows(work, rates)
+        joints.joint_jacobian(links, work.drives[instant], dz, work.tie.slopes)
         for k in range(out.shape[1]):
-            out[1, k] = joints.along(links, w.tie.slopes, k, w.points[DX])
+            out[1, k] = joints.along(links, work.tie.slopes, k, work.points[DX])
     return DONE
 
 
-@entry
-def acceleration(w, instant, q, v, a, lam, e, f):
+@part
+def acceleration(work, instant, u, v, a, lam):
     """a and lam of the equations of motion."""
-    k, drives, u, speed, forces = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]
-    kernels.equilibrium(w.scene, drives, u, w.still, w.level, forces, w.spare, w.rotation[k], w.dz[k], w.forces)
-    add_forces(w, drives, u, speed, forces)
-    out = pairs(w, a)
-    for i in range(out.shape[0]):
+    k, drives, forces = stage(work, instant), work.drives[instant], work.turn[0]
+    kernels.equilibrium(work.scene, drives, u, work.still, work.level, forces, work.spare, work.rotation[k], work.dz[k], work.forces)
+    add_forces(work, drives, u, v, forces)
+    for i in range(a.shape[0]):
         total = 0.0j
-        for j in range(out.shape[0]):
-            total -= w.inverse[i, j] * complex(forces[j, 0], forces[j, 1])
-        w.r[i, 0], w.r[i, 1] = total.real, total.imag
-    if not constrain(w.scene.links, w.tie, drives, w.dz[k], speed, w.r, rows(w, lam)):
+        for j in range(a.shape[0]):
+            total -= work.inverse[i, j] * complex(forces[j, 0], forces[j, 1])
+        work.r[i, 0], work.r[i, 1] = total.real, total.imag
+    if not constrain(work.scene.links, work.tie, drives, work.dz[k], v, work.r, lam):
         return SINGULAR
-    copy_matrix(w.r, out)
+    copy_matrix(work.r, a)
     return DONE
 
 
 FUNCTIONS = {
-    of.BEGIN: begin, of.REACTION: reaction, of.RESIDUAL: residual, of.CONSTRAINTS: constraints, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
-    of.TURN: turn, of.REAL: real, of.PAIR: pair, of.INERTIA: inertia,
-}  # fmt: skip
+    of.BEGIN: served(begin, pairs, pairs, step_times),
+    of.REACTION: served(reaction, pairs, rows, pairs),
+    of.RESIDUAL: served(residual, pairs, pairs, pairs, rows, pairs, rows),
+    of.CONSTRAINTS: served(constraints, pairs, pairs, pairs, rows, rows),
+    of.RATE: served(rate, pairs),
+    of.PROJECT: served(project, rows, pairs),
+    of.ROWS: served(middle_rows),
+    of.TURN: served(turn, stages, None),
+    of.REAL: served(real, pairs, both_rows, rows, pairs, both_rows),
+    of.PAIR: served(pair, complex_pairs, complex_rows, rows, complex_pairs, complex_rows),
+    of.INERTIA: served(inertia, pairs, pairs, pairs, None, pairs, None),
+}
+PREPARE, ACCELERATION = served(prepare, step_times), served(acceleration, pairs, pairs, pairs, rows)
 READS = {of.REAL: ("real",), of.PAIR: ("pair",), of.MATRICES: ("real", "pair"), of.SELECT: ("real", "pair")}  # modes that functions read
 
 
@@ -368,7 +393,7 @@ class SceneStages:
         self.model, self.tableau, self.tied, s = model, tableau, tied, tableau.stages
         nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
         small, (numbers, self.formulas) = model.n_nodes <= FEW, moves(model)
-        self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
+        self.entries = FUNCTIONS | ({of.ACCELERATION: ACCELERATION} if small else {})
         # whether the matrices of one slot are at hand only, because Python makes them
         self.single = s == 1 or not makes_factors(model)
         self.w = {
@@ -426,7 +451,7 @@ class SceneStages:
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
         if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = table_address(prepare, typeof(self.work._replace(real=None, pair=None)))
+            self.functions[of.PREPARE] = table_address(PREPARE, typeof(self.work._replace(real=None, pair=None)))
 
     def _prepare(self, model, first, times, *_):
         try:
@@ -447,8 +472,8 @@ class SceneStages:
         """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
         if not self.single:
             c = compiled_tableau(self.tableau).values / h
-            q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([self.model.n] * 3)))
-            if matrices(self.work, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, c.ctypes.data) != DONE:
+            u = np.ascontiguousarray(made_at[1 : 1 + self.model.n]).reshape(-1, 2)
+            if matrices(self.work, 0, u, 0, 0, 0, slot, c) != DONE:
                 raise SingularSystem(REASONS[SINGULAR][1])
             return
         known = self.slots.get(slot)

@@ -11,7 +11,7 @@ from numba import carray
 from polyida import system as of
 from polyida.assembly import compact, corotated
 from polyida.errors import DONE, SINGULAR
-from polyida.jit import entry, pack, part, shared
+from polyida.jit import entry, pack, part, served, shared
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.fronts import fill_panels
@@ -61,17 +61,29 @@ class SceneFactors(NamedTuple):
     places: np.ndarray
 
 
+@part
+def coordinates(work, at):
+    """The coordinates at an address as (nodes, 2)."""
+    return carray(pointer(at), work.still.shape)
+
+
+@part
+def mode_values(work, at):
+    """c of the real mode, and the real and imaginary part of that of the complex one, at an address."""
+    return carray(pointer(at), (3,))
+
+
 @entry
-def matrices(w, instant, q, v, a, lam, slot, c):
-    """Factor S of both modes at q, in the slot."""
-    x, u, values, bodies = w.factors, carray(pointer(q), w.still.shape), carray(pointer(c), (3,)), w.scene.compact
-    x.K[:], x.M[:], x.chosen[0] = 0.0, 0.0, slot
-    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, x.K)
-    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, x.M)
+def matrices(work, instant, u, v, a, lam, slot, c):
+    """Factor S of both modes at u, in the slot; v, a and lam are not read."""
+    factors, bodies, turn = work.factors, work.scene.compact, work.turn[0]
+    factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
+    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)
+    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)
     for b in range(bodies.drag.shape[0]):
-        compact.turn(bodies, b, u, w.turn[0])
-    good = factored(x, x.real, w.real, values[0], w.turn[0], slot)
-    return DONE if good and factored(x, x.pair, w.pair, complex(values[1], values[2]), w.turn[0], slot) else SINGULAR
+        compact.turn(bodies, b, u, turn)
+    good = factored(factors, factors.real, work.real, c[0], turn, slot)
+    return DONE if good and factored(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
 
 
 @shared
@@ -104,18 +116,17 @@ def restored(stored, mode, c, slot):
         copy_matrix(stored.frames[slot], s.frame)
 
 
-@entry
-def select(w, slot, c, b, d, e, f, g):
+@part
+def select(work, slot, c):
     """Use the factors of a slot."""
-    values = carray(pointer(c), (3,))
-    if w.factors.chosen[0] != slot:
-        w.factors.chosen[0] = slot
-        restored(w.factors.real, w.real, values[0], slot)
-        restored(w.factors.pair, w.pair, complex(values[1], values[2]), slot)
+    if work.factors.chosen[0] != slot:
+        work.factors.chosen[0] = slot
+        restored(work.factors.real, work.real, c[0], slot)
+        restored(work.factors.pair, work.pair, complex(c[1], c[2]), slot)
     return DONE
 
 
-FACTOR_FUNCTIONS = {of.MATRICES: matrices, of.SELECT: select}
+FACTOR_FUNCTIONS = {of.MATRICES: served(matrices, coordinates, None, None, None, None, mode_values), of.SELECT: served(select, mode_values)}
 
 
 def makes_factors(model):
