@@ -2,10 +2,12 @@
 
 import gc
 import math
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -246,3 +248,13 @@ def file(run, tmp_path):
     path = tmp_path / "run.h5"
     run.save(path)
     return path
+
+
+@pytest.fixture
+def in_a_new_process():
+    """A function that calls another one in a new process, and returns its result.
+
+    What forks runs there: after some thousand tests a process has so much memory reserved that the system may refuse to fork it.
+    """
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield lambda function, *args, **options: pool.submit(function, *args, **options).result()

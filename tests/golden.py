@@ -1,8 +1,7 @@
 """Short runs whose last states and counts stay as they are when code is rewritten: `python tests/golden.py --check` or `--write`.
 
-On the processor that wrote `golden.json`, states of scenes agree bit by bit, those of other models to 1e-12, and counts agree. Other
-processors round differently; there the states agree to what rounding makes of them (`test_golden.py`). A change of a number of a method is
-the only reason to write the file anew.
+States are compared bit by bit and counts exactly, on the machine that wrote `golden.json`. Other machines round differently; the tests
+compare what is left of the states then (`test_golden.py`). A change of a number of a method is the only reason to write the file anew.
 """
 
 import argparse
@@ -11,7 +10,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import llvmlite.binding
 import numpy as np
 
 import polyida as pi
@@ -121,7 +119,7 @@ ALPHA, RADAU, ENERGY = pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(h=2e-3), pi.Ener
 IDA, STEPPING = pi.IDA(rtol=1e-6), pi.NonsmoothAlpha(h=1e-3)
 POLAR = {"q0": [1.0, 0.0], "v0": [0.3, 0.0]}
 TURNING = {"v0": [0.0, 0.0, 1.5]}
-RUNS = {  # name: a model's function, integrator, initial values; bits are asked of scenes
+RUNS = {  # name: a model's function, integrator, initial values
     "alpha chain": (lambda: chain()[0].build(), ALPHA, {}),
     "alpha stabilised chain": (lambda: chain()[0].build(), pi.GeneralizedAlpha(h=1e-3, form="stabilised"), {}),
     "alpha adaptive chain": (lambda: chain()[0].build(), pi.GeneralizedAlpha(rtol=1e-5), {}),
@@ -171,14 +169,6 @@ def slope_of_total(run):
     return {"q": slope}
 
 
-def processor():
-    """What decides how kernels and BLAS round here."""
-    import threadpoolctl
-
-    blas = sorted({str(pool.get("architecture")) for pool in threadpoolctl.threadpool_info()})
-    return " ".join([llvmlite.binding.get_host_cpu_name(), *blas])
-
-
 def result(name):
     """{what: value} of one run: states as hexadecimal numbers, and counts."""
     make, integrator, start = RUNS[name]
@@ -189,11 +179,11 @@ def result(name):
     if name in SWEEPS:
         total = pi.objective.UserObjective(lambda run: float(run.q[-1].sum()), slope_of_total)
         state |= {what: np.asarray(slope) for what, slope in pi.gradient(run, total, parameters=SWEEPS[name]).items()}
-    return {"bits": getattr(run.model, "is_scene", False), "counts": counts} | described(state)
+    return {"counts": counts} | described(state)
 
 
 def described(state):
-    """The digest of a state's bits and its largest and summed entries, by which other processors compare."""
+    """The digest of a state's bits and its largest and summed entries, by which other machines compare."""
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(x, float).tobytes() for x in state.values())).hexdigest()[:16]
     return {"digest": digest, "sizes": {what: [float(np.abs(x).max(initial=0.0)), float(x.sum())] for what, x in state.items()}}
 
@@ -205,6 +195,6 @@ if __name__ == "__main__":
     options = parser.parse_args()
     found = {name: result(name) for name in RUNS}
     if options.write:
-        FILE.write_text(json.dumps({"processor": processor(), "runs": found}, indent=1) + "\n")
-    for name, before in json.loads(FILE.read_text())["runs"].items() if options.check else ():
+        FILE.write_text(json.dumps(found, indent=1) + "\n")
+    for name, before in json.loads(FILE.read_text()).items() if options.check else ():
         print(f"{name:28} {'same' if found[name] == before else f'CHANGED {before} -> {found[name]}'}")

@@ -144,8 +144,8 @@ def test_the_litter_of_killed_processes_is_removed(tmp_path):
     assert list(tmp_path.glob(".*")) == [young]
 
 
-def test_five_kills_of_a_sweep():
-    assert all(check.share <= 1 for check in killed_sweeps(5)[1])
+def test_five_kills_of_a_sweep(in_a_new_process):
+    assert all(check.share <= 1 for check in in_a_new_process(killed_sweeps, 5)[1])
 
 
 def command(folder, *more):

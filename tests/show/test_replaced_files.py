@@ -106,6 +106,6 @@ pi.export.vtu(pi.load(sys.argv[1]), sys.argv[2], overwrite=True, frames=[0, 1, 2
     assert {path.name for path in folder.iterdir()} == old
 
 
-def test_killed_writers_leave_the_old_result_or_the_new_one():
-    for name, found in killed_writers(4).items():
+def test_killed_writers_leave_the_old_result_or_the_new_one(in_a_new_process):
+    for name, found in in_a_new_process(killed_writers, 4).items():
         assert set(found) <= {"old", "new"}, (name, found)

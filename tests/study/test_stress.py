@@ -203,8 +203,8 @@ class Early:
 
 
 @pytest.mark.parametrize("name, t_end", [("alpha", 0.4), ("radau", 0.1)])
-def test_five_kills_of_a_run(name, t_end):
-    last, checks = killed_runs(5, name, seed=3, t_end=t_end)
+def test_five_kills_of_a_run(name, t_end, in_a_new_process):
+    last, checks = in_a_new_process(killed_runs, 5, name, seed=3, t_end=t_end)
     assert judged(last, checks)["outcome"] == "right", checks
 
 
