@@ -120,6 +120,8 @@ WIDE = 1 << 12  # bytes of a row from which on large pages pay
 LINE = 64  # bytes, between which arrays begin
 UNUSED = 4  # unused mappings, of any sizes: the system counts their pages as used until it needs them
 MOST = 1 << 44  # bytes, of addresses alone
+_PLAIN_LINUX = sys.platform == "linux" and platform.machine() in ("x86_64", "aarch64")
+NO_RESERVE = 0x4000 if _PLAIN_LINUX else 0  # the system then counts written pages alone, so that a process with many runs can be forked
 LAZY = hasattr(mmap, "MAP_PRIVATE") and hasattr(mmap, "MADV_FREE")  # True if untouched memory costs nothing
 
 _unused: list[mmap.mmap] = []  # the last one given back at the end
@@ -161,7 +163,7 @@ def _mapping(size, least):
             _unused.remove(mapping)
             return mapping
     try:
-        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | NO_RESERVE)
     except (OSError, OverflowError):
         if size // 2 < least:
             raise MemoryError(f"no room for {least} bytes") from None

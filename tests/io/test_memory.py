@@ -1,6 +1,7 @@
 """Frames in memory: written once, where they stay, and in memory that is used again."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,3 +88,25 @@ def test_a_run_takes_the_memory_of_one_as_long(monkeypatch):
         places.append(frames.ctypes.data)
         del frames
     assert len(set(places)) == 1 and len(environment._unused) == 1
+
+
+def promised_to(address):
+    """True if the system counts all pages of the mapping with this address as used (`ac` of its flags), whether written or not."""
+    inside = False
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        head, *words = line.split()
+        if "-" in head and not head.endswith(":"):
+            first, end = (int(number, 16) for number in head.split("-"))
+            inside = first <= address < end
+        elif inside and head == "VmFlags:":
+            return "ac" in words
+    raise LookupError(address)
+
+
+@pytest.mark.skipif(not environment.NO_RESERVE, reason="the flag is one of Linux")
+def test_frames_that_are_not_written_count_for_nothing(monkeypatch):
+    """Otherwise a process that holds forty short runs has 20 GB promised, and the system refuses to fork it."""
+    monkeypatch.setattr(environment, "_unused", [])
+    (frames,) = environment.allocate([(1000,)], [np.dtype(float)], 2**29)
+    assert not promised_to(frames.ctypes.data)
+    assert promised_to(np.empty(1 << 20).ctypes.data)
