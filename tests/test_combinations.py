@@ -24,8 +24,14 @@ def test_it_holds_in_a_random_scene(seed, kind):
     assert found != "failed", why
 
 
-def test_a_scene_that_is_not_the_same_is_found(monkeypatch):
-    """A spring whose stiffness forgets the units of the world."""
-    monkeypatch.setitem(parts.PARTS, "Band", lambda made, random: [parts.Band(*parts._two(made, random), 2000.0)])
-    recipe = scenes.Recipe(1, (("RigidBody", 1), ("RigidBody", 2)), (("Revolute", 3), ("Revolute", 4)), (("Band", 5),))
-    assert outcome(Case(recipe), "units")[0] == "failed"
+@pytest.mark.parametrize("forgets", [False, True])
+def test_a_scene_that_is_not_the_same_is_found(forgets, monkeypatch):
+    """A spring whose stiffness forgets the units of the world; it acts on the motion."""
+
+    def band(made, random):
+        return [parts.Band(*parts._two(made, random), 50.0 if forgets else made.world.of(50.0, "N/m"))]
+
+    monkeypatch.setitem(parts.PARTS, "Band", band)
+    recipe = scenes.Recipe(4, (("RigidBody", 1), ("RigidBody", 2)), (("Revolute", 3), ("Revolute", 4)), (("Band", 6),))
+    found, why = outcome(Case(recipe), "units")
+    assert (found, "of the way apart" in why) == (("failed", True) if forgets else ("passed", False))
