@@ -1,0 +1,216 @@
+"""Factors of a scene's step matrices `S = c_m M + c_v C + K`, and the solves with them.
+
+Python makes the factors, or compiled code: those of scenes of rigid and reduced bodies without force elements and damping, whose S has the
+parts K and M of the bodies alone. Such factors are stored in slots (entries MATRICES and SELECT of a table).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray
+
+from polyida.assembly import compact, corotated, joints
+from polyida.assembly.equilibrium import symmetric_parts
+from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, slowing, solve_rates, subtract_rates
+from polyida.assembly.relaxation import eliminate, recover
+from polyida.errors import DONE, SINGULAR
+from polyida.jit import entry, pack, part, shared
+from polyida.jit.intrinsics import pointer
+from polyida.linear.dense import copy_matrix, put
+from polyida.linear.fronts import fill_panels
+from polyida.linear.lu import FACTORS
+
+KINDS = {False: (np.float32, float), True: (np.complex64, complex)}  # of the factors of a real and of a complex mode, and of their blocks
+
+
+# of compiled code
+C_M, C_V = range(2)  # of Factor.c
+REAL, PAIR, TIED = range(3)  # of SceneWork.anew: the real factor, the complex one, the system of mu
+
+
+@pack
+class Factor(NamedTuple):
+    """A factor of S and its workspace; c = (c_m, c_v), real or complex; slowing: C A^T, see RateMultipliers, (0, 2, 2) without mu or damping."""
+
+    c: np.ndarray
+    factored: corotated.Corotated
+    workspace: corotated.SolveWorkspace
+    slowing: np.ndarray
+
+
+@pack
+class StoredFactors(NamedTuple):
+    """Factors of S of a mode of Radau IIA in each slot: panels, compliance columns and frames, (slots, .) each.
+
+    Scratch of one factorization: blocks, S as (nnz, 2, 2), and numbers, both in double precision; x, of the type of the panels.
+    """
+
+    panels: np.ndarray
+    columns: np.ndarray
+    frames: np.ndarray
+    blocks: np.ndarray
+    numbers: np.ndarray
+    x: np.ndarray
+
+
+@pack
+class SceneFactors(NamedTuple):
+    """Factors that compiled code makes and stores, of scenes without full plates, forces and damping; of other scenes all sizes are zero.
+
+    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads: unit forces at the points. places: scratch.
+    """
+
+    real: StoredFactors
+    pair: StoredFactors
+    chosen: np.ndarray
+    K: np.ndarray
+    M: np.ndarray
+    loads: np.ndarray
+    places: np.ndarray
+
+
+@part
+def mode_values(work, at):
+    """c of the real mode, and the real and imaginary part of that of the complex one, at an address."""
+    return carray(pointer(at), (3,))
+
+
+@entry
+def matrices(work, instant, u, v, a, lam, slot, c):
+    """Factor S of both modes at u, in the slot; v, a and lam are not read."""
+    factors, bodies, turn = work.stored, work.scene.compact, work.turn[0]
+    factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
+    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)
+    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)
+    for b in range(bodies.drag.shape[0]):
+        compact.turn(bodies, b, u, turn)
+    good = factored(factors, factors.real, work.real, c[0], turn, slot)
+    return DONE if good and factored(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
+
+
+@shared
+def factored(x, stored, mode, c, rotation, slot):
+    """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
+    if mode is None:
+        return True
+    s = mode.factored
+    for k in range(x.K.shape[0]):
+        for i in range(2):
+            for j in range(2):
+                stored.blocks[k, i, j] = x.K[k, i, j] + c * c * x.M[k, i, j]
+    mode.c[C_M], mode.c[C_V] = c * c, c
+    if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
+        return False
+    corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
+    put(1.0, s.panels, stored.panels[slot])
+    copy_matrix(s.compliance_columns, stored.columns[slot])
+    copy_matrix(s.frame, stored.frames[slot])
+    return True
+
+
+@part
+def restored(stored, mode, c, slot):
+    """Use the factors of a slot, unless mode is None."""
+    if mode is not None:
+        s = mode.factored
+        mode.c[C_M], mode.c[C_V] = c * c, c
+        put(1.0, stored.panels[slot], s.panels)
+        copy_matrix(stored.columns[slot], s.compliance_columns)
+        copy_matrix(stored.frames[slot], s.frame)
+
+
+@part
+def select(work, slot, c):
+    """Use the factors of a slot."""
+    if work.stored.chosen[0] != slot:
+        work.stored.chosen[0] = slot
+        restored(work.stored.real, work.real, c[0], slot)
+        restored(work.stored.pair, work.pair, complex(c[1], c[2]), slot)
+    return DONE
+
+
+@part
+def solve(work, factor, instant, right, phi, lam, dq, dlam):
+    """Fill dq and dlam: `S dq + B^T dlam = -right`, `B dq = -phi`, B and the rows' curvature those of the last residual. False if singular."""
+    k, links, drives, c_m = work.instants.stage[instant], work.scene.links, work.instants.drives[instant], factor.c[C_M]
+    return corotated.solve(links, factor.factored, factor.workspace, drives, work.rotation[k], work.dz[k], lam, right, phi, c_m, dq, dlam)
+
+
+@part
+def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
+    """Solve for dq and multipliers of a mode, rows and curvature being those of the middle stage. Returns a status; DONE if factor is None.
+
+    number: REAL or PAIR. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten.
+    """
+    if factor is None:
+        return DONE
+    k, links, drives, c = work.instants.stage[instant], work.scene.links, work.instants.drives[instant], factor.c[C_V]
+    workspace, dz = factor.workspace, work.dz[k]
+    right = eliminate(workspace.elimination, work.u, r)
+    if work.tied:
+        if work.anew[TIED]:
+            work.anew[TIED] = 0
+            joints.joint_rate_jacobian(links, drives, dz, work.vz, work.rates.rates)
+            if not factor_rates(links, work.rates, drives, dz):
+                return SINGULAR
+        for e in range(closing.shape[1]):
+            closing[1, e] = c * closing[0, e] - closing[1, e]
+        if not solve_rates(work.rates, closing[1], multipliers[1]):
+            return SINGULAR
+        if factor.slowing.shape[0]:
+            corotated.turn_frames(links, factor.factored, workspace, work.rotation[k])
+        add_rate_forces(links, work.rates, factor.slowing, workspace, c, multipliers[1], right)
+    workspace.keeps[0], work.anew[number] = 1 - work.anew[number], 0
+    good = solve(work, factor, instant, right, closing[0], lam, dq, multipliers[0])
+    workspace.keeps[0] = 0
+    if work.tied:
+        joints.point_values(links, dq, workspace.moved)
+        subtract_rates(links, work.rates, workspace.moved, closing[1])
+        good = solve_rates(work.rates, closing[1], multipliers[1]) and good
+    recover(workspace.elimination, work.u, dq)
+    return DONE if good else SINGULAR
+
+
+def makes_factors(model):
+    """True if compiled code makes the factors of a scene."""
+    return not (model.bodies or model.damped or model.strains or model.own_forces)
+
+
+def scene_factors(model, used):
+    """The SceneFactors of a scene. used: False if compiled code makes none."""
+    panels = columns = nodes = blocks = numbers = places = 0
+    loads = np.empty((0, 0, 2))
+    if used:
+        empty, nodes, blocks = corotated.empty_corotated(model, float), model.n_factored, len(model.pattern[1])
+        fronts, panels, columns = empty.fronts, len(empty.panels), len(empty.compliance_columns)
+        numbers, places = fronts.size**2 + fronts.depth, len(fronts.nodes) + len(fronts.children)
+        loads = model.once(corotated.unit_loads, of_shape=True)
+    modes = [
+        StoredFactors(
+            np.empty((FACTORS, panels), kind),
+            np.empty((FACTORS, columns, 2), kind),
+            np.empty((FACTORS, nodes, 2)),
+            np.empty((blocks, 2, 2), wide),
+            np.empty(numbers, wide),
+            np.empty(2 * nodes, kind),
+        )
+        for kind, wide in KINDS.values()
+    ]
+    return SceneFactors(*modes, np.full(1, -1), *np.empty((2, blocks, 2, 2)), loads, np.empty(places, np.int32))
+
+
+def empty_factor(model, mode):
+    """The Factor of a mode of Radau IIA for numbers that compiled code makes."""
+    factored = corotated.empty_corotated(model, KINDS[mode.paired][0])
+    return Factor(np.array([mode.value**2, mode.value]), factored, corotated.solve_workspace(model, factored), np.zeros((0, 2, 2)))
+
+
+def factors_of_modes(model, modes, h, made_at):
+    """({"real", "pair"}: Factor or None of each mode for steps of h, backend), made at t, q, v, a and lam, which made_at holds in their order."""
+    t, at, factors = float(made_at[0]), np.split(made_at[1:], np.cumsum([model.n] * 3)), {"real": None, "pair": None}
+    parts = symmetric_parts(model, *at[:2])
+    for mode in modes:
+        c, step = mode.value / h, model.step_matrix()
+        step.factor(t, *at, c * c, c, parts)
+        factors["pair" if mode.paired else "real"] = Factor(np.array([c * c, c]), step.corotated, step.workspace, slowing(model, t, at[0]))
+    return factors, step.backend
