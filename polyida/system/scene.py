@@ -43,23 +43,6 @@ START, VX, DX, DV = range(4)
 
 
 @pack
-class Instants(NamedTuple):
-    """The instants of the prepared steps.
-
-    c (s,): times of the stages of a step, over its length h (1,). stage (instants,): number of the stage of an instant; begin (instants,): row of
-    drives at the beginning of its step. drives, gains (rows, profiles, 3): values of the profiles at each instant, and their changes since the
-    beginning of the step.
-    """
-
-    c: np.ndarray
-    h: np.ndarray
-    stage: np.ndarray
-    begin: np.ndarray
-    drives: np.ndarray
-    gains: np.ndarray
-
-
-@pack
 class SceneWork(NamedTuple):
     """The workspace of a scene and the s stages of a method."""
 
@@ -72,9 +55,15 @@ class SceneWork(NamedTuple):
     condensed: Condensation  # the pairs are then those without strains
     optional: np.ndarray  # of `optional_kernels`
     moves: Moves  # profiles with formulas
-    instants: Instants
+    c: np.ndarray  # (s,) times of the stages since the beginning of a step, over its length
+    h: np.ndarray  # (1,) that length
+    stage: np.ndarray  # (instants,) number of the stage of an instant
+    begin: np.ndarray  # (instants,) row of drives at the beginning of its step
+    drives: np.ndarray  # (instants + 1, profiles, 3) values of the profiles
+    gains: np.ndarray  # (instants + 1, profiles, 3) their changes since the beginning of the step
     incremental: bool  # phi is computed by increments
     tied: bool  # there is mu
+    keeps_middle: bool  # residuals store vz and u
     strict: bool  # a residual on the wrong half-turn of a motor is refused at once
     anew: np.ndarray  # (3,) 1 if the border of the real or complex factor, or the system of mu, is computed at the next solve
     cosine: np.ndarray  # (1,) the least of motors' angle errors at the last residual
@@ -133,14 +122,13 @@ def stages(work, at):
 @part
 def step_times(work, at):
     """h, t and the times of the stages at an address."""
-    return carray(pointer(at), (3 + work.instants.c.shape[0],))
+    return carray(pointer(at), (3 + work.c.shape[0],))
 
 
 @part
 def prepare(work, first, times):
     """Evaluate loads and motors for a step."""
-    x = work.instants
-    take_step(work.moves, times[0], times[1], times[2], times[3:], x.c, x.drives[first:], x.gains[first:])
+    take_step(work.moves, times[0], times[1], times[2], times[3:], work.c, work.drives[first:], work.gains[first:])
     return DONE
 
 
@@ -148,7 +136,7 @@ def prepare(work, first, times):
 def begin(work, instant, u, v, times):
     """Store the points at a step's beginning, and h, which is the first of the times at an address, or was prepared."""
     if times != 0:
-        work.instants.h[0] = carray(pointer(times), (1,))[0]
+        work.h[0] = carray(pointer(times), (1,))[0]
     joints.point_values(work.scene.links, u, work.points[START])
     joints.point_values(work.scene.links, v, work.points[VX])
     return DONE
@@ -176,7 +164,7 @@ def add_forces(work, drives, u, v, r):
 @part
 def residual(work, instant, u, v, a, lam, r, phi):
     """r and phi, from positions."""
-    k, drives = work.instants.stage[instant], work.instants.drives[instant]
+    k, drives = work.stage[instant], work.drives[instant]
     det, cosine = kernels.equilibrium(work.scene, drives, u, a, lam, r, phi, work.rotation[k], work.dz[k], work.forces)
     work.cosine[0] = cosine
     if not det > 0.0:
@@ -186,34 +174,33 @@ def residual(work, instant, u, v, a, lam, r, phi):
     status = add_forces(work, drives, u, v, r)
     if work.condensed.calls[0] != 0:
         call(work.condensed.calls[2], work.condensed.calls[0], address(u), address(r), 0, 0, 0, 0, 0)
-    if k == work.rotation.shape[0] // 2:
+    if work.keeps_middle and k == work.rotation.shape[0] // 2:
         copy_matrix(u[: work.u.shape[0]], work.u)
-        if work.vz.shape[0]:
-            joints.point_values(work.scene.links, v, work.vz)
+        joints.point_values(work.scene.links, v, work.vz)
     return status
 
 
 @part
 def constraints(work, instant, u, du, dv, phi, rate):
     """phi and its rate, by increments since the step's beginning; or phi from positions."""
-    links, x, points = work.scene.links, work.instants, work.points
+    links, points = work.scene.links, work.points
     if work.incremental:
         joints.point_values(links, du, points[DX])
         joints.point_values(links, dv, points[DV])
-        drives, gains, h = x.drives[x.begin[instant]], x.gains[instant], x.c[x.stage[instant]] * x.h[0]
+        drives, gains, h = work.drives[work.begin[instant]], work.gains[instant], work.c[work.stage[instant]] * work.h[0]
         joints.joint_change(links, drives, gains, h, points[START], points[VX], points[DX], points[DV], phi, rate)
     else:
         joints.point_values(links, u, points[DX])
-        joints.joint_forces(links, x.drives[instant], points[DX], work.level, phi, work.forces)
+        joints.joint_forces(links, work.drives[instant], points[DX], work.level, phi, work.forces)
     return DONE
 
 
 @part
 def rate(work, instant, u, v, out):
     """phi_q v + phi_t."""
-    dz = work.dz[work.instants.stage[instant]]
+    dz = work.dz[work.stage[instant]]
     joints.point_values(work.scene.links, u, dz)
-    velocity_rate(work.scene.links, work.instants.drives[instant], dz, v, work.projection)
+    velocity_rate(work.scene.links, work.drives[instant], dz, v, work.projection)
     put(1.0, work.projection.rate, out)
     return DONE
 
@@ -240,7 +227,7 @@ def accept(work, instant):
 @part
 def acceleration(work, instant, u, v, a, lam):
     """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`; a stays as it is if this is singular."""
-    k, drives, g, free = work.instants.stage[instant], work.instants.drives[instant], work.nodal[0], work.nodal[1]
+    k, drives, g, free = work.stage[instant], work.drives[instant], work.nodal[0], work.nodal[1]
     kernels.equilibrium(work.scene, drives, u, work.still, work.level, g, work.spare, work.rotation[k], work.dz[k], work.forces)
     add_forces(work, drives, u, v, g)
     for i in range(work.inverse_matrix.shape[0]):
@@ -302,10 +289,10 @@ def strains(work, instant, past, now, state, numbers):
 @part
 def reaction(work, instant, u, mu, dv):
     """dv += B^T mu."""
-    links, dz = work.scene.links, work.dz[work.instants.stage[instant]]
+    links, dz = work.scene.links, work.dz[work.stage[instant]]
     joints.point_values(links, u, dz)
     clear(work.forces)
-    joints.joint_forces(links, work.instants.drives[instant], dz, mu, work.spare, work.forces)
+    joints.joint_forces(links, work.drives[instant], dz, mu, work.spare, work.forces)
     joints.spread(links, work.forces, dv)
     return DONE
 
@@ -387,7 +374,7 @@ def add_law_damping(work, drives, dz, v, r):
 @part
 def inertia(work, instant, v, a, r, p, u, rates):
     """r = C v + M a, C at u. p = M v and rates (2, m) = (0, B v), B of the stage's last residual, unless their addresses are 0."""
-    links, drives, dz = work.scene.links, work.instants.drives[instant], work.dz[work.instants.stage[instant]]
+    links, drives, dz = work.scene.links, work.drives[instant], work.dz[work.stage[instant]]
     clear(r)
     momentum(work, a, r)
     add_slowing(work, u, v, 0, r)
@@ -432,9 +419,8 @@ FUNCTIONS = {
     table.SELECT: served(factors.select, factors.mode_values),
 }
 # factors that functions read: others are compiled for a workspace without any, once for all methods
-OF_BOTH = table.MATRICES, table.SELECT
-READS = {table.SOLVE: {"real"}, table.REAL: {"real"}, table.PAIR: {"pair"}} | dict.fromkeys(OF_BOTH, {"real", "pair"})
 BOTH = {"real": None, "pair": None}
+READS = {table.SOLVE: ("real",), table.REAL: ("real",), table.PAIR: ("pair",), table.MATRICES: tuple(BOTH), table.SELECT: tuple(BOTH)}
 
 
 def entries(*numbers):
@@ -449,7 +435,7 @@ def entry_address(function, kind):
 
 
 class Scene:
-    """A scene's workspace w and table. c: times of the stages; stage, begin: as of Instants; optional: numbers of the kernels that it calls.
+    """A scene's workspace w and table. c: times of the stages; stage, begin: as of SceneWork; optional: numbers of the kernels that it calls.
 
     options: fields of the workspace in place of those that serve no method, and `pairs`, the number of the pairs of coordinates.
     """
@@ -461,19 +447,24 @@ class Scene:
         self.workspace, self.functions = 0, np.zeros(table.ENTRIES, np.int64)
         s, m, nodes, points = len(c), model.m, (options.pop("pairs", model.n_nodes), 2), (model.n_points, 2)
         profiles, projection, (numbers, self.formulas) = (len(model.profiles), 3), constraint_projection(model), moves(model)
-        self.instants = Instants(np.array(c, float), np.zeros(1), stage, begin, *np.zeros((2, len(stage) + 1, *profiles)))
         nothing = np.zeros(0), *np.zeros((2, 0), np.int64), np.zeros((0, 2))
         self.w = {
             "scene": model.arrays,
             "stored": scene_factors(model, False),
             "projection": projection,
             "rates": RateMultipliers(projection.border, projection.workspace, *nothing),
-            "condensed": condensation(model, False),
+            "condensed": options.get("condensed") or condensation(model, False),
             "optional": optional_kernels(model, *optional),
             "moves": numbers,
-            "instants": self.instants,
+            "c": np.array(c, float),
+            "h": np.zeros(1),
+            "stage": stage,
+            "begin": begin,
+            "drives": np.zeros((len(stage) + 1, *profiles)),
+            "gains": np.zeros((len(stage) + 1, *profiles)),
             "incremental": True,
             "tied": False,
+            "keeps_middle": False,
             "strict": False,
             "anew": np.ones(3, np.int64),
             "cosine": np.ones(1),
@@ -498,13 +489,16 @@ class Scene:
         self.work = SceneWork(**BOTH | used, **self.w)
         self.workspace, kind = self.work.address, typeof(self.work)
         if kind != self.kind:
-            self.kind = kind
+            self.kind, self.kinds = kind, {frozenset(BOTH): kind}
             for number, function in self.entries.items():
-                self.functions[number] = entry_address(function, self.kind_for(READS.get(number, set())))
+                self.functions[number] = entry_address(function, self.kind_for(*READS.get(number, ())))
 
-    def kind_for(self, read):
-        """The type of the workspace for a function that reads these factors."""
-        return typeof(self.work._replace(**dict.fromkeys(BOTH.keys() - read)))
+    def kind_for(self, *read):
+        """The type of the workspace for a function that reads these factors, by their names."""
+        known = frozenset(read)
+        if known not in self.kinds:
+            self.kinds[known] = typeof(self.work._replace(**dict.fromkeys(BOTH.keys() - known)))
+        return self.kinds[known]
 
     def take_error(self):
         """The exception of a Python function that compiled code called, or None."""
@@ -545,7 +539,7 @@ class OneFactorScene(Scene):
             if self.work is None or self.work.real.workspace is not workspace:
                 self.set_factors(real=Factor(self.c, system.corotated, workspace, np.zeros((0, 2, 2))))
                 if self.w["optional"][LAW_SLOPES] and self.model.bodies:
-                    self.w["optional"][RENEW] = entry_address(new_slopes, self.kind_for({"real"}))
+                    self.w["optional"][RENEW] = entry_address(new_slopes, self.kind_for("real"))
             yield self.functions, self.work.address
         self.raised = self.model.take_error()
 
@@ -571,6 +565,6 @@ class SceneTable(OneFactorScene):
             self.entries |= entries(table.STRAINS)
 
     def prepare(self, times, ends, h):
-        x, count = self.instants, len(times) - 1
-        drives = drive_table(self.model, times, ends)
-        x.drives[:count], x.drives[INSTANTS], x.gains[:count], x.h[0] = drives[1:], drives[0], gain_table(self.model, times, drives, h), h
+        w, count, drives = self.w, len(times) - 1, drive_table(self.model, times, ends)
+        w["drives"][:count], w["drives"][INSTANTS] = drives[1:], drives[0]
+        w["gains"][:count], w["h"][0] = gain_table(self.model, times, drives, h), h

@@ -132,7 +132,7 @@ def select(work, slot, c):
 @part
 def solve(work, factor, instant, right, phi, lam, dq, dlam):
     """Fill dq and dlam: `S dq + B^T dlam = -right`, `B dq = -phi`, B and the rows' curvature those of the last residual. False if singular."""
-    k, links, drives, c_m = work.instants.stage[instant], work.scene.links, work.instants.drives[instant], factor.c[C_M]
+    k, links, drives, c_m = work.stage[instant], work.scene.links, work.drives[instant], factor.c[C_M]
     return corotated.solve(links, factor.factored, factor.workspace, drives, work.rotation[k], work.dz[k], lam, right, phi, c_m, dq, dlam)
 
 
@@ -144,7 +144,7 @@ def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
     """
     if factor is None:
         return DONE
-    k, links, drives, c = work.instants.stage[instant], work.scene.links, work.instants.drives[instant], factor.c[C_V]
+    k, links, drives, c = work.stage[instant], work.scene.links, work.drives[instant], factor.c[C_V]
     workspace, dz = factor.workspace, work.dz[k]
     right = eliminate(workspace.elimination, work.u, r)
     if work.tied:

@@ -188,7 +188,7 @@ def states_of(work, at):
 @part
 def middle(work, instant, states, lam, r, phi):
     """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    links, points, drives, h = work.scene.links, work.points, work.instants.drives[instant - 1], work.instants.h[0]
+    links, points, drives, h = work.scene.links, work.points, work.drives[instant - 1], work.h[0]
     dz, rotation = work.dz[END], work.rotation[END]
     least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, r, rotation)
     if not least > 0.0:
@@ -198,7 +198,7 @@ def middle(work, instant, states, lam, r, phi):
         call(work.optional[RELAXING_MIDDLE], work.optional[PARTS], ends[0], ends[1], um, vm, address(r), 0, 0)
     joints.point_values(links, states[1], dz)
     status = add_elements(work, drives, h, states, dz, r)
-    work.cosine[0] = joints.joint_forces(links, work.instants.drives[instant], dz, work.level, phi, points[DV])
+    work.cosine[0] = joints.joint_forces(links, work.drives[instant], dz, work.level, phi, points[DV])
     return status
 
 
@@ -283,12 +283,12 @@ class EnergyTable(OneFactorScene):
         """Prepare steps between the times; last: the last time, or one beside it at a kink."""
         at = np.repeat(times[1:], 2)
         at[::2] = times[1:] - 0.5 * h
-        self.instants.drives[: len(at)], self.instants.h[0] = drive_table(self.model, at, (at[0], last)), h
+        self.w["drives"][: len(at)], self.w["h"][0] = drive_table(self.model, at, (at[0], last)), h
 
     def prepare_ends(self, times, last):
         """Prepare frames at the times. Returns the number of the first one's instant."""
         ends = (last if len(times) == 1 else times[0]), last
-        self.instants.drives[ENDS : ENDS + len(times)] = drive_table(self.model, times, ends)
+        self.w["drives"][ENDS : ENDS + len(times)] = drive_table(self.model, times, ends)
         return ENDS
 
 

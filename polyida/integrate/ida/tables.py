@@ -143,7 +143,7 @@ class SceneForm(SceneStages):
     def stand(self, t):
         """Set the time of the equations."""
         if self.model.profiles:
-            self.instants.drives[INSTANT] = self.model.drives(t)
+            self.w["drives"][INSTANT] = self.model.drives(t)
 
     def make(self, slot, h, made_at, counts):
         """Factor S at a state. Raises SingularSystem."""

@@ -48,6 +48,7 @@ class SceneStages(Scene):
             "rates": rate_multipliers(model),
             "tied": tied,
             "strict": True,
+            "keeps_middle": True,
             "turn": np.zeros((s, model.n_nodes, 2)),
             "vz": np.zeros((model.n_points, 2)),
             "u": np.zeros((model.n_nodes if model.strains else 0, 2)),
@@ -83,7 +84,7 @@ class SceneStages(Scene):
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
         if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.kind_for(set()))
+            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.kind_for())
 
     def _prepare(self, model, first, times, *_):
         try:
@@ -97,8 +98,8 @@ class SceneStages(Scene):
     def _take_loads(self, starts, times, h):
         drives, gains = stage_tables(self.model, starts, times, inner_side(self.model, starts[0], -h), self.tableau.c * h)
         shape = drives.shape
-        self.instants.drives[: shape[0] * shape[1]].reshape(shape)[:] = drives
-        self.instants.gains[: shape[0] * shape[1]].reshape(shape)[:, 1:] = gains
+        self.w["drives"][: shape[0] * shape[1]].reshape(shape)[:] = drives
+        self.w["gains"][: shape[0] * shape[1]].reshape(shape)[:, 1:] = gains
 
     def make(self, slot, h, made_at, counts):
         """Make the factors of a slot, unless they exist for this state, and use them. Raises SingularSystem."""
