@@ -19,7 +19,6 @@ from polyida.integrate.radau.matrices import NOTHING, lift
 from polyida.integrate.radau.radau_iia import restarted
 from polyida.integrate.radau.steps import Steps, new_control
 from polyida.integrate.radau.tables.python import DenseStages
-from polyida.integrate.radau.tables.scene import SceneMatrices
 from polyida.integrate.sizes import extent, sizes_of_run
 from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
 from polyida.integrate.state import Counts, State
@@ -27,6 +26,7 @@ from polyida.integrate.switches import steps_of
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import dense
 from polyida.model.differences import beside, jacobian
+from polyida.system.scene_factors import factors_of_modes
 
 CHUNK = 4_000_000  # bytes of one vector of all stages that are held at once
 MAX_ITERATIONS = 30  # Newton iterations
@@ -141,9 +141,8 @@ class RadauAdjoint(RunAdjoint):
 
         def factor(t, q, v, a, lam, modes):
             h = self.tableau.modes[0].value / modes[0][1]
-            matrices = SceneMatrices(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]))
-            self.counts.backend = matrices.backend
-            return [x[1:] for x in (matrices.real, matrices.pair) if x]
+            factors, self.counts.backend = factors_of_modes(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]))
+            return [x[1:] for x in factors.values() if x]
 
         modes = [(mode.value**2, mode.value, mode.row.copy(), mode.column.copy()) for mode in self.tableau.modes]
         return SceneAdjoint(model, W, W @ W, modes, factor, EXACT, self.counts, tied)

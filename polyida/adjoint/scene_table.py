@@ -40,7 +40,7 @@ from polyida.jit.intrinsics import COLUMNS, pointer
 from polyida.linear.dense import clear, magnitude, put
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
-from polyida.system import ADJOINT
+from polyida.system import ADJOINT, ENTRIES
 from polyida.system import scene as forward
 
 # constants of compiled code
@@ -511,7 +511,7 @@ class SceneAdjoint(AdjointTable):
     def __init__(self, model, to_v, to_a, modes, factor, enough, counts, tied=False, columns=1):
         self.model, self.modes, self.factor, self.counts, self.tied, self.h = model, modes, factor, counts, tied, 1.0
         self.factors, self.factor_cache = (np.array(to_v, float), np.array(to_a, float)), FactorCache()
-        self.columns = columns
+        self.columns, self.functions = columns, np.zeros(ENTRIES, np.int64)
         s, nodes, kinds, entries = len(to_v), (model.n_nodes, 2), 1 + tied, len(model.arrays.links.row_columns)
         each = s, columns
         self.helpers = Helpers(threads()) if s == 1 and model.n >= forward.SHARED and threads() > 1 else None
@@ -609,5 +609,6 @@ class SceneAdjoint(AdjointTable):
         own = real and real.workspace
         with self.helpers.at_work(real.factored, own) if real and self.helpers else nullcontext(own) as workspace:
             work = SceneAdjointWork(**self.w | ({"real": real._replace(workspace=workspace)} if real else {}))
-            yield forward.addresses(typeof(work), ((ADJOINT, solve),)), work.address
+            self.functions[ADJOINT] = forward.entry_address(solve, typeof(work))
+            yield self.functions, work.address
         self.counts.solves += int(marks[SOLVES]) * len(self.modes)

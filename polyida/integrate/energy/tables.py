@@ -19,11 +19,10 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
 from polyida.assembly.own_laws import NOISE, POINTS, add_midpoint_forces
-from polyida.assembly.projection import constrain
 from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
-from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
+from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.jit.user_functions import table_address
@@ -31,10 +30,9 @@ from polyida.linear.dense import clear, put
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import dense as small
-from polyida.system import scene as of_scene
 from polyida.system.dense import END, ENDED, INNER
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
+from polyida.system.scene import DV, DX, START, VX, OneFactorScene, entries, idle, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
 OF_ENERGY = (*OF_STEPS, "potential")
@@ -181,29 +179,33 @@ class CompiledOwn(MiddleTable, CompiledTable):
             self.functions[number] = at if number == MIDDLE or self.complete else 0
 
 
-@entry
-def middle(work, instant, states, lam, r, phi, e, f):
+@part
+def states_of(work, at):
+    """Displacements at both ends, and displacements, velocities and accelerations of the middle at an address, (5, nodes, 2)."""
+    return carray(pointer(at), (5, *work.still.shape))
+
+
+@part
+def middle(work, instant, states, lam, r, phi):
     """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    links, out, points, drives = work.scene.links, pairs(work, r), work.points, work.drives[instant]
-    fields = carray(pointer(states), (5, out.shape[0], 2))
-    least = equilibrium(
-        work.scene, drives, work.numbers[H], fields, rows(work, lam), rows(work, phi), points[DX], points[FORCES], out, work.rotation
-    )
+    links, points, drives, h = work.scene.links, work.points, work.drives[instant - 1], work.h[0]
+    dz, rotation = work.dz[END], work.rotation[END]
+    least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, r, rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
     if work.optional[RELAXING_MIDDLE] != 0:
-        ends, um, vm = (address(fields[0]), address(fields[1])), address(fields[2]), address(fields[3])
-        call(work.optional[RELAXING_MIDDLE], work.optional[PARTS], ends[0], ends[1], um, vm, address(out), 0, 0)
-    joints.point_values(links, fields[1], points[DZ])
-    status = add_elements(work, drives, work.numbers[H], fields, points, out)
-    work.numbers[COSINE] = joints.joint_forces(links, work.drives[instant + 1], points[DZ], work.level, rows(work, phi), points[DV])
+        ends, um, vm = (address(states[0]), address(states[1])), address(states[2]), address(states[3])
+        call(work.optional[RELAXING_MIDDLE], work.optional[PARTS], ends[0], ends[1], um, vm, address(r), 0, 0)
+    joints.point_values(links, states[1], dz)
+    status = add_elements(work, drives, h, states, dz, r)
+    work.cosine[0] = joints.joint_forces(links, work.drives[instant], dz, work.level, phi, points[DV])
     return status
 
 
 @part
-def add_elements(work, drives, h, states, points, r):
-    """Add force elements to r, and renew their slopes. Returns a status."""
-    links, optional, status = work.scene.links, work.optional, DONE
+def add_elements(work, drives, h, states, dz, r):
+    """Add force elements to r, and renew their slopes; dz: places of the points at the end. Returns a status."""
+    links, optional, points, status = work.scene.links, work.optional, work.points, DONE
     if optional[LAW_MIDDLE] != 0:
         joints.point_values(links, states[0], points[START])
         joints.point_values(links, states[3], points[VX])
@@ -212,10 +214,10 @@ def add_elements(work, drives, h, states, points, r):
         for p in range(half.shape[0]):
             for k in range(2):
                 half[p, k] *= 0.5 * h
-        clear(points[FORCES])
-        before, after, speeds, forces = address(points[START]), address(points[DZ]), address(points[VX]), address(points[FORCES])
+        clear(work.forces)
+        before, after, speeds, forces = address(points[START]), address(dz), address(points[VX]), address(work.forces)
         status = call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
-        joints.spread(links, points[FORCES], r)
+        joints.spread(links, work.forces, r)
         joints.point_values(links, states[2], points[DX])
         renew_slopes(work, drives, points[DX], points[VX])
     return status
@@ -255,50 +257,38 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     return least
 
 
-@entry
-def acceleration(work, instant, q, v, a, lam, e, f):
-    """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` of a scene without plates."""
-    s, links, drives, out, multipliers = work.solid, work.scene.links, work.drives[instant + 1], pairs(work, a), rows(work, lam)
-    u, speed = pairs(work, q), pairs(work, v)
-    kernels.equilibrium(work.scene, drives, u, s.still, work.level, s.r, multipliers, work.rotation, work.points[DZ], work.points[FORCES])
-    of_scene.add_forces(work, drives, u, speed, s.r)
-    for i in range(out.shape[0]):
-        s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
-    clear(out)
-    compact.momentum(s.inverse, s.r, out)
-    return DONE if constrain(links, work.projection, drives, work.points[DZ], speed, out, multipliers) else SINGULAR
+SCENE_MIDDLE = served(middle, states_of, rows, pairs, rows)
 
 
-class EnergyTable(SceneTable):
+class EnergyTable(OneFactorScene):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
-
-    entries = {number: of_scene.FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
-    optional = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE, DAMPING
 
     def __init__(self, model):
         compact.provide(model.arrays.compact, compact.MIDDLE)
-        super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0), False)
-        self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not (model.bodies or model.strains)
+        self.complete, options = not (model.bodies or model.strains), {}
         if self.complete:
-            self.entries = self.entries | {ACCELERATION: acceleration}
-            self.w["solid"] = Solid(model.once(inverse_masses), *np.zeros((2, model.n_nodes, 2)))
-
-    @property
-    def workspace(self):
-        """Address of the workspace."""
-        return self.work.address
+            options["inverse"] = model.once(inverse_masses)
+        middle_and_end, instants = np.array([0.5, 1.0]), np.arange(3 * INSTANTS)
+        kernels = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE, DAMPING
+        super().__init__(model, middle_and_end, instants % 2, np.zeros_like(instants), kernels, **options)
+        self.entries = entries(SOLVE, ACCEPT) | {MIDDLE: SCENE_MIDDLE}
+        if model.m > 0 and (not model.bodies or model.needs.driven or model.velocity_rows.size > 0):
+            self.entries |= entries(RATE, PROJECT)
+        else:
+            self.entries |= {RATE: idle, PROJECT: idle}
+        if self.complete:
+            self.entries |= entries(ACCELERATION)
 
     def prepare(self, times, last, h):
         """Prepare steps between the times; last: the last time, or one beside it at a kink."""
-        at = np.repeat(times, 2)[1:]
-        at[1::2] = times[1:] - 0.5 * h
-        self.w["drives"][1 : len(at)] = drive_table(self.model, at[1:], (at[1], last))
-        self.w["numbers"][H] = h
+        at = np.repeat(times[1:], 2)
+        at[::2] = times[1:] - 0.5 * h
+        self.w["drives"][: len(at)], self.w["h"][0] = drive_table(self.model, at, (at[0], last)), h
 
     def prepare_ends(self, times, last):
         """Prepare frames at the times. Returns the number of the first one's instant."""
         ends = (last if len(times) == 1 else times[0]), last
-        self.w["drives"][ENDS + 1 : ENDS + 1 + len(times)] = drive_table(self.model, times, ends)
+        self.w["drives"][ENDS : ENDS + len(times)] = drive_table(self.model, times, ends)
         return ENDS
 
 

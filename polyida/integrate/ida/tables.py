@@ -22,23 +22,20 @@ from functools import partial
 import numpy as np
 
 from polyida import system as of
-from polyida.assembly import joints
 from polyida.assembly.rate_multipliers import slowing
-from polyida.errors import DONE
 from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau import matrices
 from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
-from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
-from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs, rows
-from polyida.integrate.radau.tables.scene_factors import Solver
-from polyida.jit import part, served
+from polyida.integrate.radau.tables.scene import SceneStages
 from polyida.linear.lu import dense, first_order_sizes
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
 from polyida.system.python import small_own
+from polyida.system.scene import entries
+from polyida.system.scene_factors import Factor
 
 SCALINGS = ("characteristic", "none")
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the Python callbacks in double precision
@@ -133,19 +130,7 @@ class PythonForm(PythonStages):
         return FormRows(self.system, self.factored.c[0], *at, B)
 
 
-@part
-def rate(work, instant, u, v, out, known):
-    """phi_q v + phi_t at the q of the last residual; known: with its v."""
-    vz = work.vz
-    if not known:
-        vz = work.points[DV]
-        joints.point_values(work.scene.links, v, vz)
-    joints.joint_rates(work.scene.links, work.drives[instant], work.dz[0], vz, work.spare, out, work.spare)
-    return DONE
-
-
-FUNCTIONS = {number: stages.FUNCTIONS[number] for number in (of.REACTION, of.RESIDUAL, of.ROWS, of.INERTIA, of.REAL)}
-FUNCTIONS |= {of.RATE: served(rate, pairs, pairs, rows, None)}
+OF_FORMS = of.REACTION, of.RESIDUAL, of.ROWS, of.RATE, of.INERTIA, of.REAL
 
 
 class SceneForm(SceneStages):
@@ -153,7 +138,7 @@ class SceneForm(SceneStages):
 
     def __init__(self, model, tableau):
         super().__init__(model, tableau, True)
-        self.entries, self.step, self.solver = FUNCTIONS, model.step_matrix(), None
+        self.entries, self.step = entries(*OF_FORMS), model.step_matrix()
 
     def stand(self, t):
         """Set the time of the equations."""
@@ -162,16 +147,15 @@ class SceneForm(SceneStages):
 
     def make(self, slot, h, made_at, counts):
         """Factor S at a state. Raises SingularSystem."""
-        model, step, c, before = self.model, self.step, 1.0 / h, self.solver
+        model, step, c, before = self.model, self.step, 1.0 / h, self.work and self.work.real
         at = float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3))
         step.factor(*at, c * c, c)
         counts.backend = step.backend
         counts.solves += step.solves
         if before is not None and before.factored is step.corotated:
-            before.c[0], before.slowing[...] = c, slowing(model, *at[:2])
+            before.c[:], before.slowing[...] = (c * c, c), slowing(model, *at[:2])
             return
-        self.solver = Solver(np.array([c]), step.corotated, step.workspace, slowing(model, *at[:2]))
-        self.set_solvers(self.solver, None)
+        self.set_factors(real=Factor(np.array([c * c, c]), step.corotated, step.workspace, slowing(model, *at[:2])))
 
 
 def table_of(system, linear, scaling):

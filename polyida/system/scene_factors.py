@@ -1,6 +1,7 @@
-"""Factors of scenes of rigid and reduced bodies, made in compiled code and stored in slots: entries MATRICES and SELECT of their table.
+"""Factors of a scene's step matrices `S = c_m M + c_v C + K`, and the solves with them.
 
-The step matrix is that of a scene without full plates, force elements and damping, so that its parts are K and M of the bodies alone.
+Python makes the factors, or compiled code: those of scenes of rigid and reduced bodies without force elements and damping, whose S has the
+parts K and M of the bodies alone. Such factors are stored in slots (entries MATRICES and SELECT of a table).
 """
 
 from typing import NamedTuple
@@ -8,10 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray
 
-from polyida import system as of
-from polyida.assembly import compact, corotated
+from polyida.assembly import compact, corotated, joints
+from polyida.assembly.equilibrium import symmetric_parts
+from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, slowing, solve_rates, subtract_rates
+from polyida.assembly.relaxation import eliminate, recover
 from polyida.errors import DONE, SINGULAR
-from polyida.jit import entry, pack, part, served, shared
+from polyida.jit import entry, pack, part, shared
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.fronts import fill_panels
@@ -20,9 +23,14 @@ from polyida.linear.lu import FACTORS
 KINDS = {False: (np.float32, float), True: (np.complex64, complex)}  # of the factors of a real and of a complex mode, and of their blocks
 
 
+# of compiled code
+C_M, C_V = range(2)  # of Factor.c
+REAL, PAIR, TIED = range(3)  # of SceneWork.anew: the real factor, the complex one, the system of mu
+
+
 @pack
-class Solver(NamedTuple):
-    """Factor and workspace of a mode for kernels; c (1,): c of the mode; slowing: C A^T, see RateMultipliers."""
+class Factor(NamedTuple):
+    """A factor of S and its workspace; c = (c_m, c_v), real or complex; slowing: C A^T, see RateMultipliers, (0, 2, 2) without mu or damping."""
 
     c: np.ndarray
     factored: corotated.Corotated
@@ -62,12 +70,6 @@ class SceneFactors(NamedTuple):
 
 
 @part
-def coordinates(work, at):
-    """The coordinates at an address as (nodes, 2)."""
-    return carray(pointer(at), work.still.shape)
-
-
-@part
 def mode_values(work, at):
     """c of the real mode, and the real and imaginary part of that of the complex one, at an address."""
     return carray(pointer(at), (3,))
@@ -76,7 +78,7 @@ def mode_values(work, at):
 @entry
 def matrices(work, instant, u, v, a, lam, slot, c):
     """Factor S of both modes at u, in the slot; v, a and lam are not read."""
-    factors, bodies, turn = work.factors, work.scene.compact, work.turn[0]
+    factors, bodies, turn = work.stored, work.scene.compact, work.turn[0]
     factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
     compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)
     compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)
@@ -96,7 +98,7 @@ def factored(x, stored, mode, c, rotation, slot):
         for i in range(2):
             for j in range(2):
                 stored.blocks[k, i, j] = x.K[k, i, j] + c * c * x.M[k, i, j]
-    mode.c[0] = c
+    mode.c[C_M], mode.c[C_V] = c * c, c
     if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
         return False
     corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
@@ -110,7 +112,8 @@ def factored(x, stored, mode, c, rotation, slot):
 def restored(stored, mode, c, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
-        mode.c[0], s = c, mode.factored
+        s = mode.factored
+        mode.c[C_M], mode.c[C_V] = c * c, c
         put(1.0, stored.panels[slot], s.panels)
         copy_matrix(stored.columns[slot], s.compliance_columns)
         copy_matrix(stored.frames[slot], s.frame)
@@ -119,14 +122,53 @@ def restored(stored, mode, c, slot):
 @part
 def select(work, slot, c):
     """Use the factors of a slot."""
-    if work.factors.chosen[0] != slot:
-        work.factors.chosen[0] = slot
-        restored(work.factors.real, work.real, c[0], slot)
-        restored(work.factors.pair, work.pair, complex(c[1], c[2]), slot)
+    if work.stored.chosen[0] != slot:
+        work.stored.chosen[0] = slot
+        restored(work.stored.real, work.real, c[0], slot)
+        restored(work.stored.pair, work.pair, complex(c[1], c[2]), slot)
     return DONE
 
 
-FACTOR_FUNCTIONS = {of.MATRICES: served(matrices, coordinates, None, None, None, None, mode_values), of.SELECT: served(select, mode_values)}
+@part
+def solve(work, factor, instant, right, phi, lam, dq, dlam):
+    """Fill dq and dlam: `S dq + B^T dlam = -right`, `B dq = -phi`, B and the rows' curvature those of the last residual. False if singular."""
+    k, links, drives, c_m = work.stage[instant], work.scene.links, work.drives[instant], factor.c[C_M]
+    return corotated.solve(links, factor.factored, factor.workspace, drives, work.rotation[k], work.dz[k], lam, right, phi, c_m, dq, dlam)
+
+
+@part
+def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
+    """Solve for dq and multipliers of a mode, rows and curvature being those of the middle stage. Returns a status; DONE if factor is None.
+
+    number: REAL or PAIR. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten.
+    """
+    if factor is None:
+        return DONE
+    k, links, drives, c = work.stage[instant], work.scene.links, work.drives[instant], factor.c[C_V]
+    workspace, dz = factor.workspace, work.dz[k]
+    right = eliminate(workspace.elimination, work.u, r)
+    if work.tied:
+        if work.anew[TIED]:
+            work.anew[TIED] = 0
+            joints.joint_rate_jacobian(links, drives, dz, work.vz, work.rates.rates)
+            if not factor_rates(links, work.rates, drives, dz):
+                return SINGULAR
+        for e in range(closing.shape[1]):
+            closing[1, e] = c * closing[0, e] - closing[1, e]
+        if not solve_rates(work.rates, closing[1], multipliers[1]):
+            return SINGULAR
+        if factor.slowing.shape[0]:
+            corotated.turn_frames(links, factor.factored, workspace, work.rotation[k])
+        add_rate_forces(links, work.rates, factor.slowing, workspace, c, multipliers[1], right)
+    workspace.keeps[0], work.anew[number] = 1 - work.anew[number], 0
+    good = solve(work, factor, instant, right, closing[0], lam, dq, multipliers[0])
+    workspace.keeps[0] = 0
+    if work.tied:
+        joints.point_values(links, dq, workspace.moved)
+        subtract_rates(links, work.rates, workspace.moved, closing[1])
+        good = solve_rates(work.rates, closing[1], multipliers[1]) and good
+    recover(workspace.elimination, work.u, dq)
+    return DONE if good else SINGULAR
 
 
 def makes_factors(model):
@@ -157,7 +199,18 @@ def scene_factors(model, used):
     return SceneFactors(*modes, np.full(1, -1), *np.empty((2, blocks, 2, 2)), loads, np.empty(places, np.int32))
 
 
-def empty_solver(model, mode):
-    """A Solver of a mode for factors that compiled code makes."""
-    factors = corotated.empty_corotated(model, KINDS[mode.paired][0])
-    return Solver(np.array([mode.value]), factors, corotated.solve_workspace(model, factors), np.zeros((0, 2, 2)))
+def empty_factor(model, mode):
+    """The Factor of a mode of Radau IIA for numbers that compiled code makes."""
+    factored = corotated.empty_corotated(model, KINDS[mode.paired][0])
+    return Factor(np.array([mode.value**2, mode.value]), factored, corotated.solve_workspace(model, factored), np.zeros((0, 2, 2)))
+
+
+def factors_of_modes(model, modes, h, made_at):
+    """({"real", "pair"}: Factor or None of each mode for steps of h, backend), made at t, q, v, a and lam, which made_at holds in their order."""
+    t, at, factors = float(made_at[0]), np.split(made_at[1:], np.cumsum([model.n] * 3)), {"real": None, "pair": None}
+    parts = symmetric_parts(model, *at[:2])
+    for mode in modes:
+        c, step = mode.value / h, model.step_matrix()
+        step.factor(t, *at, c * c, c, parts)
+        factors["pair" if mode.paired else "real"] = Factor(np.array([c * c, c]), step.corotated, step.workspace, slowing(model, t, at[0]))
+    return factors, step.backend
