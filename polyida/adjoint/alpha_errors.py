@@ -46,8 +46,8 @@ AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J de
 
 
 @entry
-def truncation(numbers, a, at, weights, ahead, y, z, tau, shares):
-    """Fill tau (2, count, n), what Newmark's formulas leave of q and v, and shares (count,) = -(y . tau_q + z . tau_v) of equal steps.
+def truncation(numbers, a, at, weights, ahead, of_q, of_v, tau, shares):
+    """Fill tau (2, count, n), what Newmark's formulas leave of q and v, and shares (count,) = -(of_q . tau_q + of_v . tau_v) of equal steps.
 
     numbers: h, beta, gamma. a (., n): accelerations; at (count,): first one of each step's polynomial; weights (count, 2, points): of
     `step_integrals`. ahead (count + 1, n): A.
@@ -62,7 +62,7 @@ def truncation(numbers, a, at, weights, ahead, y, z, tau, shares):
                 by_v += weights[k, 0, j] * x
                 by_q += weights[k, 1, j] * x
             tau[0, k, i], tau[1, k, i] = h * h * by_q, h * by_v
-            shares[k] -= y[k, i] * tau[0, k, i] + z[k, i] * tau[1, k, i]
+            shares[k] -= of_q[k, i] * tau[0, k, i] + of_v[k, i] * tau[1, k, i]
 
 
 @fast
@@ -140,8 +140,8 @@ def shifted(t, h, widths, tau, factors, first, last, ends, sums):
 
 
 @entry
-def left_over(functions, workspace, q, v, a, lam, w, mu, kappa, r, phi):
-    """(`sum w . r + mu . phi + kappa . rate`, status) of the states (count, .) of prepared steps; kappa (0, m): no rates. r (n,), phi (m,): scratch.
+def left_over(functions, workspace, q, v, a, lam, multipliers, mu, kappa, r, phi):
+    """(`sum w . r + mu . phi + kappa . rate`, status) of the states (count, .) of prepared steps, w the multipliers; kappa (0, m): no rates. r (n,), phi (m,): scratch.
 
     functions, workspace: of the model's table (system/instant.py).
     """
@@ -151,7 +151,7 @@ def left_over(functions, workspace, q, v, a, lam, w, mu, kappa, r, phi):
         if status != DONE:
             return total, status
         for i in range(r.shape[0]):
-            total += w[k, i] * r[i]
+            total += multipliers[k, i] * r[i]
         for i in range(phi.shape[0]):
             total += mu[k, i] * phi[i]
         if kappa.shape[0]:

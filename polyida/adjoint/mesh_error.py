@@ -65,30 +65,48 @@ def sum_of(x, y):
 
 
 @traced(1)
-def add_work(total, weight, x, y, spherical, deviatoric):
+def add_work(total, weight, x, y, lam_bar, two_mu):
     """total + weight x : C : y."""
-    s11, s12, s22 = second_piola(x, spherical, deviatoric)
+    s11, s12, s22 = second_piola(x, lam_bar, two_mu)
     return total + weight * (s11 * y[0] + s22 * y[2] + 2.0 * s12 * y[1])
 
 
 @entry
 def cell_errors(
-    layout, corners, gradients, weights, cells, places, near, neighbours, shares, c, nu, viscosity, u, v, w, factor, fields, means, out
+    layout,
+    corners,
+    gradients,
+    weights,
+    cells,
+    places,
+    near,
+    neighbours,
+    shares,
+    modulus,
+    nu,
+    viscosity,
+    u,
+    v,
+    multipliers,
+    factor,
+    fields,
+    means,
+    out,
 ):
     """out (2, cells) += the parts with three points of one frame: those of the fields, and of the gaps to the fits.
 
     layout, corners, gradients, weights, cells: of the ReferenceOperator with three points; places (points, 2, LANES); near (cells + 1,): first of
-    the neighbours of a cell and of their shares (., 3) in its fit. u, v, w (nodes, 2). factor: dJ/dW. fields (points, 3, 3, LANES): E, E + viscosity
-    E' and D; means (cells, 3, 3): of these.
+    the neighbours of a cell and of their shares (., 3) in its fit. u, v, multipliers w (nodes, 2). factor: dJ/dW.
+    fields (points, 3, 3, LANES): E, E + viscosity E' and D; means (cells, 3, 3): of these.
     """
     differences, sums, fit, at = _workspace(layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
-    spherical, deviatoric, third = c * nu, c * (1.0 - nu), 3 * LANES
+    lam_bar, two_mu, third = modulus * nu, modulus * (1.0 - nu), 3 * LANES
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size, total = 2 * m * LANES, spread(0.0)
         of_w, of_v = differences[size:], differences[2 * size :]
         _differences(u, corners, first, 0, m, differences)
-        _differences(w, corners, first, 0, m, of_w)
+        _differences(multipliers, corners, first, 0, m, of_w)
         if viscosity != 0.0:
             _differences(v, corners, first, 0, m, of_v)
         sums[:] = 0.0
@@ -125,12 +143,12 @@ def cell_errors(
             e, x, y = load3(fields, 3 * at * third), load3(fields, (3 * at + 1) * third), load3(fields, (3 * at + 2) * third)
             over_x = gap(load3(fit, 3 * third), load3(fit, 4 * third), load3(fit, 5 * third), place, x)
             over_y = gap(load3(fit, 6 * third), load3(fit, 7 * third), load3(fit, 8 * third), place, y)
-            total = add_work(total, weight, x, y, spherical, deviatoric)
-            gaps = add_work(gaps, weight, over_x, over_y, -spherical, -deviatoric)
+            total = add_work(total, weight, x, y, lam_bar, two_mu)
+            gaps = add_work(gaps, weight, over_x, over_y, -lam_bar, -two_mu)
             if factor != 0.0:
                 half, over_e = 0.5 * factor, gap(load3(fit, 0), load3(fit, third), load3(fit, 2 * third), place, e)
-                total = add_work(total, weight, e, e, half * spherical, half * deviatoric)
-                gaps = add_work(gaps, weight, over_e, over_e, -half * spherical, -half * deviatoric)
+                total = add_work(total, weight, e, e, half * lam_bar, half * two_mu)
+                gaps = add_work(gaps, weight, over_e, over_e, -half * lam_bar, -half * two_mu)
             at += 1
         for k in range(LANES):
             out[0, cells[b * LANES + k]] += lane(total, k)

@@ -75,95 +75,104 @@ def scratch(model, tied=False, results=None):
 
 
 @shared
-def hold_state(s, laws, drives, u, v, lam, x):
+def hold_state(scene, laws, drives, u, v, lam, results):
     """Evaluate everything at a state except the plates: points, their curvature, matrices of bodies of few coordinates."""
-    joints.point_values(s.links, u, x.points[DZ])
-    x.curvature[:] = 0.0
-    joints.joint_curvature(s.links, drives, lam, x.curvature)
-    if x.slack.shape[0]:
-        x.slack[:] = 0.0
-        joints.point_values(s.links, v, x.points[VZ])
-        add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 1.0, 0.0, x.curvature)
-        add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 0.0, 1.0, x.slack)
-    if x.few.shape[0]:
-        x.few[:] = 0.0
-        compact.blocks(s.compact, u, v, 0.0, 0.0, 1.0, x.few)
-        if x.slow.shape[0]:
-            x.slow[:] = 0.0
-            compact.blocks(s.compact, u, v, 0.0, 1.0, 0.0, x.slow)
+    joints.point_values(scene.links, u, results.points[DZ])
+    results.curvature[:] = 0.0
+    joints.joint_curvature(scene.links, drives, lam, results.curvature)
+    if results.slack.shape[0]:
+        results.slack[:] = 0.0
+        joints.point_values(scene.links, v, results.points[VZ])
+        add_own_curvature(laws, scene.links.coupling, drives, results.points[DZ], results.points[VZ], 1.0, 0.0, results.curvature)
+        add_own_curvature(laws, scene.links.coupling, drives, results.points[DZ], results.points[VZ], 0.0, 1.0, results.slack)
+    if results.few.shape[0]:
+        results.few[:] = 0.0
+        compact.blocks(scene.compact, u, v, 0.0, 0.0, 1.0, results.few)
+        if results.slow.shape[0]:
+            results.slow[:] = 0.0
+            compact.blocks(scene.compact, u, v, 0.0, 1.0, 0.0, results.slow)
 
 
 @part
-def few_products(c, few, w, r):
-    """r += the transposed blocks of bodies of few coordinates times w."""
-    for b in range(c.drag.shape[0]):
-        first, count = c.pair[b], c.pair[b + 1] - c.pair[b]
+def few_products(bodies, blocks, field, r):
+    """r += the transposed blocks of bodies of few coordinates times field."""
+    for b in range(bodies.drag.shape[0]):
+        first, count = bodies.pair[b], bodies.pair[b + 1] - bodies.pair[b]
         for i in range(count):
             for j in range(count):
-                block = few[c.block[b] + i * count + j]
+                block = blocks[bodies.block[b] + i * count + j]
                 for k in range(2):
-                    r[first + j, k] += block[0, k] * w[first + i, 0] + block[1, k] * w[first + i, 1]
+                    r[first + j, k] += block[0, k] * field[first + i, 0] + block[1, k] * field[first + i, 1]
 
 
 @shared
-def body_products(s, viscosity, u, v, which, moving, w, rotation, x):
-    """Fill x.stiff and x.slowing of the columns in `which`, and x.heavy of those in `moving`, with the parts of the bodies; rotation: x.rotation,
-    or (0, 2) if it is known.
+def body_products(scene, viscosity, u, v, which, moving, fields, rotation, results):
+    """Fill results.stiff and results.slowing of the columns in `which`, and results.heavy of those in `moving`, with the parts
+    of the bodies; rotation: results.rotation, or (0, 2) if it is known.
     """
     clear(rotation)
     for c in which:
-        clear(x.stiff[c])
-        clear(x.slowing[c])
+        clear(results.stiff[c])
+        clear(results.slowing[c])
     for c in moving:
-        clear(x.heavy[c])
-    plate_products(s.plates, viscosity, u, v, which, moving, w, rotation, x)
+        clear(results.heavy[c])
+    plate_products(scene.plates, viscosity, u, v, which, moving, fields, rotation, results)
     for k in range(which.shape[0]):
         c, turns = which[k], rotation if k == 0 else rotation[:0]
-        compact.momentum(s.compact, w[c], x.heavy[c])
-        few_products(s.compact, x.few, w[c], x.stiff[c])
-        if x.slow.shape[0]:
-            few_products(s.compact, x.slow, w[c], x.slowing[c])
-        relaxation.add_products(s, s.relaxation, u, v, w[c], turns, x.stiff[c], x.heavy[c], x.slowing[c])
+        compact.momentum(scene.compact, fields[c], results.heavy[c])
+        few_products(scene.compact, results.few, fields[c], results.stiff[c])
+        if results.slow.shape[0]:
+            few_products(scene.compact, results.slow, fields[c], results.slowing[c])
+        relaxation.add_products(scene, scene.relaxation, u, v, fields[c], turns, results.stiff[c], results.heavy[c], results.slowing[c])
     if rotation.shape[0]:
-        for b in range(s.compact.drag.shape[0]):
-            compact.turn(s.compact, b, u, rotation)
+        for b in range(scene.compact.drag.shape[0]):
+            compact.turn(scene.compact, b, u, rotation)
 
 
 @part
-def plate_products(s, viscosity, u, v, which, moving, w, rotation, x):
+def plate_products(plates, viscosity, u, v, which, moving, fields, rotation, results):
     """Add the parts of the plates."""
-    for b in range(s.body_operator.shape[0]):
-        o, n0 = s.body_operator[b], s.body_node[b]
-        c1, nu = s.body_c1[b], s.body_nu[b]
+    for b in range(plates.body_operator.shape[0]):
+        o, n0 = plates.body_operator[b], plates.body_node[b]
+        c1, nu = plates.body_c1[b], plates.body_nu[b]
         if viscosity.shape[0] == 0:
-            cell_products.stiffness_product(*cells(s, o), n0, c1, nu, u, which, w, x.stiff, rotation)
-        cell_products.mass_products(*on_pattern(s, o, s.mass), s.body_density[b], n0, moving, w, x.heavy)
+            cell_products.stiffness_product(*cells(plates, o), n0, c1, nu, u, which, fields, results.stiff, rotation)
+        cell_products.mass_products(*on_pattern(plates, o, plates.mass), plates.body_density[b], n0, moving, fields, results.heavy)
         for k in range(which.shape[0]):
             c, turns = which[k], rotation if k == 0 else rotation[:0]
             if viscosity.shape[0]:
-                cell_products.viscous_products(*cells(s, o), n0, c1, nu, viscosity[b], u, v, w[c], x.stiff[c], x.slowing[c], turns)
-                if s.body_drag[b] != 0.0:
-                    kernels.mass_product(*on_pattern(s, o, s.mass), s.body_drag[b] * s.body_density[b], n0, w[c], x.slowing[c])
-            if s.body_stabilisation[b] != 0.0:
-                kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, w[c], x.stiff[c])
+                cell_products.viscous_products(
+                    *cells(plates, o), n0, c1, nu, viscosity[b], u, v, fields[c], results.stiff[c], results.slowing[c], turns
+                )
+                if plates.body_drag[b] != 0.0:
+                    kernels.mass_product(
+                        *on_pattern(plates, o, plates.mass), plates.body_drag[b] * plates.body_density[b], n0, fields[c], results.slowing[c]
+                    )
+            if plates.body_stabilisation[b] != 0.0:
+                kernels.stabilisation_force(
+                    *on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, fields[c], results.stiff[c]
+                )
 
 
 @part
-def point_products(s, slopes, c, w, mu, x):
-    """Add the parts of point masses, rows and force elements to column c; its x.rows = B w. slopes: phi_z; w (nodes, 2), mu (m,): of the column."""
-    wz, forces = x.points[WZ], x.points[FORCES]
-    joints.point_values(s, w, wz)
-    pull_back(s.coupling, x.curvature, wz, forces)
+def point_products(links, slopes, column, field, mu, results):
+    """Add the parts of point masses, rows and force elements to a column; its results.rows = B w.
+
+    slopes: phi_z; field w (nodes, 2), mu (m,): of the column.
+    """
+    wz, forces = results.points[WZ], results.points[FORCES]
+    joints.point_values(links, field, wz)
+    pull_back(links.coupling, results.curvature, wz, forces)
     for k in range(mu.shape[0]):
-        x.rows[c, k] = joints.along(s, slopes, k, wz)
-    joints.add_rows(s, slopes, mu, forces)
-    joints.spread(s, forces, x.stiff[c])
+        results.rows[column, k] = joints.along(links, slopes, k, wz)
+    joints.add_rows(links, slopes, mu, forces)
+    joints.spread(links, forces, results.stiff[column])
     for f in range(forces.shape[0]):
-        forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]
-    joints.spread(s, forces, x.heavy[c])
-    if x.slack.shape[0]:
-        pull_back(s.coupling, x.slack, wz, forces)
-        joints.spread(s, forces, x.slowing[c])
+        forces[f, 0], forces[f, 1] = links.point_mass[f] * wz[f, 0], links.point_mass[f] * wz[f, 1]
+    joints.spread(links, forces, results.heavy[column])
+    if results.slack.shape[0]:
+        pull_back(links.coupling, results.slack, wz, forces)
+        joints.spread(links, forces, results.slowing[column])
 
 
 @part
@@ -178,14 +187,14 @@ def pull_back(coupling, blocks, wz, forces):
 
 
 @entry
-def curvature_product(s, drives, lam, w, x):
-    """Fill x.stiff with (B^T lam)_q^T w."""
-    x.curvature[:] = 0.0
-    joints.joint_curvature(s, drives, lam, x.curvature)
-    joints.point_values(s, w, x.points[WZ])
-    pull_back(s.coupling, x.curvature, x.points[WZ], x.points[FORCES])
-    clear(x.stiff[0])
-    joints.spread(s, x.points[FORCES], x.stiff[0])
+def curvature_product(links, drives, lam, field, results):
+    """Fill results.stiff with (B^T lam)_q^T w of a field w."""
+    results.curvature[:] = 0.0
+    joints.joint_curvature(links, drives, lam, results.curvature)
+    joints.point_values(links, field, results.points[WZ])
+    pull_back(links.coupling, results.curvature, results.points[WZ], results.points[FORCES])
+    clear(results.stiff[0])
+    joints.spread(links, results.points[FORCES], results.stiff[0])
 
 
 def reaction_product(model, t, lam, w):
@@ -196,13 +205,13 @@ def reaction_product(model, t, lam, w):
 
 
 @entry
-def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
-    """All products of one column at one state, into x; slopes is workspace for phi_z."""
-    hold_state(s, laws, drives, u, v, lam, x)
+def products(scene, viscosity, laws, drives, slopes, u, v, lam, fields, mu, results):
+    """All products of one column at one state, into results; slopes is workspace for phi_z."""
+    hold_state(scene, laws, drives, u, v, lam, results)
     which = np.zeros(1, np.int64)
-    body_products(s, viscosity, u, v, which, which, w, x.rotation, x)
-    joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
-    point_products(s.links, slopes, 0, w[0], mu, x)
+    body_products(scene, viscosity, u, v, which, which, fields, results.rotation, results)
+    joints.joint_jacobian(scene.links, drives, results.points[DZ], slopes)
+    point_products(scene.links, slopes, 0, fields[0], mu, results)
 
 
 def products_at(model, drives, q, v, lam, w, mu):

@@ -63,16 +63,16 @@ class Stages(NamedTuple):
 
 
 @entry
-def initial_stages(c, h, b, k, x):
-    """Initial stages for step k: e from the cubic through q and v of both ends, lam linear, mu zero."""
-    for j in range(c.shape[0]):
-        s = c[j]
-        for i in range(b.q.shape[1]):
-            way, turn = b.q[k + 1, i] - b.q[k, i] - h * b.v[k, i], h * (b.v[k + 1, i] - b.v[k, i])
-            x.e[j, i] = s * s * (3.0 * way - turn) + s * s * s * (turn - 2.0 * way)
-        for i in range(b.lam.shape[1]):
-            x.lam[j, i] = (1.0 - s) * b.lam[k, i] + s * b.lam[k + 1, i]
-    clear(x.mu)
+def initial_stages(nodes, h, states, step, trial):
+    """Initial stages for a step: e from the cubic through q and v of both ends, lam linear, mu zero."""
+    for j in range(nodes.shape[0]):
+        s = nodes[j]
+        for i in range(states.q.shape[1]):
+            way, turn = states.q[step + 1, i] - states.q[step, i] - h * states.v[step, i], h * (states.v[step + 1, i] - states.v[step, i])
+            trial.e[j, i] = s * s * (3.0 * way - turn) + s * s * s * (turn - 2.0 * way)
+        for i in range(states.lam.shape[1]):
+            trial.lam[j, i] = (1.0 - s) * states.lam[step, i] + s * states.lam[step + 1, i]
+    clear(trial.mu)
 
 
 @entry
@@ -145,30 +145,30 @@ class SweepOutput(NamedTuple):
 
 
 @fast
-def begin(W, h, j, k, y, out):
-    """Add the objective's slopes to the bars of the end of step k, and set the right-hand side; the multipliers start from zero."""
-    out.w[k], out.multipliers[k] = 0.0, 0.0
-    for i in range(y.bars.shape[1]):
-        y.trial[0, i], y.trial[1, i] = y.bars[0, i], y.bars[1, i]
-        if j.q.shape[0]:
-            y.trial[0, i] += j.q[k, i]
-        if j.v.shape[0]:
-            y.trial[1, i] += j.v[k, i]
+def begin(W, h, objective, step, work, out):
+    """Add the objective's slopes to the bars of the end of a step, and set the right-hand side; the multipliers start from zero."""
+    out.w[step], out.multipliers[step] = 0.0, 0.0
+    for i in range(work.bars.shape[1]):
+        work.trial[0, i], work.trial[1, i] = work.bars[0, i], work.bars[1, i]
+        if objective.q.shape[0]:
+            work.trial[0, i] += objective.q[step, i]
+        if objective.v.shape[0]:
+            work.trial[1, i] += objective.v[step, i]
     last = W.shape[0] - 1
     for s in range(last + 1):
-        for i in range(y.bars.shape[1]):
-            y.right[s, i] = -W[last, s] / h * y.trial[1, i]
-    for i in range(y.bars.shape[1]):
-        y.right[last, i] -= y.trial[0, i]
+        for i in range(work.bars.shape[1]):
+            work.right[s, i] = -W[last, s] / h * work.trial[1, i]
+    for i in range(work.bars.shape[1]):
+        work.right[last, i] -= work.trial[0, i]
 
 
 @fast
-def finish(c, W, h, b, x, k, y, out):
+def finish(nodes, W, h, states, stages, step, work, out):
     """The bars of the step's start, v* and the slope in h."""
-    q, v, a, last, slope = y.products[0], y.products[1], y.products[2], W.shape[0] - 1, 0.0
-    for i in range(y.bars.shape[1]):
-        q[last, i] += y.trial[0, i]
-        v[last, i] += y.trial[1, i]
+    q, v, a, last, slope = work.products[0], work.products[1], work.products[2], W.shape[0] - 1, 0.0
+    for i in range(work.bars.shape[1]):
+        q[last, i] += work.trial[0, i]
+        v[last, i] += work.trial[1, i]
         of_q = of_v = 0.0
         for s in range(last + 1):
             for j in range(last + 1):
@@ -176,26 +176,26 @@ def finish(c, W, h, b, x, k, y, out):
         for s in range(last + 1):
             rate = total = 0.0
             for j in range(last + 1):
-                rate += W[s, j] * x.e[k, j, i]
+                rate += W[s, j] * stages.e[step, j, i]
                 total += W[s, j]
             of_q += q[s, i]
-            of_v += c[s] * h * q[s, i] + v[s, i] - total * a[s, i] / h
-            slope += c[s] * q[s, i] * b.v[k, i] - rate * v[s, i] / (h * h) - x.a[k, s, i] * a[s, i] / h
-            out.v[k, s, i] = v[s, i]
-        y.bars[0, i], y.bars[1, i] = of_q, of_v
-    out.slopes[k] = slope
+            of_v += nodes[s] * h * q[s, i] + v[s, i] - total * a[s, i] / h
+            slope += nodes[s] * q[s, i] * states.v[step, i] - rate * v[s, i] / (h * h) - stages.a[step, s, i] * a[s, i] / h
+            out.v[step, s, i] = v[s, i]
+        work.bars[0, i], work.bars[1, i] = of_q, of_v
+    out.slopes[step] = slope
 
 
 @entry
-def sweep_back(functions, workspace, first, last, c, W, h, j, b, x, y, out):
+def sweep_back(functions, workspace, first, last, nodes, W, h, objective, states, stages, work, out):
     """Sweep backward over the steps from last - 1 to first: (the first step that is done, status of the one before)."""
     model = functions, workspace
     for k in range(last - 1, first - 1, -1):
-        begin(W, h, j, k, y, out)
-        status = ask.adjoint(model, k, y.right, y.below, y.trial[1], out.w[k], out.multipliers[k], y.products)
+        begin(W, h, objective, k, work, out)
+        status = ask.adjoint(model, k, work.right, work.below, work.trial[1], out.w[k], out.multipliers[k], work.products)
         if status != DONE:
             return k + 1, status
-        finish(c, W, h, b, x, k, y, out)
+        finish(nodes, W, h, states, stages, k, work, out)
     return first, DONE
 
 

@@ -29,96 +29,102 @@ from polyida.jit.intrinsics import LANES
 
 
 @shared
-def multiply_body(scene, b, u, w, pull, back, f, out):
-    """`relaxation_products` of body b."""
+def multiply_body(scene, body, u, along, pull, back, force, out):
+    """`relaxation_products` of a body."""
     s = scene.plates
     few = s.body_node.shape[0] - 1
-    if b >= few:
-        compact.relaxation_products(scene.compact, b - few, u, w, pull, back, f, out)
+    if body >= few:
+        compact.relaxation_products(scene.compact, body - few, u, along, pull, back, force, out)
     else:
-        relaxation_products(*cells(s, s.body_operator[b]), s.body_node[b], s.body_c1[b], s.body_nu[b], u, w, pull, back, f, out)
+        relaxation_products(
+            *cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, along, pull, back, force, out
+        )
 
 
 @part
-def add_products(scene, x, u, v, w, rotation, stiff, heavy, slowing):
-    """Add K^T w, M w and C^T w of relaxation, and set the frames of the strains."""
-    hold_strains(x, w, heavy, rotation)
-    speeds, own, slow = v.reshape(-1), w.reshape(-1), slowing.reshape(-1)
-    for b in range(x.start.shape[0] - 1):
-        if x.terms[b] == x.terms[b + 1]:
+def add_products(scene, relaxing, u, v, along, rotation, stiff, heavy, slowing):
+    """Add K^T w, M w and C^T w of relaxation, w = along, and set the frames of the strains."""
+    hold_strains(relaxing, along, heavy, rotation)
+    speeds, own, slow = v.reshape(-1), along.reshape(-1), slowing.reshape(-1)
+    for b in range(relaxing.start.shape[0] - 1):
+        if relaxing.terms[b] == relaxing.terms[b + 1]:
             continue
-        count, first = strains_of(x, b), 2 * x.first + x.start[b]
+        count, first = strains_of(relaxing, b), 2 * relaxing.first + relaxing.start[b]
         pull, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
-        take_pull(x, b, speeds, pull)
-        for k in range(x.terms[b], x.terms[b + 1]):
-            at = first + (k - x.terms[b]) * count
-            add_scaled(back, -x.mass / (x.time[k] * x.unit[b]), own[at : at + count])
-        multiply_body(scene, b, u, w, pull, back, stiff, pushed)
-        for k in range(x.terms[b], x.terms[b + 1]):
-            at = first + (k - x.terms[b]) * count
-            add_scaled(slow[at : at + count], x.mass / x.time[k], own[at : at + count])
-            add_scaled(slow[at : at + count], -x.unit[b] * x.share[k], pushed)
+        take_pull(relaxing, b, speeds, pull)
+        for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
+            at = first + (k - relaxing.terms[b]) * count
+            add_scaled(back, -relaxing.mass / (relaxing.time[k] * relaxing.unit[b]), own[at : at + count])
+        multiply_body(scene, b, u, along, pull, back, stiff, pushed)
+        for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
+            at = first + (k - relaxing.terms[b]) * count
+            add_scaled(slow[at : at + count], relaxing.mass / relaxing.time[k], own[at : at + count])
+            add_scaled(slow[at : at + count], -relaxing.unit[b] * relaxing.share[k], pushed)
 
 
 @part
-def eliminate_transposed(scene, x, e, u, r):
+def eliminate_transposed(scene, relaxing, work, u, r):
     """Add the residuals of the strains to those of the nodes in r (nodes, 2), at displacements u."""
-    if x.share.shape[0] > 0:
-        residuals, none = r.reshape(-1), np.zeros((x.first, 2))
-        for b in range(x.start.shape[0] - 1):
-            if x.terms[b] == x.terms[b + 1]:
+    if relaxing.share.shape[0] > 0:
+        residuals, none = r.reshape(-1), np.zeros((relaxing.first, 2))
+        for b in range(relaxing.start.shape[0] - 1):
+            if relaxing.terms[b] == relaxing.terms[b + 1]:
                 continue
-            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+            count, (first, end) = strains_of(relaxing, b), pairs_of_body(scene, b)
             pull, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
-            for k in range(x.terms[b], x.terms[b + 1]):
-                at = 2 * x.first + x.start[b] + (k - x.terms[b]) * count
-                add_scaled(sums, 1.0 / (x.unit[b] * e.rates[1] * (1.0 + e.rates[0] * x.time[k])), residuals[at : at + count])
-            for p in range(e.parts.shape[0]):
-                e.force[:], back[:] = 0.0, 0.0
+            for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
+                at = 2 * relaxing.first + relaxing.start[b] + (k - relaxing.terms[b]) * count
+                add_scaled(
+                    sums, 1.0 / (relaxing.unit[b] * work.rates[1] * (1.0 + work.rates[0] * relaxing.time[k])), residuals[at : at + count]
+                )
+            for p in range(work.parts.shape[0]):
+                work.force[:], back[:] = 0.0, 0.0
                 add_real(back, 1.0, sums, p)
-                multiply_body(scene, b, u, none, pull, back, e.force, pushed)
+                multiply_body(scene, b, u, none, pull, back, work.force, pushed)
                 for i in range(first, end):
                     for j in range(2):
-                        r[i, j] += e.parts[p] * e.force[i, j]
+                        r[i, j] += work.parts[p] * work.force[i, j]
 
 
 @part
-def recover_transposed(scene, x, e, u, r, dw):
+def recover_transposed(scene, relaxing, work, u, r, dw):
     """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = r`, from that of the nodes."""
-    if x.share.shape[0] > 0:
-        residuals, changes, none = r.reshape(-1), dw.reshape(-1), np.zeros((x.first, 2))
-        for b in range(x.start.shape[0] - 1):
-            if x.terms[b] == x.terms[b + 1]:
+    if relaxing.share.shape[0] > 0:
+        residuals, changes, none = r.reshape(-1), dw.reshape(-1), np.zeros((relaxing.first, 2))
+        for b in range(relaxing.start.shape[0] - 1):
+            if relaxing.terms[b] == relaxing.terms[b + 1]:
                 continue
-            count, (first, end) = strains_of(x, b), pairs_of_body(scene, b)
+            count, (first, end) = strains_of(relaxing, b), pairs_of_body(scene, b)
             zero, pushed = np.zeros(count), np.empty(count)
-            for p in range(e.parts.shape[0]):
+            for p in range(work.parts.shape[0]):
                 for i in range(first, end):
                     for j in range(2):
-                        e.force[i, j] = dw[i, j].real if p == 0 else dw[i, j].imag
-                multiply_body(scene, b, u, e.force, zero, zero, none, pushed)
-                for k in range(x.terms[b], x.terms[b + 1]):
-                    at = 2 * x.first + x.start[b] + (k - x.terms[b]) * count
-                    factor = x.time[k] / (x.mass * e.rates[1] * (1.0 + e.rates[0] * x.time[k]))
+                        work.force[i, j] = dw[i, j].real if p == 0 else dw[i, j].imag
+                multiply_body(scene, b, u, work.force, zero, zero, none, pushed)
+                for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
+                    at = 2 * relaxing.first + relaxing.start[b] + (k - relaxing.terms[b]) * count
+                    factor = relaxing.time[k] / (relaxing.mass * work.rates[1] * (1.0 + work.rates[0] * relaxing.time[k]))
                     if p == 0:
                         changes[at : at + count] = 0.0
                         add_scaled(changes[at : at + count], factor, residuals[at : at + count])
-                    add_scaled(changes[at : at + count], e.parts[p] * factor * e.rates[1] * x.unit[b] * x.share[k], pushed)
+                    add_scaled(
+                        changes[at : at + count], work.parts[p] * factor * work.rates[1] * relaxing.unit[b] * relaxing.share[k], pushed
+                    )
 
 
 @entry
-def sum_works(scene, q, v, w, by_share, by_time, by_strain):
-    """Add over frames (nodes, 2) the slopes of w . r in g and tau of all terms, and `-(B w) : D : g x` of each strain."""
+def sum_works(scene, q, v, fields, by_share, by_time, by_strain):
+    """Add over frames (nodes, 2) the slopes of w . r, w = fields, in g and tau of all terms, and `-(B w) : D : g x` of each strain."""
     x = scene.relaxation
     none = np.zeros((x.first, 2))
     for frame in range(q.shape[0]):
-        u, speeds, own = q[frame], v[frame].reshape(-1), w[frame].reshape(-1)
+        u, speeds, own = q[frame], v[frame].reshape(-1), fields[frame].reshape(-1)
         for b in range(x.start.shape[0] - 1):
             if x.terms[b] == x.terms[b + 1]:
                 continue
             count, at = strains_of(x, b), 2 * x.first + x.start[b]
             zero, pushed, strain = np.zeros(count), np.empty(count), np.empty(count)
-            multiply_body(scene, b, u, w[frame], zero, zero, none, pushed)
+            multiply_body(scene, b, u, fields[frame], zero, zero, none, pushed)
             relax_body(scene, b, u, None, zero, none, strain)
             for k in range(x.terms[b], x.terms[b + 1]):
                 rate = x.mass / x.time[k] ** 2

@@ -124,7 +124,7 @@ def starts(lists):
 
 
 @leaf
-def cells(s, o):
-    """The first arguments of kernels over the cells of operator o: layout, corners, gradients, weights."""
-    p, e = s.at[o], s.at[o + 1]
-    return s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]], s.weights[p[3] : e[3]]
+def cells(plates, operator):
+    """The first arguments of kernels over the cells of an operator: layout, corners, gradients, weights."""
+    p, e = plates.at[operator], plates.at[operator + 1]
+    return plates.layout[p[0] : e[0]], plates.corners[p[1] : e[1]], plates.gradients[p[2] : e[2]], plates.weights[p[3] : e[3]]

@@ -49,9 +49,9 @@ def vectors(bodies, body):
 
 
 @leaf
-def lesser(a, body):
+def lesser(one, other):
     """The smaller of two; nan if one is nan."""
-    return a if a < body or a != a else body
+    return one if one < other or one != one else other
 
 
 @part
@@ -77,49 +77,49 @@ def place(bodies, first, count, u, z):
 
 
 @part
-def quadratic(count, x, along, y):
-    """y = half of (conj(x_i) w_j + conj(w_i) x_j), w = along: the products of z for x = w = z, half their rates for x = z, w = z'."""
+def quadratic(count, one, along, out):
+    """out = half of (conj(x_i) w_j + conj(w_i) x_j), x = one, w = along: the products of z for x = w = z, half their rates for x = z, w = z'."""
     real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
-            y[real] = 0.5 * (x[i, 0] * along[j, 0] + x[i, 1] * along[j, 1] + along[i, 0] * x[j, 0] + along[i, 1] * x[j, 1])
+            out[real] = 0.5 * (one[i, 0] * along[j, 0] + one[i, 1] * along[j, 1] + along[i, 0] * one[j, 0] + along[i, 1] * one[j, 1])
             real += 1
             if i < j:
-                y[imag] = 0.5 * (x[i, 0] * along[j, 1] - x[i, 1] * along[j, 0] + along[i, 0] * x[j, 1] - along[i, 1] * x[j, 0])
+                out[imag] = 0.5 * (one[i, 0] * along[j, 1] - one[i, 1] * along[j, 0] + along[i, 0] * one[j, 1] - along[i, 1] * one[j, 0])
                 imag += 1
 
 
 @part
-def strained(bodies, body, u, d):
-    """d = y - y_0 at displacements u, as the sum of terms linear and quadratic in u, without cancellation."""
+def strained(bodies, body, u, change):
+    """change = y - y_0 at displacements u, as the sum of terms linear and quadratic in u, without cancellation."""
     first, count, _ = vectors(bodies, body)
-    rest, moved, linear = bodies.rest[first - bodies.pair[0] :], u[first:], np.empty(d.shape[0])
+    rest, moved, linear = bodies.rest[first - bodies.pair[0] :], u[first:], np.empty(change.shape[0])
     quadratic(count, rest, moved, linear)
-    quadratic(count, moved, moved, d)
-    for e in range(d.shape[0]):
-        d[e] += 2.0 * linear[e]
+    quadratic(count, moved, moved, change)
+    for e in range(change.shape[0]):
+        change[e] += 2.0 * linear[e]
 
 
 @fast
-def stresses(bodies, body, factor, d):
-    """factor form d, of the size of y, from an array d that may be longer."""
+def stresses(bodies, body, factor, change):
+    """factor form change, of the size of y, from an array that may be longer."""
     size = bodies.shift_start[body + 1] - bodies.shift_start[body]
     form, s = bodies.form[bodies.form_start[body] : bodies.form_start[body + 1]], np.empty(size)
     for e in range(size):
         total = 0.0
         for f in range(size):
-            total += form[e * size + f] * d[f]
+            total += form[e * size + f] * change[f]
         s[e] = factor * total
     return s
 
 
 @part
-def push(count, first, s, z, r):
-    """r += (dy/dz)^T s on the vectors z (count, 2) of a body."""
+def push(count, first, stress, z, r):
+    """r += (dy/dz)^T stress on the vectors z (count, 2) of a body."""
     real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
-            a, b = s[real], s[imag] if i < j else 0.0
+            a, b = stress[real], stress[imag] if i < j else 0.0
             r[first + i, 0] += a * z[j, 0] + b * z[j, 1]
             r[first + i, 1] += a * z[j, 1] - b * z[j, 0]
             r[first + j, 0] += a * z[i, 0] - b * z[i, 1]
@@ -197,12 +197,12 @@ def push_elastic(bodies, body, u, change, forces):
 
 
 @part
-def push_placed(bodies, body, u, s, r):
-    """r += (dy/dz)^T s of a body at displacements u."""
+def push_placed(bodies, body, u, stress, r):
+    """r += (dy/dz)^T stress of a body at displacements u."""
     first, count, _ = vectors(bodies, body)
     z = np.empty((count, 2))
     place(bodies, first, count, u, z)
-    push(count, first, s, z, r)
+    push(count, first, stress, z, r)
 
 
 @entry
@@ -395,11 +395,11 @@ def relaxation_products(bodies, body, u, along, pull, back, r, out):
 
 
 @part
-def strain_square(bodies, body, d):
-    """d^T form d."""
-    s, total = stresses(bodies, body, 1.0, d), 0.0
+def strain_square(bodies, body, change):
+    """change^T form change."""
+    s, total = stresses(bodies, body, 1.0, change), 0.0
     for e in range(s.shape[0]):
-        total += d[e] * s[e]
+        total += change[e] * s[e]
     return total
 
 
@@ -422,12 +422,12 @@ def add_y_jacobian(count, z, factor, out):
 
 
 @part
-def curve(count, s, first, out):
-    """Add s d2y/dz2 to the blocks."""
+def curve(count, stress, first, out):
+    """Add stress d2y/dz2 to the blocks."""
     real, imag, wide = 0, count * (count + 1) // 2, count + 1
     for i in range(count):
         for j in range(i, count):
-            a, b = s[real], s[imag] if i < j else 0.0
+            a, b = stress[real], stress[imag] if i < j else 0.0
             one, other = first + (i + 1) * wide + j + 1, first + (j + 1) * wide + i + 1
             for k in range(2):
                 out[one, k, k] += a

@@ -54,33 +54,33 @@ def condensation(model, condensed):
 
 
 @part
-def take_strain(scene, b, u, strain):
-    """Store the strain of body b at u; in the last place, which an odd size of y leaves unused, 0."""
+def take_strain(scene, body, u, strain):
+    """Store the strain of a body at u; in the last place, which an odd size of y leaves unused, 0."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
-    if b >= o:
+    if body >= o:
         strain[strain.shape[0] - 1] = 0.0
-        compact.strained(scene.compact, b - o, u, strain[: compact.vectors(scene.compact, b - o)[2]])
+        compact.strained(scene.compact, body - o, u, strain[: compact.vectors(scene.compact, body - o)[2]])
     else:
-        layout, corners, gradients, _ = cells(s, s.body_operator[b])
-        strain_at_points(layout, corners, gradients, s.body_node[b], u, strain)
+        layout, corners, gradients, _ = cells(s, s.body_operator[body])
+        strain_at_points(layout, corners, gradients, s.body_node[body], u, strain)
 
 
 @part
-def rows_of(x, at):
+def rows_of(relaxation, at):
     """(q, v, a, a_alg, change of a) at an address, (5, coordinates)."""
-    return carray(pointer(at), (5, 2 * x.first + x.start[x.start.shape[0] - 1]))
+    return carray(pointer(at), (5, 2 * relaxation.first + relaxation.start[relaxation.start.shape[0] - 1]))
 
 
 @entry
-def condensed_force(work, b, displacements, forces, rotations, e, f, g):
-    """Add the force of full plate b to r (nodes, 2); the rest as of `kernels.internal_force`."""
+def condensed_force(work, body, displacements, forces, rotations, e, f, g):
+    """Add the force of a full plate to r (nodes, 2); the rest as of `kernels.internal_force`."""
     s, x = work.scene.plates, work.scene.relaxation
     shape = (x.first, 2)
     u, r, rotation = carray(pointer(displacements), shape), carray(pointer(forces), shape), carray(pointer(rotations), shape)
-    at, place = x.start[b], (s.body_node[b], s.body_c1[b], s.body_nu[b])
-    pull = work.known[at : at + strains_of(x, b)]
-    return integer_of(kernels.relaxed_force(*cells(s, s.body_operator[b]), *place, u, pull, 1.0 - work.shares[b], r, rotation))
+    at, place = x.start[body], (s.body_node[body], s.body_c1[body], s.body_nu[body])
+    pull = work.known[at : at + strains_of(x, body)]
+    return integer_of(kernels.relaxed_force(*cells(s, s.body_operator[body]), *place, u, pull, 1.0 - work.shares[body], r, rotation))
 
 
 @entry
@@ -142,10 +142,11 @@ def end_strains(work, displacements, before, state, numbers, d, e, f):
 
 
 @fast
-def end_term(p, unit, time, strain, q, v, a, a_alg, change):
+def end_term(numbers, unit, time, strain, q, v, a, a_alg, change):
     """`end_strains` of a part of a term. Loops of few arrays each: LLVM makes loops over vectors of them."""
-    v_of_a, v_of_alg, dd_of_a, dd_of_alg, v_of_end = p[V_OF_A], p[V_OF_ALG], p[DD_OF_A], p[DD_OF_ALG], p[TO_V] / p[TO_A]
-    alg_of_a, alg_of_alg, alg_of_end, h, dd_of_end = p[ALG_OF_A], p[ALG_OF_ALG], p[ALG_OF_END], p[H], 1.0 / p[TO_A]
+    v_of_a, v_of_alg, dd_of_a, dd_of_alg = numbers[V_OF_A], numbers[V_OF_ALG], numbers[DD_OF_A], numbers[DD_OF_ALG]
+    alg_of_a, alg_of_alg, alg_of_end = numbers[ALG_OF_A], numbers[ALG_OF_ALG], numbers[ALG_OF_END]
+    h, v_of_end, dd_of_end = numbers[H], numbers[TO_V] / numbers[TO_A], 1.0 / numbers[TO_A]
     factor, of_strain = 1.0 / (time + v_of_end), 1.0 / unit
     for j in range(change.shape[0]):  # a at the end
         change[j] = factor * (of_strain * strain[j] - (v[j] + v_of_a * a[j] + v_of_alg * a_alg[j]))

@@ -13,10 +13,10 @@ from polyida.linear.dense import clear
 
 
 @leaf
-def on_pattern(s, o, values):
-    """indptr and indices of the nodes' pattern of operator o, and the values on it."""
-    p, e = s.at[o], s.at[o + 1]
-    return s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], values[p[6] : e[6]]
+def on_pattern(plates, operator, values):
+    """indptr and indices of the nodes' pattern of an operator, and the values on it."""
+    p, e = plates.at[operator], plates.at[operator + 1]
+    return plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], values[p[6] : e[6]]
 
 
 @shared
@@ -48,13 +48,13 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 
 
 @part
-def add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r):
+def add_loads_and_joints(plates, links, drives, u, a, lam, phi, dz, forces, r):
     """Add loads, and forces of the joints and masses at points to r; fill phi, dz and forces. Returns what `joint_forces` returns."""
-    for k in range(s.load_drive.shape[0]):
-        factor = drives[s.load_drive[k], 0]
-        for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
-            r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
-            r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
+    for k in range(plates.load_drive.shape[0]):
+        factor = drives[plates.load_drive[k], 0]
+        for i in range(plates.load_ptr[k], plates.load_ptr[k + 1]):
+            r[plates.load_nodes[i], 0] -= factor * plates.load_values[i, 0]
+            r[plates.load_nodes[i], 1] -= factor * plates.load_values[i, 1]
     point_values(links, a, dz)
     for f in range(dz.shape[0]):
         forces[f, 0] = links.point_mass[f] * (dz[f, 0] - links.gravity[0])
@@ -66,12 +66,12 @@ def add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r):
 
 
 @part
-def hold_strains(x, a, r, rotation):
+def hold_strains(relaxation, a, r, rotation):
     """Add the inertia of the relaxed strains to r, and set their frames."""
-    for i in range(x.first, r.shape[0]):
-        r[i, 0] += x.mass * a[i, 0]
-        r[i, 1] += x.mass * a[i, 1]
-    for i in range(x.first, rotation.shape[0]):
+    for i in range(relaxation.first, r.shape[0]):
+        r[i, 0] += relaxation.mass * a[i, 0]
+        r[i, 1] += relaxation.mass * a[i, 1]
+    for i in range(relaxation.first, rotation.shape[0]):
         rotation[i, 0] = 1.0
 
 

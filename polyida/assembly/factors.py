@@ -182,24 +182,26 @@ def _nodal(model, x):
 
 
 @entry
-def _force_works(s, q, v, w, lanes, pairs):
-    """Add over frames: w[c] . f of the cells in their lanes, products for the stabilisation on the pattern."""
+def _force_works(plates, q, v, fields, lanes, pairs):
+    """Add over frames: fields[c] . f of the cells in their lanes, products for the stabilisation on the pattern."""
     for frame in range(q.shape[0]):
-        u, speed, along = q[frame], v[frame], w[frame]
-        for o in range(s.body_operator.shape[0]):
-            p, e, n0 = s.at[o], s.at[o + 1], s.body_node[o]
+        u, speed, along = q[frame], v[frame], fields[frame]
+        for o in range(plates.body_operator.shape[0]):
+            p, e, n0 = plates.at[o], plates.at[o + 1], plates.body_node[o]
             own = lanes[:, LANES * p[0] : LANES * e[0]]
-            kernels.force_work(*cells(s, o), n0, s.body_c1[o], s.body_nu[o], s.body_viscosity[o], u, speed, along, own)
-            if s.body_stabilisation[o] != 0.0:
-                kernels.difference_products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], n0, u, along, pairs[:, p[6] : e[6]])
+            kernels.force_work(*cells(plates, o), n0, plates.body_c1[o], plates.body_nu[o], plates.body_viscosity[o], u, speed, along, own)
+            if plates.body_stabilisation[o] != 0.0:
+                kernels.difference_products(plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], n0, u, along, pairs[:, p[6] : e[6]])
 
 
 @entry
-def _mass_works(s, b, pull, w, pairs):
-    """Add sums over frames of products of w with b - pull for the mass on the pattern."""
-    right, still = kernels.by_node(b, 0, pull), np.zeros((w.shape[0], 2))
-    for c in range(w.shape[1]):
-        left = kernels.by_node(w, c, still)
-        for o in range(s.body_operator.shape[0]):
-            p, e = s.at[o], s.at[o + 1]
-            kernels.products(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.body_node[o], right, left, pairs[c, p[6] : e[6]])
+def _mass_works(plates, accelerations, pull, fields, pairs):
+    """Add sums over frames of products of fields with accelerations - pull for the mass on the pattern."""
+    right, still = kernels.by_node(accelerations, 0, pull), np.zeros((fields.shape[0], 2))
+    for c in range(fields.shape[1]):
+        left = kernels.by_node(fields, c, still)
+        for o in range(plates.body_operator.shape[0]):
+            p, e = plates.at[o], plates.at[o + 1]
+            kernels.products(
+                plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], plates.body_node[o], right, left, pairs[c, p[6] : e[6]]
+            )

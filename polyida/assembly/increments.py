@@ -84,11 +84,11 @@ def change_each(driving, h, times, before, after, gains, lost):
 
 
 @entry
-def sharpen_each(k, rows, second, h, times, before, after, gains):
-    """`sharpen` the gains of profile k in some steps; second (rows, 4): its second derivatives."""
+def sharpen_each(profile, rows, second, h, times, before, after, gains):
+    """`sharpen` the gains of a profile in some steps; second (rows, 4): its second derivatives."""
     for e in range(rows.shape[0]):
         i = rows[e]
-        sharpen(h[i], times[i], before[i, k], after[i, k], second[e], gains[i, k])
+        sharpen(h[i], times[i], before[i, profile], after[i, profile], second[e], gains[i, profile])
 
 
 @part
@@ -152,13 +152,13 @@ def moves(model):
 
 
 @part
-def profile_at(m, k, t, order):
-    """Derivative of an order 0, 1 or 2 of profile k of Moves."""
-    x = m.numbers[m.start[k] : m.start[k + 1]]
-    if m.kind[k] == SINE:
+def profile_at(moves, profile, t, order):
+    """Derivative of an order 0, 1 or 2 of a profile of Moves."""
+    x = moves.numbers[moves.start[profile] : moves.start[profile + 1]]
+    if moves.kind[profile] == SINE:
         angle = x[3] * t + x[4]
         return x[order] * (np.cos(angle) if order == 1 else np.sin(angle))
-    if m.kind[k] == POLYNOMIAL:
+    if moves.kind[profile] == POLYNOMIAL:
         return series(x, order, t)
     s = (t - x[3]) / x[2]
     if not 0.0 < s < 1.0:
@@ -167,32 +167,32 @@ def profile_at(m, k, t, order):
 
 
 @part
-def series(c, order, x):
-    """`c0 + c1 x + c2 x^2 + ...`, or its first or second derivative."""
+def series(coefficients, order, argument):
+    """`c_0 + c_1 x + c_2 x^2 + ...` at the argument x, or its first or second derivative."""
     total = 0.0
-    for k in range(c.shape[0] - 1, order - 1, -1):
-        factor = c[k] if order == 0 else c[k] * k if order == 1 else c[k] * k * (k - 1)
-        total = total * x + factor
+    for k in range(coefficients.shape[0] - 1, order - 1, -1):
+        factor = coefficients[k] if order == 0 else coefficients[k] * k if order == 1 else coefficients[k] * k * (k - 1)
+        total = total * argument + factor
     return total
 
 
 @part
-def take_step(m, h, begin, inner, times, c, drives, gains):
-    """Fill drives (s + 1, profiles, 3) and gains, from row 1 on, of a step of h from `begin` with stages c (s,) at times (s,).
+def take_step(moves, h, begin, inner, times, nodes, drives, gains):
+    """Fill drives (s + 1, profiles, 3) and gains, from row 1 on, of a step of h from `begin` with stages at `nodes` (s,) of it, at times (s,).
 
     inner: begin, or a time beside it inside the step at a kink.
     """
     second = np.empty(4)
-    for k in range(m.kind.shape[0]):
+    for k in range(moves.kind.shape[0]):
         for order in range(3):
-            drives[0, k, order] = profile_at(m, k, begin if order == 0 and m.driving[k] else inner, order)
-        for i in range(c.shape[0]):
-            t, late, now, gain = times[i], c[i] * h, drives[i + 1, k], gains[i + 1, k]
+            drives[0, k, order] = profile_at(moves, k, begin if order == 0 and moves.driving[k] else inner, order)
+        for i in range(nodes.shape[0]):
+            t, late, now, gain = times[i], nodes[i] * h, drives[i + 1, k], gains[i + 1, k]
             for order in range(3):
-                now[order] = profile_at(m, k, t, order)
-            if change(m.driving[k], late, t, drives[0, k], now, gain):
+                now[order] = profile_at(moves, k, t, order)
+            if change(moves.driving[k], late, t, drives[0, k], now, gain):
                 for e in range(4):
-                    second[e] = profile_at(m, k, begin + late * AT[e], 2)
+                    second[e] = profile_at(moves, k, begin + late * AT[e], 2)
                 sharpen(late, t, drives[0, k], now, second, gain)
 
 

@@ -194,49 +194,49 @@ def dense_pattern(model, sizes):
 
 
 @part
-def fill_slopes(links, drives, times, k, qs, work):
-    """Fill work.slopes at state k: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
+def fill_slopes(links, drives, times, state, qs, work):
+    """Fill work.slopes at a state: phi_z of a scene at its drives, or phi_q of a model without links by the C function at an address in drives."""
     n = qs.shape[1]
-    at = address(qs) + 8 * n * k
+    at = address(qs) + 8 * n * state
     if links is None:
-        return call(drives[0], drives[1], 0, address(times) + 8 * k, at, 0, 0, 0, address(work.slopes)) == DONE
+        return call(drives[0], drives[1], 0, address(times) + 8 * state, at, 0, 0, 0, address(work.slopes)) == DONE
     joints.point_values(links, carray(pointer(at), (n // 2, 2)), work.points)
-    joints.joint_jacobian(links, drives[k], work.points, work.slopes)
+    joints.joint_jacobian(links, drives[state], work.points, work.slopes)
     return True
 
 
 @part
-def fill_rows(u, links, drives, times, at, qs, work):
+def fill_rows(pattern, links, drives, times, at, qs, work):
     """The unit rows at state `at`; nan if the model raises."""
     rows = work.rows[1]
     if not fill_slopes(links, drives, times, at, qs, work):
         work.slopes[:] = np.nan
-    for k in range(u.start.shape[0] - 1):
+    for k in range(pattern.start.shape[0] - 1):
         square = 0.0
-        for i in range(u.start[k], u.start[k + 1]):
+        for i in range(pattern.start[k], pattern.start[k + 1]):
             rows[i] = 0.0
-            for e in range(u.terms[i], u.terms[i + 1]):
-                rows[i] += u.weights[e] * work.slopes[u.sources[e]]
+            for e in range(pattern.terms[i], pattern.terms[i + 1]):
+                rows[i] += pattern.weights[e] * work.slopes[pattern.sources[e]]
             square += rows[i] * rows[i]
         scale = 1.0 / np.sqrt(square) if square > 0.0 else 1.0
-        for i in range(u.start[k], u.start[k + 1]):
+        for i in range(pattern.start[k], pattern.start[k + 1]):
             rows[i] *= scale
 
 
 @part
-def fill_band(u, x, y, below, work):
-    """The products of unit rows x with rows y within the band, for each row of x with as many rows before it as `below`."""
+def fill_band(pattern, left, right, below, work):
+    """The products of unit rows `left` with rows `right` within the band, for each row of left with as many rows before it as `below`."""
     m, k = work.band.shape[0], work.band.shape[1] // 2
     for i in range(m):
-        for e in range(u.start[i], u.start[i + 1]):
-            work.row[u.columns[e]] = x[e]
+        for e in range(pattern.start[i], pattern.start[i + 1]):
+            work.row[pattern.columns[e]] = left[e]
         for j in range(max(0, i - below), min(m, i + k + 1)):
             product = 0.0
-            for e in range(u.start[j], u.start[j + 1]):
-                product += work.row[u.columns[e]] * y[e]
+            for e in range(pattern.start[j], pattern.start[j + 1]):
+                product += work.row[pattern.columns[e]] * right[e]
             work.band[i, j - i + k] = product
-        for e in range(u.start[i], u.start[i + 1]):
-            work.row[u.columns[e]] = 0.0
+        for e in range(pattern.start[i], pattern.start[i + 1]):
+            work.row[pattern.columns[e]] = 0.0
 
 
 @part
@@ -256,16 +256,16 @@ def eliminate(work, symmetric, shift):
 
 
 @part
-def exceeds(u, size, work):
+def exceeds(pattern, size, work):
     """True if the least singular value of the rows examined is larger than `size`: G - size^2 I is positive definite."""
-    fill_band(u, work.rows[1], work.rows[1], 0, work)
+    fill_band(pattern, work.rows[1], work.rows[1], 0, work)
     return eliminate(work, True, size * size)
 
 
 @part
-def bound(u, work):
+def bound(pattern, work):
     """A lower bound of the least singular value of the rows examined, 0 if G is not positive definite."""
-    if not exceeds(u, 0.0, work):
+    if not exceeds(pattern, 0.0, work):
         return 0.0
     m, k, inverse, trace = work.band.shape[0], work.band.shape[1] // 2, work.inverse, 0.0
     for i in range(m - 1, -1, -1):  # inverse[i, j - i] is (G^-1)_ij, j >= i
@@ -280,10 +280,10 @@ def bound(u, work):
 
 
 @part
-def log_determinant(u, x, y, work):
-    """log det of the products of unit rows x with rows y; -inf if elimination without pivoting has a pivot that is not positive."""
+def log_determinant(pattern, left, right, work):
+    """log det of the products of unit rows `left` with rows `right`; -inf if elimination without pivoting has a pivot that is not positive."""
     k, total = work.band.shape[1] // 2, 0.0
-    fill_band(u, x, y, k, work)
+    fill_band(pattern, left, right, k, work)
     if not eliminate(work, False, 0.0):
         return -np.inf
     for i in range(work.band.shape[0]):
@@ -292,64 +292,64 @@ def log_determinant(u, x, y, work):
 
 
 @part
-def same_side(u, work):
+def same_side(pattern, work):
     """True if elimination without pivoting proves that the row space has not turned far since the reference state."""
     before, after = work.rows[0], work.rows[1]
-    volumes = 0.5 * (log_determinant(u, before, before, work) + log_determinant(u, after, after, work))
-    return log_determinant(u, before, after, work) - volumes >= np.log(REVERSED)
+    volumes = 0.5 * (log_determinant(pattern, before, before, work) + log_determinant(pattern, after, after, work))
+    return log_determinant(pattern, before, after, work) - volumes >= np.log(REVERSED)
 
 
 @part
-def distance(u, work):
+def distance(pattern, work):
     """Bound of the spectral norm of the change D of the rows: the smaller of `|D|_F` and `(|D|_1 |D|_inf)^(1/2)`; nan if D is."""
     square = largest_row = largest_column = 0.0
-    for i in range(u.start.shape[0] - 1):
+    for i in range(pattern.start.shape[0] - 1):
         total = 0.0
-        for e in range(u.start[i], u.start[i + 1]):
+        for e in range(pattern.start[i], pattern.start[i + 1]):
             change = abs(work.rows[1, e] - work.rows[0, e])
             square += change * change
             total += change
-            work.row[u.columns[e]] += change
+            work.row[pattern.columns[e]] += change
         largest_row = max(largest_row, total)
     for e in range(work.rows.shape[1]):
-        largest_column = max(largest_column, work.row[u.columns[e]])
-        work.row[u.columns[e]] = 0.0
+        largest_column = max(largest_column, work.row[pattern.columns[e]])
+        work.row[pattern.columns[e]] = 0.0
     frobenius, product = np.sqrt(square), np.sqrt(largest_row * largest_column)
     return product if product < frobenius else frobenius
 
 
 @part
-def refer(times, qs, k, size, work):
-    """Make state k, the one examined, the reference, with this bound of its least singular value."""
+def refer(times, qs, state, size, work):
+    """Make a state, the one examined, the reference, with this bound of its least singular value."""
     work.least[0] = size
     put(1.0, work.rows[1], work.rows[0])
     for i in range(work.past.shape[1]):
         work.past[1, i] = work.past[0, i]
-        work.past[0, i] = qs[k, i - 1] if i else times[k]
+        work.past[0, i] = qs[state, i - 1] if i else times[state]
 
 
 @entry
-def begin(u, links, drives, times, qs, work):
+def begin(pattern, links, drives, times, qs, work):
     """Make the only one of the states the reference; return True if its rows are proven independent."""
-    fill_rows(u, links, drives, times, 0, qs, work)
-    refer(times, qs, 0, bound(u, work), work)
+    fill_rows(pattern, links, drives, times, 0, qs, work)
+    refer(times, qs, 0, bound(pattern, work), work)
     return work.least[0] > CLOSE
 
 
 @entry
-def unproven(u, links, drives, times, qs, first, work):
+def unproven(pattern, links, drives, times, qs, first, work):
     """The first of the states (count,), from number `first` on, without proof; their number if there is none.
 
     Factors alone show that the least singular value exceeds the reference's bound, and make the bound larger; the trace costs more.
     """
     for k in range(first, qs.shape[0]):
-        fill_rows(u, links, drives, times, k, qs, work)
-        way, size = distance(u, work), RISE * work.least[0]
+        fill_rows(pattern, links, drives, times, k, qs, work)
+        way, size = distance(pattern, work), RISE * work.least[0]
         if way < SHARE * work.least[0]:
             continue
-        if not (way < work.least[0] + size and exceeds(u, size, work)):
-            size = bound(u, work)
-            if not (size > CLOSE and (way < work.least[0] + size or same_side(u, work))):
+        if not (way < work.least[0] + size and exceeds(pattern, size, work)):
+            size = bound(pattern, work)
+            if not (size > CLOSE and (way < work.least[0] + size or same_side(pattern, work))):
                 return k
         refer(times, qs, k, size, work)
     return qs.shape[0]

@@ -15,10 +15,10 @@ from polyida.linear.dense import put, zero
 
 
 @leaf
-def point_value(links, u, f):
-    """The components (x, y) of `A u` at point f: its displacement or velocity, if u (pairs, 2) has those of the coordinates."""
+def point_value(links, u, point):
+    """The components (x, y) of `A u` at a point: its displacement or velocity, if u (pairs, 2) has those of the coordinates."""
     x = y = 0.0
-    for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+    for k in range(links.point_ptr[point], links.point_ptr[point + 1]):
         c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
         x += c * u[i, 0] - n * u[i, 1]
         y += c * u[i, 1] + n * u[i, 0]
@@ -33,9 +33,9 @@ def point_values(links, u, dz):
 
 
 @leaf
-def spread_one(links, f, x, y, r):
-    """r += A^T of the force (x, y) at point f."""
-    for k in range(links.point_ptr[f], links.point_ptr[f + 1]):
+def spread_one(links, point, x, y, r):
+    """r += A^T of the force (x, y) at a point."""
+    for k in range(links.point_ptr[point], links.point_ptr[point + 1]):
         c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
         r[i, 0] += c * x + n * y
         r[i, 1] += c * y - n * x
@@ -51,10 +51,10 @@ def spread(links, forces, r):
 
 
 @leaf
-def moved(links, i, dz):
-    """`sum_j W_j dz_j` of vector i."""
+def moved(links, vector, dz):
+    """`sum_j W_j dz_j` of a vector."""
     x = y = 0.0
-    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+    for k in range(links.vector_start[vector], links.vector_start[vector + 1]):
         p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
         x += c * dz[p, 0] - n * dz[p, 1]
         y += n * dz[p, 0] + c * dz[p, 1]
@@ -62,43 +62,43 @@ def moved(links, i, dz):
 
 
 @leaf
-def rotated(c, n, x, y):
-    """(x, y) rotated by the angle with cosine c and sine n."""
-    return c * x - n * y, n * x + c * y
+def rotated(cos, sin, x, y):
+    """(x, y) rotated by the angle with this cosine and sine."""
+    return cos * x - sin * y, sin * x + cos * y
 
 
 @leaf
-def turn(links, p, drives):
-    """(cosine, sine, rate, second derivative) of the angle that rotates E of product p."""
-    d = links.product_drive[p]
+def turn(links, product, drives):
+    """(cosine, sine, rate, second derivative) of the angle that rotates E of a product."""
+    d = links.product_drive[product]
     if d < 0:
         return 1.0, 0.0, 0.0, 0.0
     return np.cos(drives[d, 0]), np.sin(drives[d, 0]), drives[d, 1], drives[d, 2]
 
 
 @leaf
-def factors(links, p, c, n, dz):
-    """R E and F of product p."""
-    e, f = links.product_first[p], links.product_second[p]
+def factors(links, product, cos, sin, dz):
+    """R E and F of a product."""
+    e, f = links.product_first[product], links.product_second[product]
     x, y = moved(links, e, dz)
-    ex, ey = rotated(c, n, links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y)
+    ex, ey = rotated(cos, sin, links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y)
     x, y = moved(links, f, dz)
     return ex, ey, links.vector_rest[f, 0] + x, links.vector_rest[f, 1] + y
 
 
 @leaf
-def push(links, i, x, y, forces):
-    """forces += `W_j^T (x, y)`: force (x, y) on vector i."""
-    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+def push(links, vector, x, y, forces):
+    """forces += `W_j^T (x, y)`: force (x, y) on a vector."""
+    for k in range(links.vector_start[vector], links.vector_start[vector + 1]):
         p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
         forces[p, 0] += c * x + n * y
         forces[p, 1] += c * y - n * x
 
 
 @leaf
-def slope(links, i, row, x, y, slopes):
-    """Add `W_j^T (x, y)` of vector i to the slopes of a row."""
-    for k in range(links.vector_start[i], links.vector_start[i + 1]):
+def slope(links, vector, row, x, y, slopes):
+    """Add `W_j^T (x, y)` of a vector to the slopes of a row."""
+    for k in range(links.vector_start[vector], links.vector_start[vector + 1]):
         p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
         at = links.row_start[row]
         while links.row_columns[at] != 2 * p:
@@ -108,12 +108,12 @@ def slope(links, i, row, x, y, slopes):
 
 
 @leaf
-def along(links, slopes, k, z):
-    """Row k of phi_z, in slopes, times z (points, 2)."""
+def along(links, slopes, row, places):
+    """A row of phi_z, in slopes, times places (points, 2)."""
     total = 0.0
-    for e in range(links.row_start[k], links.row_start[k + 1]):
+    for e in range(links.row_start[row], links.row_start[row + 1]):
         i = links.row_columns[e]
-        total += slopes[e] * z[i // 2, i % 2]
+        total += slopes[e] * places[i // 2, i % 2]
     return total
 
 
@@ -156,12 +156,12 @@ def joint_forces(links, drives, dz, lam, phi, forces):
 
 
 @part
-def add_shifts(links, values, order, x):
+def add_shifts(links, values, order, rows):
     """Add a derivative of the profiles to that derivative (0: phi, 1: rate, 2: bias) of the rows that they shift. values (profiles, 3)."""
     for i in range(links.shift_row.shape[0]):
         column = order - 1 + links.shift_order[i]
         if column >= 0:
-            x[links.shift_row[i]] += links.shift_factor[i] * values[links.shift_drive[i], column]
+            rows[links.shift_row[i]] += links.shift_factor[i] * values[links.shift_drive[i], column]
 
 
 @entry
@@ -307,18 +307,18 @@ def joint_change(links, drives, gains, h, dz, vz, dd, dv, phi, rate):
 
 
 @part
-def turning_change(links, p, c, n, speed, gains, h, dz, vz, dd, dv):
-    """Velocity of e = R E of product p, its move minus h times the velocity, and its change of velocity.
+def turning_change(links, product, cos, sin, speed, gains, h, dz, vz, dd, dv):
+    """Velocity of e = R E of a product, its move minus h times the velocity, and its change of velocity.
 
     i rotates by a right angle, g is the increment of the angle, k = g - h theta', E_1 = E + h E' + dd_E:
     `e' = R (E' + theta' i E)`, `dd_e = R (dd_E + (cos g - 1) E_1 + (sin g - g) i E_1 + g i (E_1 - E) + k i E)`,
     `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
     """
-    e = links.product_first[p]
+    e = links.product_first[product]
     ux, uy = moved(links, e, vz)
     ddx, ddy = moved(links, e, dd)
     dvx, dvy = moved(links, e, dv)
-    d = links.product_drive[p]
+    d = links.product_drive[product]
     if d < 0:
         return ux, uy, ddx, ddy, dvx, dvy
     x, y = moved(links, e, dz)
@@ -332,15 +332,15 @@ def turning_change(links, p, c, n, speed, gains, h, dz, vz, dd, dv):
     wx, wy = ux + dvx - later * y1, uy + dvy + later * x1
     qx = less * wx - sine * wy + dvx - later * my - faster * y
     qy = less * wy + sine * wx + dvy + later * mx + faster * x
-    ux, uy = rotated(c, n, ux - speed * y, uy + speed * x)
-    px, py = rotated(c, n, px, py)
-    qx, qy = rotated(c, n, qx, qy)
+    ux, uy = rotated(cos, sin, ux - speed * y, uy + speed * x)
+    px, py = rotated(cos, sin, px, py)
+    qx, qy = rotated(cos, sin, qx, qy)
     return ux, uy, px, py, qx, qy
 
 
 @part
-def sine_less_angle(g):
-    """sin g - g without cancellation."""
-    if abs(g) < 0.05:
-        return -g * g * g / 6.0 * (1.0 - g * g / 20.0 * (1.0 - g * g / 42.0))
-    return np.sin(g) - g
+def sine_less_angle(angle):
+    """sin(angle) - angle without cancellation."""
+    if abs(angle) < 0.05:
+        return -angle * angle * angle / 6.0 * (1.0 - angle * angle / 20.0 * (1.0 - angle * angle / 42.0))
+    return np.sin(angle) - angle

@@ -65,74 +65,75 @@ def numbers_at(laws, drives):
 
 
 @part
-def call_law(laws, function, k, numbers, x, v, s, f):
-    """Fill f by a C function of law k at places x, velocities v and states s; nan if it raises or returns another shape."""
-    data = address(numbers) + 8 * laws.parts[k, 2]
-    outputs = address(s) + 8 * laws.parts[k, 5]
-    if call(function, data, 0, address(numbers), address(x), address(v), address(s), outputs, address(f)) != DONE:
-        f[:] = np.nan
+def call_law(laws, function, law, numbers, places, v, states, forces):
+    """Fill forces by a C function of a law at places, velocities v and states; nan if it raises or returns another shape."""
+    data = address(numbers) + 8 * laws.parts[law, 2]
+    outputs = address(states) + 8 * laws.parts[law, 5]
+    if call(function, data, 0, address(numbers), address(places), address(v), address(states), outputs, address(forces)) != DONE:
+        forces[:] = np.nan
 
 
 @part
-def states_of(laws, k, v, s):
-    """Fill s with the states of law k, from the velocities v (sides, 2) of its sides, and guesses of the algebraic ones.
+def states_of(laws, law, v, states):
+    """Fill the states of a law, from the velocities v (sides, 2) of its sides, and guesses of the algebraic ones.
 
     Returns the number of its other sides.
     """
-    first, count = laws.parts[k, 4], laws.parts[k + 1, 4] - laws.parts[k, 4]
-    guess, free = laws.parts[k, 6], laws.parts[k + 1, 6] - laws.parts[k, 6]
-    own, begin = v.shape[0] - (count + 1) // 2, laws.parts[k, 5] - free
+    first, count = laws.parts[law, 4], laws.parts[law + 1, 4] - laws.parts[law, 4]
+    guess, free = laws.parts[law, 6], laws.parts[law + 1, 6] - laws.parts[law, 6]
+    own, begin = v.shape[0] - (count + 1) // 2, laws.parts[law, 5] - free
     for j in range(count):
-        s[j if j < begin else j + free] = laws.states[first + j, 0] * v[own + j // 2, j % 2]
+        states[j if j < begin else j + free] = laws.states[first + j, 0] * v[own + j // 2, j % 2]
     for j in range(free):
-        s[begin + j] = laws.guesses[guess + j, 0]
+        states[begin + j] = laws.guesses[guess + j, 0]
     return own
 
 
 @part
-def evaluate(laws, k, numbers, x, v, s, f):
-    """Fill f (sides, 2), N, with the forces of law k, on its states as of PlacedStates; s, like f, is workspace."""
-    own, first, rated, free = states_of(laws, k, v, s), laws.parts[k, 4], laws.parts[k, 5], laws.parts[k + 1, 6] - laws.parts[k, 6]
+def evaluate(laws, law, numbers, places, v, states, forces):
+    """Fill forces (sides, 2), N, with the forces of a law, on its states as of PlacedStates; states, like forces, is workspace."""
+    own, free = states_of(laws, law, v, states), laws.parts[law + 1, 6] - laws.parts[law, 6]
+    first, rated = laws.parts[law, 4], laws.parts[law, 5]
     if free > 0:
-        rates, guess, outputs = np.zeros(s.shape[0]), laws.parts[k, 6], address(s) + 8 * rated
-        data, sizes = address(numbers) + 8 * laws.parts[k, 2], laws.guesses[guess : guess + free, 1]
-        given = address(numbers), address(x), address(v), outputs
-        if fill_algebraic(laws.parts[k, 3], data, given[0], given[1], given[2], given[3], s, rated - free, sizes, rates) != FOUND:
-            f[:] = np.nan
+        rates, guess, outputs = np.zeros(states.shape[0]), laws.parts[law, 6], address(states) + 8 * rated
+        data, sizes = address(numbers) + 8 * laws.parts[law, 2], laws.guesses[guess : guess + free, 1]
+        given = address(numbers), address(places), address(v), outputs
+        if fill_algebraic(laws.parts[law, 3], data, given[0], given[1], given[2], given[3], states, rated - free, sizes, rates) != FOUND:
+            forces[:] = np.nan
             return
-    call_law(laws, laws.parts[k, 0], k, numbers, x, v, s, f)
+    call_law(laws, laws.parts[law, 0], law, numbers, places, v, states, forces)
     if own < v.shape[0]:
-        f[own:] = 0.0
+        forces[own:] = 0.0
         if free > 0:
             for j in range(rated - free):
-                f[own + j // 2, j % 2] = rates[j]
-        elif laws.parts[k, 3] != 0:
-            call_law(laws, laws.parts[k, 3], k, numbers, x, v, s, f[own:])
+                forces[own + j // 2, j % 2] = rates[j]
+        elif laws.parts[law, 3] != 0:
+            call_law(laws, laws.parts[law, 3], law, numbers, places, v, states, forces[own:])
         for j in range(rated - free):
-            f[own + j // 2, j % 2] *= laws.states[first + j, 1]
+            forces[own + j // 2, j % 2] *= laws.states[first + j, 1]
 
 
 @part
-def energy_at(laws, k, numbers, x, v, s, f):
-    """The energy of law k at places x and velocities v; s and f are workspace."""
-    states_of(laws, k, v, s)
-    call_law(laws, laws.energies[k], k, numbers, x, v, s, f)
-    return f[0, 0]
+def energy_at(laws, law, numbers, places, v, states, forces):
+    """The energy of a law at places and velocities v; states and forces are workspace."""
+    states_of(laws, law, v, states)
+    call_law(laws, laws.energies[law], law, numbers, places, v, states, forces)
+    return forces[0, 0]
 
 
 @part
-def point_of(links, u, p):
-    """A u at point p; u itself holds the values of points if links is None."""
+def point_of(links, u, point):
+    """A u at a point; u itself holds the values of points if links is None."""
     if links is None:
-        return u[p, 0], u[p, 1]
-    return point_value(links, u, p)
+        return u[point, 0], u[point, 1]
+    return point_value(links, u, point)
 
 
 @part
-def place(laws, k, links, u, speeds):
-    """Places x and velocities v of the sides of law k, and workspaces for its states and forces; from displacements and velocities of nodes,
+def place(laws, law, links, u, speeds):
+    """Places x and velocities v of the sides of a law, and workspaces for its states and forces; from displacements and velocities of nodes,
     or of points if links is None."""
-    first, count = laws.parts[k, 1], laws.parts[k + 1, 1] - laws.parts[k, 1]
+    first, count = laws.parts[law, 1], laws.parts[law + 1, 1] - laws.parts[law, 1]
     sides = np.empty((3, count, 2))  # one array: making three would cost more than a force
     x, v = sides[0], sides[1]
     for i in range(count):
@@ -143,7 +144,7 @@ def place(laws, k, links, u, speeds):
             x[i, 0] += dx
             x[i, 1] += dy
             v[i, 0], v[i, 1] = point_of(links, speeds, p)
-    return x, v, np.empty(laws.parts[k + 1, 4] - laws.parts[k, 4] + laws.parts[k + 1, 6] - laws.parts[k, 6]), sides[2]
+    return x, v, np.empty(laws.parts[law + 1, 4] - laws.parts[law, 4] + laws.parts[law + 1, 6] - laws.parts[law, 6]), sides[2]
 
 
 @entry
@@ -256,18 +257,18 @@ def add_midpoint_forces(laws, links, drives, h, states, r):
 
 
 @part
-def energy_along(laws, k, numbers, x0, x1, middle, v, s, static, work):
+def energy_along(laws, law, numbers, x0, x1, middle, v, states, static, work):
     """V' of a law: the slope of its energy in the middle times x1 - x0.
 
     STATIC: minus the work of the static forces, those in the middle at zero velocity v. TIMELESS: the same if they are no others at another time,
     else differences of V. ENERGIES: these always, because the static forces do work beyond V, or depend on states.
     """
-    if laws.slopes[k] == STATIC:
+    if laws.slopes[law] == STATIC:
         return -work
-    if laws.slopes[k] == TIMELESS:
+    if laws.slopes[law] == TIMELESS:
         now, later, same = numbers[0], np.empty_like(static), True
         numbers[0] = now + LATER
-        evaluate(laws, k, numbers, middle, v, s, later)
+        evaluate(laws, law, numbers, middle, v, states, later)
         numbers[0] = now
         for i in range(static.shape[0]):
             same = same and static[i, 0] == later[i, 0] and static[i, 1] == later[i, 1]
@@ -280,7 +281,7 @@ def energy_along(laws, k, numbers, x0, x1, middle, v, s, static, work):
             for i in range(x.shape[0]):
                 for j in range(2):
                     x[i, j] = middle[i, j] + share * (x1[i, j] - x0[i, j])
-            total += POINTS[e][1] / (2.0 * share) * energy_at(laws, k, numbers, x, v, s, f)
+            total += POINTS[e][1] / (2.0 * share) * energy_at(laws, law, numbers, x, v, states, f)
     return total
 
 
@@ -295,11 +296,11 @@ def is_along(bracket, work, most):
 
 
 @part
-def subtract_sides(laws, k, f, forces):
+def subtract_sides(laws, law, f, forces):
     """forces -= f at the points of law k's sides. Returns True if they are finite."""
     finite = True
     for i in range(f.shape[0]):
-        p = laws.points[laws.parts[k, 1] + i]
+        p = laws.points[laws.parts[law, 1] + i]
         finite = finite and abs(f[i, 0]) + abs(f[i, 1]) < np.inf
         if p >= 0:
             forces[p, 0] -= f[i, 0]
@@ -330,11 +331,11 @@ def take_damping_forces(laws, drives, dz, vz, moved, forces):
 
 
 @part
-def shift(x, c, y):
-    """x += c y, (sides, 2)."""
-    for i in range(x.shape[0]):
+def shift(places, factor, direction):
+    """places += factor direction, (sides, 2)."""
+    for i in range(places.shape[0]):
         for j in range(2):
-            x[i, j] += c * y[i, j]
+            places[i, j] += factor * direction[i, j]
 
 
 @entry
@@ -349,19 +350,19 @@ def add_own_curvature(laws, coupling, drives, dz, vz, c_q, c_v, curvature):
 
 
 @part
-def add_slopes(laws, k, numbers, sides, c_q, c_v, unit, blocks, curvature):
-    """curvature -= unit times the derivative of the forces of law k along (c_q, c_v) in (x, v) of each side, by central differences."""
+def add_slopes(laws, law, numbers, sides, c_q, c_v, unit, blocks, curvature):
+    """curvature -= unit times the derivative of the forces of a law along (c_q, c_v) in (x, v) of each side, by central differences."""
     x, v, s, ahead = sides
-    first, count, behind, most = laws.parts[k, 1], x.shape[0], np.empty_like(ahead), max(abs(c_q), abs(c_v), 1.0)
-    own = 2 * count - (laws.parts[k + 1, 4] - laws.parts[k, 4]) % 2  # an odd number of states leaves a component unused
+    first, count, behind, most = laws.parts[law, 1], x.shape[0], np.empty_like(ahead), max(abs(c_q), abs(c_v), 1.0)
+    own = 2 * count - (laws.parts[law + 1, 4] - laws.parts[law, 4]) % 2  # an odd number of states leaves a component unused
     for j in range(count):
         step = STEP * laws.sizes[first + j] / most
         for e in range(min(2, own - 2 * j) if laws.points[first + j] >= 0 else 0):
             place, speed = x[j, e], v[j, e]
             x[j, e], v[j, e] = place + c_q * step, speed + c_v * step
-            evaluate(laws, k, numbers, x, v, s, ahead)
+            evaluate(laws, law, numbers, x, v, s, ahead)
             x[j, e], v[j, e] = place - c_q * step, speed - c_v * step
-            evaluate(laws, k, numbers, x, v, s, behind)
+            evaluate(laws, law, numbers, x, v, s, behind)
             x[j, e], v[j, e] = place, speed
             for i in range(count):
                 block = blocks[i * count + j]

@@ -33,43 +33,43 @@ from polyida.validation import pairs_of
 
 
 @part
-def strains_of(x, body):
+def strains_of(relaxation, body):
     """Number of strains of a body in each of its terms; 0 without any."""
-    return (x.start[body + 1] - x.start[body]) // max(1, x.terms[body + 1] - x.terms[body])
+    return (relaxation.start[body + 1] - relaxation.start[body]) // max(1, relaxation.terms[body + 1] - relaxation.terms[body])
 
 
 @part
-def relax_body(scene, body, u, half, pull, f, strain):
+def relax_body(scene, body, u, half, pull, force, strain):
     """`relax` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        compact.relax(scene.compact, body - o, u, half, pull, f, strain)
+        compact.relax(scene.compact, body - o, u, half, pull, force, strain)
     else:
-        relax(*cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, half, pull, f, strain)
+        relax(*cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, half, pull, force, strain)
 
 
 @part
-def change_strain(scene, body, u, w, strain):
+def change_strain(scene, body, u, along, strain):
     """`change_of_strain` of a body."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        compact.change_of_strain(scene.compact, body - o, u, w, strain)
+        compact.change_of_strain(scene.compact, body - o, u, along, strain)
     else:
         layout, corners, gradients, _ = cells(s, s.body_operator[body])
-        change_of_strain(layout, corners, gradients, s.body_node[body], u, w, strain)
+        change_of_strain(layout, corners, gradients, s.body_node[body], u, along, strain)
 
 
 @part
-def square(scene, body, e):
-    """Integral of e : D : e over a body, J."""
+def square(scene, body, strain):
+    """Integral of E : D : E of a strain over a body, J."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        return compact.strain_square(scene.compact, body - o, e)
+        return compact.strain_square(scene.compact, body - o, strain)
     first = s.body_operator[body]
-    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[body], s.body_nu[body], e)
+    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[body], s.body_nu[body], strain)
 
 
 @part
@@ -81,20 +81,20 @@ def pairs_of_body(scene, body):
 
 
 @part
-def take_pull(x, body, v, pull):
+def take_pull(relaxation, body, v, pull):
     """pull = sum g x of a body, from the velocities v (numbers,)."""
-    at, count = 2 * x.first + x.start[body], pull.shape[0]
+    at, count = 2 * relaxation.first + relaxation.start[body], pull.shape[0]
     pull[:] = 0.0
-    for k in range(x.terms[body], x.terms[body + 1]):
-        add_real(pull, x.share[k] * x.unit[body], v[at : at + count], 0)
+    for k in range(relaxation.terms[body], relaxation.terms[body + 1]):
+        add_real(pull, relaxation.share[k] * relaxation.unit[body], v[at : at + count], 0)
         at += count
 
 
 @fast
-def add_real(out, factor, numbers, p):
-    """out += factor times the real parts of numbers, or if p = 1 the imaginary ones. A loop over whole arrays becomes one over vectors."""
+def add_real(out, factor, numbers, imaginary):
+    """out += factor times the real parts of numbers, or if imaginary is 1 the imaginary ones. A loop over whole arrays becomes one over vectors."""
     for j in range(out.shape[0]):
-        out[j] += factor * (numbers[j].real if p == 0 else numbers[j].imag)
+        out[j] += factor * (numbers[j].real if imaginary == 0 else numbers[j].imag)
 
 
 @fast
@@ -182,29 +182,29 @@ def elimination(model, dtype):
 
 
 @entry
-def eliminate(w, u, r):
+def eliminate(work, u, r):
     """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself without strains."""
-    if w.calls[0] == 0:
+    if work.calls[0] == 0:
         return r
-    copy_matrix(r, w.whole)
-    call(w.calls[1], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
-    return w.r
+    copy_matrix(r, work.whole)
+    call(work.calls[1], work.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+    return work.r
 
 
 @entry
-def recover(w, u, dq):
+def recover(work, u, dq):
     """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2)."""
-    if w.calls[0] != 0:
-        copy_matrix(dq, w.whole)
-        call(w.calls[2], w.calls[0], address(u), 0, 0, 0, 0, 0, 0)
-        copy_matrix(w.whole, dq)
+    if work.calls[0] != 0:
+        copy_matrix(dq, work.whole)
+        call(work.calls[2], work.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+        copy_matrix(work.whole, dq)
 
 
 @entry
-def eliminate_whole(w, displacements, body, c, d, e, f, g):
-    """Fill w.r from the residuals w.whole."""
-    scene, x, r, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
-    copy_matrix(r[: x.first], w.r)
+def eliminate_whole(work, displacements, body, c, d, e, force, g):
+    """Fill work.r from the residuals work.whole."""
+    scene, x, r, u = work.scene, work.scene.relaxation, work.whole, carray(pointer(displacements), work.whole.shape)
+    copy_matrix(r[: x.first], work.r)
     residuals = r.reshape(-1)[2 * x.first :]
     for body in range(x.start.shape[0] - 1):
         if x.terms[body] == x.terms[body + 1]:
@@ -212,42 +212,42 @@ def eliminate_whole(w, displacements, body, c, d, e, f, g):
         count, at, (first, end) = strains_of(x, body), x.start[body], pairs_of_body(scene, body)
         pull, strain = np.empty(count), np.empty(count)
         for k in range(x.terms[body], x.terms[body + 1]):
-            factor = x.unit[body] * x.time[k] / (x.mass * (1.0 + w.rates[0] * x.time[k]))
-            put(factor, residuals[at : at + count], w.strains[at : at + count])
+            factor = x.unit[body] * x.time[k] / (x.mass * (1.0 + work.rates[0] * x.time[k]))
+            put(factor, residuals[at : at + count], work.strains[at : at + count])
             at += count
-        for p in range(w.parts.shape[0]):
-            pull[:], w.force[:], at = 0.0, 0.0, x.start[body]
+        for p in range(work.parts.shape[0]):
+            pull[:], work.force[:], at = 0.0, 0.0, x.start[body]
             for k in range(x.terms[body], x.terms[body + 1]):
-                add_real(pull, x.share[k], w.strains[at : at + count], p)
+                add_real(pull, x.share[k], work.strains[at : at + count], p)
                 at += count
-            relax_body(scene, body, u, None, pull, w.force, strain)
+            relax_body(scene, body, u, None, pull, work.force, strain)
             for i in range(first, end):
-                w.r[i, 0] -= w.parts[p] * w.force[i, 0]
-                w.r[i, 1] -= w.parts[p] * w.force[i, 1]
+                work.r[i, 0] -= work.parts[p] * work.force[i, 0]
+                work.r[i, 1] -= work.parts[p] * work.force[i, 1]
     return DONE
 
 
 @entry
-def recover_whole(w, displacements, body, c, d, e, f, g):
-    """Fill the corrections of the strains in w.whole."""
-    scene, x, dq, u = w.scene, w.scene.relaxation, w.whole, carray(pointer(displacements), w.whole.shape)
-    changes, c_v = dq.reshape(-1)[2 * x.first :], w.rates[1]
+def recover_whole(work, displacements, body, c, d, e, force, g):
+    """Fill the corrections of the strains in work.whole."""
+    scene, x, dq, u = work.scene, work.scene.relaxation, work.whole, carray(pointer(displacements), work.whole.shape)
+    changes, c_v = dq.reshape(-1)[2 * x.first :], work.rates[1]
     for body in range(x.start.shape[0] - 1):
         if x.terms[body] == x.terms[body + 1]:
             continue
         count, (first, end) = strains_of(x, body), pairs_of_body(scene, body)
         strain = np.empty(count)
-        for p in range(w.parts.shape[0]):
+        for p in range(work.parts.shape[0]):
             for i in range(first, end):
                 for k in range(2):
-                    w.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
-            change_strain(scene, body, u, w.force, strain)
+                    work.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
+            change_strain(scene, body, u, work.force, strain)
             at = x.start[body]
             for k in range(x.terms[body], x.terms[body + 1]):
                 own = changes[at : at + count]
                 if p == 0:
-                    put(-1.0 / (x.unit[body] * c_v), w.strains[at : at + count], own)
-                add_scaled(own, w.parts[p] / (x.unit[body] * c_v * (1.0 + w.rates[0] * x.time[k])), strain)
+                    put(-1.0 / (x.unit[body] * c_v), work.strains[at : at + count], own)
+                add_scaled(own, work.parts[p] / (x.unit[body] * c_v * (1.0 + work.rates[0] * x.time[k])), strain)
                 at += count
     return DONE
 

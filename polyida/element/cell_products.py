@@ -64,22 +64,22 @@ def times(d, s):
 
 
 @traced(3)
-def stress(h, w, spherical, deviatoric):
-    """w S."""
-    return second_piola(strain(h), spherical * w, deviatoric * w)
+def stress(h, weight, lam_bar, two_mu):
+    """weight S."""
+    return second_piola(strain(h), lam_bar * weight, two_mu * weight)
 
 
 @traced(4)
-def piola_change(h, s, d, w, spherical, deviatoric):
-    """w dP along D; s: w S."""
-    turned, stretched = times(d, s), carried(h, second_piola(symmetric_part(h, d), spherical * w, deviatoric * w))
+def piola_change(h, s, d, weight, lam_bar, two_mu):
+    """weight dP along D; s: weight S."""
+    turned, stretched = times(d, s), carried(h, second_piola(symmetric_part(h, d), lam_bar * weight, two_mu * weight))
     return tuple(a + b for a, b in zip(turned, stretched))
 
 
 @traced(8)
-def viscous_change(h, v, d, w, spherical, deviatoric, tau):
-    """w (D S + (F + tau V) T), then w tau F T."""
-    ball, shear = spherical * w, deviatoric * w
+def viscous_change(h, v, d, weight, lam_bar, two_mu, tau):
+    """weight (D S + (F + tau V) T), then weight tau F T."""
+    ball, shear = lam_bar * weight, two_mu * weight
     turned = times(d, second_piola(two_state_strain(h, v, tau, 0.0), ball, shear))
     pull = second_piola(symmetric_part(h, d), ball, shear)
     stretched, dragged = carried(h, pull), times(v, pull)
@@ -99,9 +99,9 @@ def second_half(change):
 
 
 @part
-def _two_gradients(gradients, start, differences, m):
+def _two_gradients(gradients, start, differences, count):
     """H at one point of two fields, stored in succession in differences."""
-    h, d, size = zeros4(), zeros4(), 2 * m * LANES
+    h, d, size = zeros4(), zeros4(), 2 * count * LANES
     for k in range(0, size, 2 * LANES):
         g = load2(gradients, start + k)
         h = add_outer(h, load2(differences, k), g)
@@ -110,8 +110,8 @@ def _two_gradients(gradients, start, differences, m):
 
 
 @entry
-def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, which, w, f, rotation):
-    """Add K(u) w[c] to f[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
+def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, which, fields, nodal_forces, rotation):
+    """Add K(u) w, w = fields[c], to nodal_forces[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
     count = which.shape[0]
     work = _workspace(layout, 2 + 4 * count, 0)
     for b in range(layout.shape[0]):
@@ -120,7 +120,7 @@ def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, 
         forces = work[(1 + count) * size :]
         _differences(u, corners, first, node_offset, m, work)
         for c in range(count):
-            _differences(w[which[c]], corners, first, node_offset, m, work[(1 + c) * size :])
+            _differences(fields[which[c]], corners, first, node_offset, m, work[(1 + c) * size :])
         for k in range(0, count * size, 2 * LANES):
             store(forces, k, zeros2())
         turn = zeros2()
@@ -143,7 +143,7 @@ def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, 
                 change = piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu))
                 _add_forces(forces[(count - 1) * size :], gradients, g, change, size)
         for c in range(count):
-            _scatter_balanced(forces[c * size :], corners, first, node_offset, m, f[which[c]])
+            _scatter_balanced(forces[c * size :], corners, first, node_offset, m, nodal_forces[which[c]])
         _scatter_turn(turn, corners, first, node_offset, m, rotation)
 
 
@@ -155,11 +155,11 @@ def _add_forces(forces, gradients, start, change, size):
 
 
 @entry
-def mass_products(indptr, indices, mass, scale, node_offset, which, w, out):
-    """out[c] (N, 2) += scale * (mass (x) I2) w[c] of a body's nodes for the columns c in `which`; two at a time share the loads of the matrix."""
+def mass_products(indptr, indices, mass, scale, node_offset, which, fields, out):
+    """out[c] (N, 2) += scale * (mass (x) I2) fields[c] of a body's nodes for the columns c in `which`; two at a time share the loads of the matrix."""
     count = which.shape[0]
     for e in range(0, count - 1, 2):
-        one, two, to, behind = w[which[e]], w[which[e + 1]], out[which[e]], out[which[e + 1]]
+        one, two, to, behind = fields[which[e]], fields[which[e + 1]], out[which[e]], out[which[e + 1]]
         for row in range(indptr.shape[0] - 1):
             p, q = zero_pair(), zero_pair()
             for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
@@ -168,19 +168,19 @@ def mass_products(indptr, indices, mass, scale, node_offset, which, w, out):
             add_pair(to, 2 * (row + node_offset), scaled(scale, p))
             add_pair(behind, 2 * (row + node_offset), scaled(scale, q))
     if count % 2:
-        mass_product(indptr, indices, mass, scale, node_offset, w[which[count - 1]], out[which[count - 1]])
+        mass_product(indptr, indices, mass, scale, node_offset, fields[which[count - 1]], out[which[count - 1]])
 
 
 @entry
-def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, tau, u, v, w, f, slow, rotation):
-    """Add K(u, v)^T w to f and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
+def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, tau, u, v, along, nodal_force, slow, rotation):
+    """Add K(u, v)^T w, w = along, to nodal_force and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
     work = _workspace(layout, 10, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
         rates, force, drag = work[2 * size :], work[3 * size :], work[4 * size :]
         _differences(u, corners, first, node_offset, m, work)
-        _differences(w, corners, first, node_offset, m, work[size:])
+        _differences(along, corners, first, node_offset, m, work[size:])
         _differences(v, corners, first, node_offset, m, rates)
         for k in range(0, 2 * size, 2 * LANES):
             store(force, k, zeros2())
@@ -194,7 +194,7 @@ def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, t
                 here = load2(gradients, g + k)
                 store(force, k, add_times(load2(force, k), first_half(change), here))
                 store(drag, k, add_times(load2(drag, k), second_half(change), here))
-        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
         _scatter_balanced(drag, corners, first, node_offset, m, slow)
         _scatter_turn(turn, corners, first, node_offset, m, rotation)
 
@@ -206,8 +206,8 @@ def add_product_of(total, a, b):
 
 
 @entry
-def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, w, out):
-    """Add `w[c] . f` of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used if tau_v = 0."""
+def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, fields, out):
+    """Add the work `w . f`, w = fields[c], of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used if tau_v = 0."""
     work = _workspace(layout, 8, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
@@ -226,8 +226,8 @@ def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, 
                 _add_forces(force, gradients, g, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), size)
             else:
                 _add_forces(force, gradients, g, first_piola(h, weight, c1 * nu, c1 * (1.0 - nu)), size)
-        for c in range(w.shape[0]):
-            _differences(w[c], corners, first, node_offset, m, along)
+        for c in range(fields.shape[0]):
+            _differences(fields[c], corners, first, node_offset, m, along)
             total = load(out[c], b * LANES)
             for k in range(0, size, 2 * LANES):
                 total = add_product_of(total, load2(force, k), load2(along, k))
@@ -235,34 +235,34 @@ def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, 
 
 
 @entry
-def by_node(x, c, less):
-    """Vectors of column c of x (frames, columns, N, 2), less those of the frames (frames, 2), as (N, 2 frames)."""
-    out = np.empty((x.shape[2], 2 * x.shape[0]))
-    for i in range(x.shape[2]):
-        for k in range(x.shape[0]):
-            out[i, 2 * k], out[i, 2 * k + 1] = x[k, c, i, 0] - less[k, 0], x[k, c, i, 1] - less[k, 1]
+def by_node(fields, column, less):
+    """Vectors of a column of fields (frames, columns, N, 2), less those of the frames (frames, 2), as (N, 2 frames)."""
+    out = np.empty((fields.shape[2], 2 * fields.shape[0]))
+    for i in range(fields.shape[2]):
+        for k in range(fields.shape[0]):
+            out[i, 2 * k], out[i, 2 * k + 1] = fields[k, column, i, 0] - less[k, 0], fields[k, column, i, 1] - less[k, 1]
     return out
 
 
 @partial(entry, fastmath=FAST)
-def products(indptr, indices, node_offset, b, w, out):
-    """out (nnz,) += sum over the frames of w_i . b_j for every pair (i, j) of a body's node pattern; b and w `by_node`."""
+def products(indptr, indices, node_offset, others, fields, out):
+    """out (nnz,) += sum over the frames of w_i . b_j, w = fields, b = others, for every pair (i, j) of a body's node pattern; both `by_node`."""
     for row in range(indptr.shape[0] - 1):
-        own = w[row + node_offset]
+        own = fields[row + node_offset]
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
-            other, total = b[load_integer(indices, k) + node_offset], 0.0
+            other, total = others[load_integer(indices, k) + node_offset], 0.0
             for e in range(own.shape[0]):
                 total += own[e] * other[e]
             out[k] += total
 
 
 @entry
-def difference_products(indptr, indices, node_offset, u, w, out):
-    """out (columns, nnz) += w[c]_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
-    for c in range(w.shape[0]):
+def difference_products(indptr, indices, node_offset, u, fields, out):
+    """out (columns, nnz) += fields[c]_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
+    for c in range(fields.shape[0]):
         for row in range(indptr.shape[0] - 1):
             i = row + node_offset
-            x, y, ux, uy = w[c, i, 0], w[c, i, 1], u[i, 0], u[i, 1]
+            x, y, ux, uy = fields[c, i, 0], fields[c, i, 1], u[i, 0], u[i, 1]
             for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
                 j = load_integer(indices, k) + node_offset
                 out[c, k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)

@@ -71,38 +71,38 @@ def _workspace(layout, per_corner, per_corner_point):
 
 
 @part
-def _differences(u, corners, start, node_offset, m, out):
-    """Store the displacements of the corners relative to the last one, m, in out."""
-    last = gather(u, corners, start + m * LANES, node_offset)
-    for i in range(m):
+def _differences(u, corners, start, node_offset, count, out):
+    """Store the displacements of `count` corners relative to the last one, which follows them, in out."""
+    last = gather(u, corners, start + count * LANES, node_offset)
+    for i in range(count):
         store(out, 2 * i * LANES, difference(gather(u, corners, start + i * LANES, node_offset), last))
 
 
 @part
-def _gradient(gradients, start, differences, m):
+def _gradient(gradients, start, differences, count):
     """H at one point."""
     h = zeros4()
-    for k in range(0, 2 * m * LANES, 2 * LANES):
+    for k in range(0, 2 * count * LANES, 2 * LANES):
         h = add_outer(h, load2(differences, k), load2(gradients, start + k))
     return h
 
 
 @part
-def _scatter_balanced(force, corners, first, node_offset, m, f):
-    """Add the forces of the corners to f, that of the last one such that they sum to zero."""
+def _scatter_balanced(force, corners, first, node_offset, count, nodal_force):
+    """Add the forces of the corners to nodal_force, that of the last one such that they sum to zero."""
     balance = zeros2()
-    for i in range(m):
+    for i in range(count):
         own = load2(force, 2 * i * LANES)
-        scatter_add(f, corners, first + i * LANES, node_offset, own)
+        scatter_add(nodal_force, corners, first + i * LANES, node_offset, own)
         balance = difference(balance, own)
-    scatter_add(f, corners, first + m * LANES, node_offset, balance)
+    scatter_add(nodal_force, corners, first + count * LANES, node_offset, balance)
 
 
 @part
-def _scatter_turn(turn, corners, first, node_offset, m, rotation):
+def _scatter_turn(turn, corners, first, node_offset, count, rotation):
     """Add the cells' rotation to their nodes, unless rotation is (0, 2)."""
     if rotation.shape[0] > 0:
-        for k in range(first, first + (m + 1) * LANES, LANES):
+        for k in range(first, first + (count + 1) * LANES, LANES):
             scatter_add(rotation, corners, k, node_offset, turn)
 
 
@@ -126,23 +126,23 @@ def _add_means(state, lane_cells, first, areas, out):
 
 
 @entry
-def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, f, rotation):
-    """Add the internal force to f (N, 2); return the least det F, NaN if a displacement is not finite.
+def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, nodal_force, rotation):
+    """Add the internal force to nodal_force (N, 2); return the least det F, NaN if a displacement is not finite.
 
     Add to rotation (N, 2), unless it is (0, 2), at every node the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F: the
     angle of this vector is the node's rotation.
     """
-    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, None, 1.0, f, rotation)
+    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, None, 1.0, nodal_force, rotation)
 
 
 @entry
-def relaxed_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation):
+def relaxed_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation):
     """The same with the stress D : (kappa E - pull); pull as in relaxation.py."""
-    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation)
+    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation)
 
 
 @part
-def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, f, rotation):
+def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation):
     """Add the force of `internal_force`, or of `relaxed_force` if pull is not None; return the least det F."""
     work = _workspace(layout, 4, 0)
     least = spread(np.inf), spread(0.0)
@@ -163,9 +163,9 @@ def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull
         balance = zeros2()  # inlined: calls of the functions above make this most frequent kernel slower
         for i in range(m):
             own = load2(force, 2 * i * LANES)
-            scatter_add(f, corners, first + i * LANES, node_offset, own)
+            scatter_add(nodal_force, corners, first + i * LANES, node_offset, own)
             balance = difference(balance, own)
-        scatter_add(f, corners, first + m * LANES, node_offset, balance)
+        scatter_add(nodal_force, corners, first + m * LANES, node_offset, balance)
         if rotation.shape[0] > 0:
             for k in range(first, first + (m + 1) * LANES, LANES):
                 scatter_add(rotation, corners, k, node_offset, turn)
@@ -173,11 +173,11 @@ def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull
 
 
 @part
-def _stress(pull, kappa, h, w, at, spherical, deviatoric):
-    """w P of a point. Its own function: numba drops a branch only if an argument is None."""
+def _stress(pull, kappa, h, weight, at, lam_bar, two_mu):
+    """weight P of a point: relaxed stress unless pull is None. Its own function: numba drops a branch only if an argument is None."""
     if pull is None:
-        return first_piola(h, w, spherical, deviatoric)
-    return relaxing_piola(h, load3(pull, 3 * at), kappa, w, spherical, deviatoric)
+        return first_piola(h, weight, lam_bar, two_mu)
+    return relaxing_piola(h, load3(pull, 3 * at), kappa, weight, lam_bar, two_mu)
 
 
 @entry
@@ -220,36 +220,36 @@ def _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_o
 
 
 @part
-def _moduli(pull, change, h, weights, at, spherical, deviatoric):
+def _moduli(pull, change, h, weights, at, lam_bar, two_mu):
     """The moduli of a point. Its own function: numba drops a branch only if an argument is None."""
     if pull is None:
-        return moduli(h, load(weights, at), spherical, deviatoric)
-    return relaxed_moduli(h, load3(pull, 3 * at), load(weights, at), spherical, deviatoric, change)
+        return moduli(h, load(weights, at), lam_bar, two_mu)
+    return relaxed_moduli(h, load3(pull, 3 * at), load(weights, at), lam_bar, two_mu, change)
 
 
 @part
-def _add_block(block, i, j, m, pairs, start, pair_offset, blocks, sums):
-    """Add K_ij, i <= j, and its mirror image to the pattern and to the sums of their rows."""
-    if i == j:
+def _add_block(block, row, column, count, pairs, start, pair_offset, blocks, sums):
+    """Add K_ij, i = row <= j = column, and its mirror image to the pattern and to the sums of their rows."""
+    if row == column:
         block = symmetric(block)
     else:
         mirror = transposed(block)
-        scatter_add(blocks, pairs, start + (j * (m + 1) + i) * LANES, pair_offset, mirror)
-        store(sums, 4 * j * LANES, add(load4(sums, 4 * j * LANES), mirror))
-    scatter_add(blocks, pairs, start + (i * (m + 1) + j) * LANES, pair_offset, block)
-    store(sums, 4 * i * LANES, add(load4(sums, 4 * i * LANES), block))
+        scatter_add(blocks, pairs, start + (column * (count + 1) + row) * LANES, pair_offset, mirror)
+        store(sums, 4 * column * LANES, add(load4(sums, 4 * column * LANES), mirror))
+    scatter_add(blocks, pairs, start + (row * (count + 1) + column) * LANES, pair_offset, block)
+    store(sums, 4 * row * LANES, add(load4(sums, 4 * row * LANES), block))
 
 
 @part
-def _add_last(m, pairs, start, pair_offset, blocks, sums):
+def _add_last(count, pairs, start, pair_offset, blocks, sums):
     """Add the last corner's column and row: the rows of K sum to zero."""
     total = zeros4()
-    for i in range(m):
+    for i in range(count):
         block = negative(load4(sums, 4 * i * LANES))
-        scatter_add(blocks, pairs, start + (i * (m + 1) + m) * LANES, pair_offset, block)
-        scatter_add(blocks, pairs, start + (m * (m + 1) + i) * LANES, pair_offset, transposed(block))
+        scatter_add(blocks, pairs, start + (i * (count + 1) + count) * LANES, pair_offset, block)
+        scatter_add(blocks, pairs, start + (count * (count + 1) + i) * LANES, pair_offset, transposed(block))
         total = add(total, load4(sums, 4 * i * LANES))
-    scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, symmetric(total))
+    scatter_add(blocks, pairs, start + (count * (count + 1) + count) * LANES, pair_offset, symmetric(total))
 
 
 @entry
@@ -270,10 +270,10 @@ def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
 
 
 @entry
-def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, out):
+def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, modulus, nu, u, out):
     """Store the Cauchy stress (sxx, syy, sxy), Pa, mean over the reference area of each cell, in out (cells, 3).
 
-    sigma = F S F^T / det F with F in the plane; c = E_mod / (1 - nu^2), Pa. Exact in plane strain; in plane stress the change of thickness is
+    sigma = F S F^T / det F with F in the plane; modulus = E_mod / (1 - nu^2), Pa. Exact in plane strain; in plane stress the change of thickness is
     neglected (it would scale sigma by 1 / F33, about 1 + nu tr(E) / (1 - nu)).
     """
     out[:] = 0.0
@@ -284,7 +284,7 @@ def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, 
         state = zeros3()
         for p in range(layout[b, 1]):
             h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
+            state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), modulus * nu, modulus * (1.0 - nu))
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 
@@ -320,14 +320,14 @@ def _add_pull(total, weight, other, own):
 
 
 @entry
-def stabilisation_force(indptr, indices, stabilisation, factor, node_offset, u, f):
-    """f (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
+def stabilisation_force(indptr, indices, stabilisation, factor, node_offset, u, nodal_force):
+    """nodal_force (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
     for row in range(indptr.shape[0] - 1):
         total, own = zero_pair(), load_pair(u, 2 * (row + node_offset))
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
             other = load_pair(u, 2 * (load_integer(indices, k) + node_offset))
             total = _add_pull(total, load_float(stabilisation, k), other, own)
-        add_pair(f, 2 * (row + node_offset), scaled(factor, total))
+        add_pair(nodal_force, 2 * (row + node_offset), scaled(factor, total))
 
 
 @entry

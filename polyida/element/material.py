@@ -2,7 +2,7 @@
 
 With H = sum_i u_i (x) G_i and F = I + H (plane stress, c = E_mod / (1 - nu^2)):
 
-    E = (H + H^T + H^T H) / 2,  S = spherical tr(E) I + deviatoric E,  spherical = c nu,  deviatoric = c (1 - nu)
+    E = (H + H^T + H^T H) / 2,  S = lam_bar tr(E) I + two_mu E,  lam_bar = c nu,  two_mu = c (1 - nu)
 
 Plane strain is the same with E_mod / (1 - nu^2) and nu / (1 - nu) in place of E_mod and nu. Matrices are tuples by rows, symmetric ones
 (11, 12, 22). Strains are computed from H, not from F^T F - I, which would lose the digits of small strains.
@@ -52,23 +52,23 @@ def strain(h):
     return e11, e12, h[3] + 0.5 * (h[1] * h[1] + h[3] * h[3])
 
 
-def second_piola(e, spherical, deviatoric):
+def second_piola(e, lam_bar, two_mu):
     """S of the strain E."""
     e11, e12, e22 = e
-    mean = spherical * (e11 + e22)
-    return mean + deviatoric * e11, deviatoric * e12, mean + deviatoric * e22
+    mean = lam_bar * (e11 + e22)
+    return mean + two_mu * e11, two_mu * e12, mean + two_mu * e22
 
 
 @traced(4)
-def first_piola(h, w, spherical, deviatoric):
-    """w P = w F S."""
-    return carried(h, second_piola(strain(h), spherical * w, deviatoric * w))
+def first_piola(h, weight, lam_bar, two_mu):
+    """weight P = weight F S."""
+    return carried(h, second_piola(strain(h), lam_bar * weight, two_mu * weight))
 
 
 @traced(4)
-def relaxing_piola(h, pull, kappa, w, spherical, deviatoric):
+def relaxing_piola(h, pull, kappa, weight, lam_bar, two_mu):
     """The same with the strain kappa E - pull in S."""
-    return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), pull)), spherical * w, deviatoric * w))
+    return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), pull)), lam_bar * weight, two_mu * weight))
 
 
 def carried(h, s):
@@ -86,32 +86,32 @@ def watch(state, h):
 
 
 @traced(2)
-def add_rotation(turn, w, h):
-    """turn + w (F11 + F22, F21 - F12)."""
-    return turn[0] + w * (2.0 + h[0] + h[3]), turn[1] + w * (h[2] - h[1])
+def add_rotation(turn, weight, h):
+    """turn + weight (F11 + F22, F21 - F12)."""
+    return turn[0] + weight * (2.0 + h[0] + h[3]), turn[1] + weight * (h[2] - h[1])
 
 
 @traced(2)
-def add_energy(state, h, w, spherical, deviatoric):
-    """(sum, lost digits) of w S : E / 2 with compensated summation."""
-    s11, s12, s22 = second_piola(strain(h), spherical, deviatoric)
+def add_energy(state, h, weight, lam_bar, two_mu):
+    """(sum, lost digits) of weight S : E / 2 with compensated summation."""
+    s11, s12, s22 = second_piola(strain(h), lam_bar, two_mu)
     e11, e12, e22 = strain(h)
-    term = 0.5 * w * (s11 * e11 + s22 * e22 + 2.0 * s12 * e12) - state[1]
+    term = 0.5 * weight * (s11 * e11 + s22 * e22 + 2.0 * s12 * e12) - state[1]
     total = state[0] + term
     return total, (total - state[0]) - term
 
 
 @traced(3)
-def add_strain(state, h, w):
-    """state + w (E11, E22, 2 E12)."""
+def add_strain(state, h, weight):
+    """state + weight (E11, E22, 2 E12)."""
     e11, e12, e22 = strain(h)
-    return state[0] + w * e11, state[1] + w * e22, state[2] + w * (e12 + e12)
+    return state[0] + weight * e11, state[1] + weight * e22, state[2] + weight * (e12 + e12)
 
 
 @traced(3)
-def add_cauchy(state, h, w, spherical, deviatoric):
-    """state + w (sigma_xx, sigma_yy, sigma_xy) with sigma = F S F^T / det F."""
-    return add_cauchy_of(state, h, first_piola(h, w / determinant(h), spherical, deviatoric))
+def add_cauchy(state, h, weight, lam_bar, two_mu):
+    """state + weight (sigma_xx, sigma_yy, sigma_xy) with sigma = F S F^T / det F."""
+    return add_cauchy_of(state, h, first_piola(h, weight / determinant(h), lam_bar, two_mu))
 
 
 def add_cauchy_of(state, h, p):
@@ -123,18 +123,18 @@ def add_cauchy_of(state, h, p):
 
 
 @traced(10)
-def moduli(h, w, spherical, deviatoric):
-    """w A = w dP/dF, symmetric in (a k), (b l); order 1111 1112 1121 1122 1212 1221 1222 2121 2122 2222.
+def moduli(h, weight, lam_bar, two_mu):
+    """weight A = weight dP/dF, symmetric in (a k), (b l); order 1111 1112 1121 1122 1212 1221 1222 2121 2122 2222.
 
-    A[a, k, b, l] = delta_ab S_kl + spherical F_ak F_bl + deviatoric / 2 ((F F^T)_ab delta_kl + F_al F_bk)
+    A[a, k, b, l] = delta_ab S_kl + lam_bar F_ak F_bl + two_mu / 2 ((F F^T)_ab delta_kl + F_al F_bk)
     """
-    return moduli_of_stress(h, second_piola(strain(h), spherical * w, deviatoric * w), spherical * w, deviatoric * w)
+    return moduli_of_stress(h, second_piola(strain(h), lam_bar * weight, two_mu * weight), lam_bar * weight, two_mu * weight)
 
 
 @traced(10)
-def relaxed_moduli(h, pull, w, spherical, deviatoric, change):
+def relaxed_moduli(h, pull, weight, lam_bar, two_mu, change):
     """The same with S = -D : pull, and `change` times D elsewhere."""
-    ball, shear = spherical * w, deviatoric * w
+    ball, shear = lam_bar * weight, two_mu * weight
     return moduli_of_stress(h, second_piola(pull, -1.0 * ball, -1.0 * shear), change * ball, change * shear)
 
 
@@ -247,20 +247,20 @@ def two_state_strain(h, d, rate, square):
 
 
 @traced(4)
-def two_state_piola(h, d, w, spherical, deviatoric, rate, square):
-    """w P = w F S."""
-    return carried(h, second_piola(two_state_strain(h, d, rate, square), spherical * w, deviatoric * w))
+def two_state_piola(h, d, weight, lam_bar, two_mu, rate, square):
+    """weight P = weight F S."""
+    return carried(h, second_piola(two_state_strain(h, d, rate, square), lam_bar * weight, two_mu * weight))
 
 
 @traced(16)
-def two_state_moduli(h, d, w, spherical, deviatoric, rate, factors):
-    """w A for factors (c_s, c_f, c_d) and square = 0, order [a][b][k][l] (here m for l), W = c_f F + c_d d:
+def two_state_moduli(h, d, weight, lam_bar, two_mu, rate, factors):
+    """weight A for factors (c_s, c_f, c_d) and square = 0, order [a][b][k][l] (here m for l), W = c_f F + c_d d:
 
-    A[a, k, b, l] = c_s delta_ab S_kl + spherical F_ak W_bl + deviatoric / 2 ((F W^T)_ab delta_kl + F_al W_bk)
+    A[a, k, b, l] = c_s delta_ab S_kl + lam_bar F_ak W_bl + two_mu / 2 ((F W^T)_ab delta_kl + F_al W_bk)
     """
     c_s, c_f, c_d = factors
-    ball, half = spherical * w, 0.5 * (deviatoric * w)
-    s11, s12, s22 = second_piola(two_state_strain(h, d, rate, 0.0), c_s * ball, c_s * (deviatoric * w))
+    ball, half = lam_bar * weight, 0.5 * (two_mu * weight)
+    s11, s12, s22 = second_piola(two_state_strain(h, d, rate, 0.0), c_s * ball, c_s * (two_mu * weight))
     s = ((s11, s12), (s12, s22))
     f = ((1.0 + h[0], h[1]), (h[2], 1.0 + h[3]))
     other = [[c_f * f[b][m] + c_d * d[2 * b + m] for m in (0, 1)] for b in (0, 1)]

@@ -14,9 +14,9 @@ from polyida.jit.intrinsics import LANES, load, load2, load3, store, traced, zer
 
 
 @traced(4)
-def relaxed_piola(h, pull, w, spherical, deviatoric):
-    """w F (D : pull)."""
-    return carried(h, second_piola(pull, spherical * w, deviatoric * w))
+def relaxed_piola(h, pull, weight, lam_bar, two_mu):
+    """weight F (D : pull)."""
+    return carried(h, second_piola(pull, lam_bar * weight, two_mu * weight))
 
 
 @traced(3)
@@ -38,15 +38,15 @@ def strain_change(h, d):
 
 
 @traced(3)
-def less_relaxed_cauchy(state, h, pull, w, spherical, deviatoric):
-    """state - w (sigma_xx, sigma_yy, sigma_xy) with sigma = F (D : pull) F^T / det F."""
-    return add_cauchy_of(state, h, relaxed_piola(h, pull, -1.0 * w / determinant(h), spherical, deviatoric))
+def less_relaxed_cauchy(state, h, pull, weight, lam_bar, two_mu):
+    """state - weight (sigma_xx, sigma_yy, sigma_xy) with sigma = F (D : pull) F^T / det F."""
+    return add_cauchy_of(state, h, relaxed_piola(h, pull, -1.0 * weight / determinant(h), lam_bar, two_mu))
 
 
 @traced(7)
-def relaxation_change(h, d, pull, back, w, spherical, deviatoric):
-    """D S of S = -w D : pull, plus (dE/dF)^T back; then w D : (change of E along d), with both shear terms in the second."""
-    ball, shear = spherical * w, deviatoric * w
+def relaxation_change(h, d, pull, back, weight, lam_bar, two_mu):
+    """D S of S = -weight D : pull, plus (dE/dF)^T back; then weight D : (change of E weight d), with both shear terms in the second."""
+    ball, shear = lam_bar * weight, two_mu * weight
     turned = times(d, second_piola(pull, -1.0 * ball, -1.0 * shear))
     held = carried(h, (back[0], 0.5 * back[1], back[2]))
     s11, s12, s22 = second_piola(symmetric_part(h, d), ball, shear)
@@ -60,8 +60,8 @@ def last_three(change):
 
 
 @entry
-def relax(layout, corners, gradients, weights, node_offset, c1, nu, u, half, pull, f, out):
-    """Add the force of the stress -D : pull to f (N, 2), and store the strain at u in out.
+def relax(layout, corners, gradients, weights, node_offset, c1, nu, u, half, pull, nodal_force, out):
+    """Add the force of the stress -D : pull to nodal_force (N, 2), and store the strain at u in out.
 
     half: None; or half the change of u in a step (N, 2): the strain is then the mean of those at u - half and u + half.
     """
@@ -81,22 +81,22 @@ def relax(layout, corners, gradients, weights, node_offset, c1, nu, u, half, pul
             stress = relaxed_piola(h, load3(pull, 3 * at), load(weights, at), -c1 * nu, -c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
-        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
 
 
 @part
-def _directions(half, corners, first, node_offset, m, out):
+def _directions(half, corners, first, node_offset, count, out):
     """Store the differences of `half`, unless it is None. Its own function: numba drops a branch only if an argument is None."""
     if half is not None:
-        _differences(half, corners, first, node_offset, m, out)
+        _differences(half, corners, first, node_offset, count, out)
 
 
 @part
-def _strain(half, h, gradients, start, directions, m):
+def _strain(half, h, gradients, start, directions, count):
     """The strain that `relax` stores."""
     if half is None:
         return strain_of(h)
-    return mean_strain(h, _gradient(gradients, start, directions, m))
+    return mean_strain(h, _gradient(gradients, start, directions, count))
 
 
 @entry
@@ -112,29 +112,29 @@ def strain_at_points(layout, corners, gradients, node_offset, u, out):
 
 
 @entry
-def change_of_strain(layout, corners, gradients, node_offset, u, w, out):
-    """Store the change of the strain at u along w (N, 2) in out."""
+def change_of_strain(layout, corners, gradients, node_offset, u, along, out):
+    """Store the change of the strain at u along a field (N, 2) in out."""
     work = _workspace(layout, 4, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
         _differences(u, corners, first, node_offset, m, work)
-        _differences(w, corners, first, node_offset, m, work[size:])
+        _differences(along, corners, first, node_offset, m, work[size:])
         for p in range(layout[b, 1]):
             h, d = _two_gradients(gradients, layout[b, 3] + p * size, work, m)
             store(out, 3 * (layout[b, 4] + p * LANES), strain_change(h, d))
 
 
 @entry
-def relaxation_products(layout, corners, gradients, weights, node_offset, c1, nu, u, w, pull, back, f, out):
-    """Add the change of the force of the stress -D : pull along w (N, 2), and B^T back, to f, and store D B w in out, B = dE/du."""
+def relaxation_products(layout, corners, gradients, weights, node_offset, c1, nu, u, along, pull, back, nodal_force, out):
+    """Add the change of the force of the stress -D : pull along a field w = along (N, 2), and B^T back, to nodal_force, and store D B w in out, B = dE/du."""
     work = _workspace(layout, 6, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
         force = work[2 * size :]
         _differences(u, corners, first, node_offset, m, work)
-        _differences(w, corners, first, node_offset, m, work[size:])
+        _differences(along, corners, first, node_offset, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         for p in range(layout[b, 1]):
@@ -144,11 +144,11 @@ def relaxation_products(layout, corners, gradients, weights, node_offset, c1, nu
             store(out, 3 * at, last_three(change))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), first_half(change), load2(gradients, g + k)))
-        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
 
 
 @entry
-def relax_stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, pull, out):
+def relax_stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, modulus, nu, u, pull, out):
     """Add the Cauchy stress of -D : pull to out (cells, 3), as of kernels.stress."""
     work = _workspace(layout, 2, 0)
     for b in range(layout.shape[0]):
@@ -157,16 +157,16 @@ def relax_stress(layout, corners, gradients, weights, lane_cells, areas, node_of
         state = zeros3()
         for p in range(layout[b, 1]):
             at, h = layout[b, 4] + p * LANES, _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(weights, at), c * nu, c * (1.0 - nu))
+            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(weights, at), modulus * nu, modulus * (1.0 - nu))
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry
-def strain_square(weights, c1, nu, e):
-    """Integral of e : D : e over a body, J, of a strain e at its points."""
+def strain_square(weights, c1, nu, strain):
+    """Integral of E : D : E over a body, J, of a strain E at its points."""
     total = 0.0
     for i in range(weights.shape[0]):
         at = 3 * LANES * (i // LANES) + i % LANES
-        e11, e12, e22 = e[at], e[at + LANES], e[at + 2 * LANES]
+        e11, e12, e22 = strain[at], strain[at + LANES], strain[at + 2 * LANES]
         total += weights[i] * c1 * (nu * (e11 + e22) ** 2 + (1.0 - nu) * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12))
     return total

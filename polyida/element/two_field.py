@@ -32,13 +32,13 @@ MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)  # state = mean of the fields, direction =
 
 
 @entry
-def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, f, rotation):
-    """Add elastic and viscous force at displacements u and velocities v to f; return the least det F, NaN if undefined.
+def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, nodal_force, rotation):
+    """Add elastic and viscous force at displacements u and velocities v to nodal_force; return the least det F, NaN if undefined.
 
     tau_v: Kelvin-Voigt relaxation time, s. rotation as in kernels.internal_force. The dissipated power is
     v . (f - f(tau_v = 0)) = tau_v int t Edot : D : Edot >= 0, W.
     """
-    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, f, rotation)
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, nodal_force, rotation)
 
 
 @entry
@@ -83,31 +83,33 @@ def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pai
 
 
 @entry
-def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, f, rotation):
-    """Add the energy-momentum force of the step from u0 to u1 to f; return the least det F(u1), NaN if undefined.
+def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, nodal_force, rotation):
+    """Add the energy-momentum force of the step from u0 to u1 to nodal_force; return the least det F(u1), NaN if undefined.
 
     viscosity = tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment at the mean positions. rotation as in
     kernels.internal_force, of F_m.
     """
-    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, f, rotation)
+    return _force(
+        layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, nodal_force, rotation
+    )
 
 
 @part
-def _fields(a, b, corners, start, node_offset, m, mix, out):
-    """Store state and direction of the corners relative to the last one in out: m pairs each."""
-    state, direction, size = mix[:2], mix[2:], 2 * m * LANES
-    last_a = gather(a, corners, start + m * LANES, node_offset)
-    last_b = gather(b, corners, start + m * LANES, node_offset)
-    for i in range(m):
-        own_a = difference(gather(a, corners, start + i * LANES, node_offset), last_a)
-        own_b = difference(gather(b, corners, start + i * LANES, node_offset), last_b)
+def _fields(one, other, corners, start, node_offset, count, mix, out):
+    """Store state and direction of the corners relative to the last one in out: count pairs each."""
+    state, direction, size = mix[:2], mix[2:], 2 * count * LANES
+    last_a = gather(one, corners, start + count * LANES, node_offset)
+    last_b = gather(other, corners, start + count * LANES, node_offset)
+    for i in range(count):
+        own_a = difference(gather(one, corners, start + i * LANES, node_offset), last_a)
+        own_b = difference(gather(other, corners, start + i * LANES, node_offset), last_b)
         store(out, 2 * i * LANES, combination(own_a, own_b, state[0], state[1]))
         store(out, size + 2 * i * LANES, combination(own_a, own_b, direction[0], direction[1]))
 
 
 @part
-def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, a, b, f, rotation):
-    """Add the force of the two fields `mix` of a and b; response = (rate, square, factor of d in the F whose det F is returned)."""
+def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, one, other, nodal_force, rotation):
+    """Add the force of the two fields `mix` of two fields, one and other; response = (rate, square, factor of d in the F whose det F is returned)."""
     work = _workspace(layout, 6, 0)
     least = spread(np.inf), spread(0.0)
     rate, square, ahead = response
@@ -115,7 +117,7 @@ def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, m
         m, first = layout[k, 0] - 1, layout[k, 2]
         size = 2 * m * LANES
         direction, force = work[size:], work[2 * size :]
-        _fields(a, b, corners, first, node_offset, m, mix, work)
+        _fields(one, other, corners, first, node_offset, m, mix, work)
         for i in range(0, size, 2 * LANES):
             store(force, i, zeros2())
         turn = zeros2()
@@ -126,6 +128,6 @@ def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, m
             stress = two_state_piola(h, d, w, c1 * nu, c1 * (1.0 - nu), rate, square)
             for i in range(0, size, 2 * LANES):
                 store(force, i, add_times(load2(force, i), stress, load2(gradients, g + i)))
-        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
         _scatter_turn(turn, corners, first, node_offset, m, rotation)
     return _least(least)

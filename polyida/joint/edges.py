@@ -134,76 +134,77 @@ def _require_smooth(label, side, sides):
 
 
 @part
-def gap_at(px, py, y, others, f):
-    """Distance of a point from the line of edge f, positive outside of the second side."""
-    bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
-    dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+def gap_at(px, py, nodes, others, edge):
+    """Distance of a point from the line of an edge, positive outside of the second side."""
+    bx, by = nodes[others[edge, 0], 0], nodes[others[edge, 0], 1]
+    dx, dy = nodes[others[edge, 1], 0] - bx, nodes[others[edge, 1], 1] - by
     return ((px - bx) * dy - (py - by) * dx) / np.sqrt(dx * dx + dy * dy)
 
 
 @part
-def place_on(px, py, y, others, f):
-    """Where a point projects onto edge f: 0 at its first end, 1 at its second one."""
-    bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
-    dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+def place_on(px, py, nodes, others, edge):
+    """Where a point projects onto an edge: 0 at its first end, 1 at its second one."""
+    bx, by = nodes[others[edge, 0], 0], nodes[others[edge, 0], 1]
+    dx, dy = nodes[others[edge, 1], 0] - bx, nodes[others[edge, 1], 1] - by
     return ((px - bx) * dx + (py - by) * dy) / (dx * dx + dy * dy)
 
 
 @part
-def nearer_beside(px, py, y, others, f, gap):
-    """True if a point behind edge f, near a corner that sticks out, is less deep behind the edge on the other side of the corner."""
+def nearer_beside(px, py, nodes, others, edge, gap):
+    """True if a point behind an edge, near a corner that sticks out, is less deep behind the edge on the other side of the corner."""
     if gap >= 0.0:
         return False
     for g in range(others.shape[0]):
-        one, other = (f, g) if others[f, 1] == others[g, 0] else (g, f)
-        if g == f or others[one, 1] != others[other, 0]:
+        one, other = (edge, g) if others[edge, 1] == others[g, 0] else (g, edge)
+        if g == edge or others[one, 1] != others[other, 0]:
             continue
-        ax, ay = y[others[one, 1], 0] - y[others[one, 0], 0], y[others[one, 1], 1] - y[others[one, 0], 1]
-        bx, by = y[others[other, 1], 0] - y[others[other, 0], 0], y[others[other, 1], 1] - y[others[other, 0], 1]
-        if ax * by - ay * bx > 0.0 and gap < gap_at(px, py, y, others, g) and abs(place_on(px, py, y, others, g) - 0.5) <= 0.5 + BESIDE:
+        ax, ay = nodes[others[one, 1], 0] - nodes[others[one, 0], 0], nodes[others[one, 1], 1] - nodes[others[one, 0], 1]
+        bx, by = nodes[others[other, 1], 0] - nodes[others[other, 0], 0], nodes[others[other, 1], 1] - nodes[others[other, 0], 1]
+        along = place_on(px, py, nodes, others, g)
+        if ax * by - ay * bx > 0.0 and gap < gap_at(px, py, nodes, others, g) and abs(along - 0.5) <= 0.5 + BESIDE:
             return True
     return False
 
 
 @part
-def add(weights, at, w, xi, eta):
-    """Add to the weights of product `at` w times the vector from the edge of the second side at eta to that of the first one at xi."""
-    weights[at, 0] += w * (1.0 - xi)
-    weights[at, 1] += w * xi
-    weights[at, 2] -= w * (1.0 - eta)
-    weights[at, 3] -= w * eta
+def add(weights, at, weight, xi, eta):
+    """Add to the weights of product `at` the weight times the vector from the edge of the second side at eta to that of the first one at xi."""
+    weights[at, 0] += weight * (1.0 - xi)
+    weights[at, 1] += weight * xi
+    weights[at, 2] -= weight * (1.0 - eta)
+    weights[at, 3] -= weight * eta
 
 
 @entry
-def find_pieces(x, edges, y, others, reach, row, edge, points, weights):
+def find_pieces(first, edges, second, others, reach, row, edge, points, weights):
     """Fill the products of all rows. Returns their number."""
     count, others_count = 0, others.shape[0]
-    total = np.zeros(max(x.shape[0], others_count))
+    total = np.zeros(max(first.shape[0], others_count))
     low, high, cuts = np.empty(others_count), np.empty(others_count), np.empty(2 * others_count)
     for e in range(edges.shape[0]):
         i, j = edges[e, 0], edges[e, 1]
-        px, py = x[i, 0], x[i, 1]
+        px, py = first[i, 0], first[i, 1]
         if i == j:
             for f in range(others_count):
-                gap, eta = gap_at(px, py, y, others, f), place_on(px, py, y, others, f)
+                gap, eta = gap_at(px, py, second, others, f), place_on(px, py, second, others, f)
                 at, inside = min(max(eta, 0.0), 1.0), False  # inside: in the wedge behind a reentrant corner, beyond both of its edges
                 if gap <= 0.0 and eta != at:
                     for g in range(others_count):
                         if others[g, 0] == others[f, 1] and eta > 1.0:
-                            inside = place_on(px, py, y, others, g) < 0.0
+                            inside = place_on(px, py, second, others, g) < 0.0
                         elif others[g, 1] == others[f, 0] and eta < 0.0:
-                            inside = place_on(px, py, y, others, g) > 1.0
-                if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, y, others, f, gap))):
+                            inside = place_on(px, py, second, others, g) > 1.0
+                if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, second, others, f, gap))):
                     row[count], edge[count], points[count, :], weights[count, :] = f, f, i, 0.0
                     add(weights, count, 1.0, 0.0, at)
                     total[f], count = 1.0, count + 1
             continue
-        tx, ty = x[j, 0] - px, x[j, 1] - py
+        tx, ty = first[j, 0] - px, first[j, 1] - py
         length = np.sqrt(tx * tx + ty * ty)
         tx, ty, marks = tx / length, ty / length, 0
         for f in range(others_count):
-            bx, by = y[others[f, 0], 0], y[others[f, 0], 1]
-            dx, dy = y[others[f, 1], 0] - bx, y[others[f, 1], 1] - by
+            bx, by = second[others[f, 0], 0], second[others[f, 0], 1]
+            dx, dy = second[others[f, 1], 0] - bx, second[others[f, 1], 1] - by
             start = ((bx - px) * tx + (by - py) * ty) / length
             end = start + (dx * tx + dy * ty) / length
             low[f], high[f] = max(0.0, end), min(1.0, start)
@@ -218,13 +219,13 @@ def find_pieces(x, edges, y, others, reach, row, edge, points, weights):
             middle, best, least = 0.5 * (cuts[k] + cuts[k + 1]), -1, np.inf
             for f in range(others_count):
                 if low[f] <= middle <= high[f]:
-                    gap = gap_at(px + middle * length * tx, py + middle * length * ty, y, others, f)
+                    gap = gap_at(px + middle * length * tx, py + middle * length * ty, second, others, f)
                     if -reach <= gap < least:
                         best, least = f, gap
             if best < 0:
                 continue
-            bx, by = y[others[best, 0], 0], y[others[best, 0], 1]
-            dx, dy = y[others[best, 1], 0] - bx, y[others[best, 1], 1] - by
+            bx, by = second[others[best, 0], 0], second[others[best, 0], 1]
+            dx, dy = second[others[best, 1], 0] - bx, second[others[best, 1], 1] - by
             for one, node in ((count, i), (count + 1, j)):
                 row[one], edge[one], points[one, 0], points[one, 1], weights[one, :] = node, best, i, j, 0.0
             w = 0.5 * (cuts[k + 1] - cuts[k]) * length

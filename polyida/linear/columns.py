@@ -42,9 +42,9 @@ def forward_rows(x, y, a1, a2, a3, b2, b3, c3):
 
 
 @traced(1, columns)
-def less_four(x, a, b, c, d, p, q, r, s):
+def less_four(x, a, b, c, d, p, q, r, fronts):
     """x less four rows of U."""
-    return x - (a * p + b * q + c * r + d * s)
+    return x - (a * p + b * q + c * r + d * fronts)
 
 
 @traced(3, columns)
@@ -100,96 +100,96 @@ def sum_of(x, y):
 
 
 @shared
-def solve_columns(s, panels, x):
-    """x[:, c] <- S^-1 x[:, c] in the places of s.order, x (n, COLUMNS)."""
-    work = np.empty((s.size, COLUMNS), np.float32)
-    for f in range(s.children.shape[0]):
-        descend(s, panels, x, work, f)
-    for f in range(s.children.shape[0] - 1, -1, -1):
-        ascend(s, panels, x, work, f)
+def solve_columns(fronts, panels, columns):
+    """Each of the columns <- S^-1 times it, in the places of fronts.order, columns (n, COLUMNS)."""
+    work = np.empty((fronts.size, COLUMNS), np.float32)
+    for f in range(fronts.children.shape[0]):
+        descend(fronts, panels, columns, work, f)
+    for f in range(fronts.children.shape[0] - 1, -1, -1):
+        ascend(fronts, panels, columns, work, f)
 
 
 @part
-def descend(s, panels, x, work, f):
-    """The forward half on front f."""
-    first, own, low = s.first[f], s.first[f + 1] - s.first[f], s.start[f]
-    nodes = own + s.start[f + 1] - low
+def descend(fronts, panels, columns, work, front):
+    """The forward half on a front."""
+    first, own, low = fronts.first[front], fronts.first[front + 1] - fronts.first[front], fronts.start[front]
+    nodes = own + fronts.start[front + 1] - low
     for k in range(own):
-        store(work, k * NODE, (load_columns(x, (first + k) * NODE),))
+        store(work, k * NODE, (load_columns(columns, (first + k) * NODE),))
     for k in range(own, nodes):
         store(work, k * NODE, (zero_columns(),))
-    forward(panels, s.panel[f], work, own, nodes)
+    forward(panels, fronts.panel[front], work, own, nodes)
     for k in range(own):
-        store(x, (first + k) * NODE, (load_columns(work, k * NODE),))
+        store(columns, (first + k) * NODE, (load_columns(work, k * NODE),))
     for k in range(own, nodes):
-        place = s.rows[low + k - own] * NODE
-        store(x, place, (sum_of(load_columns(x, place), load_columns(work, k * NODE)),))
+        place = fronts.rows[low + k - own] * NODE
+        store(columns, place, (sum_of(load_columns(columns, place), load_columns(work, k * NODE)),))
 
 
 @part
-def ascend(s, panels, x, work, f):
-    """The backward half on front f."""
-    first, own, low = s.first[f], s.first[f + 1] - s.first[f], s.start[f]
-    nodes = own + s.start[f + 1] - low
+def ascend(fronts, panels, columns, work, front):
+    """The backward half on a front."""
+    first, own, low = fronts.first[front], fronts.first[front + 1] - fronts.first[front], fronts.start[front]
+    nodes = own + fronts.start[front + 1] - low
     for k in range(own):
-        store(work, k * NODE, (load_columns(x, (first + k) * NODE),))
+        store(work, k * NODE, (load_columns(columns, (first + k) * NODE),))
     for k in range(own, nodes):
-        store(work, k * NODE, (load_columns(x, s.rows[low + k - own] * NODE),))
-    backward(panels, s.panel[f + 1], work, own, nodes)
+        store(work, k * NODE, (load_columns(columns, fronts.rows[low + k - own] * NODE),))
+    backward(panels, fronts.panel[front + 1], work, own, nodes)
     for k in range(own):
-        store(x, (first + k) * NODE, (load_columns(work, k * NODE),))
+        store(columns, (first + k) * NODE, (load_columns(work, k * NODE),))
 
 
 @part
-def forward(panels, at, w, own, nodes):
-    """w <- U^-T w on the front's own nodes, and less their part on the others, `nodes` in all; the panel starts at `at`."""
+def forward(panels, at, work, own, nodes):
+    """work <- U^-T work on the front's own nodes, and less their part on the others, `nodes` in all; the panel starts at `at`."""
     for k in range(0, own - 1, 2):
         m = 2 * (nodes - k)
         b, c, d = at + m, at + 2 * m, at + 3 * m
-        x, y = load_columns(w, k * NODE), load_columns(w, (k + 1) * NODE)
+        x, y = load_columns(work, k * NODE), load_columns(work, (k + 1) * NODE)
         a1, a2, a3, b2, b3, c3 = panels[at + 1], panels[at + 2], panels[at + 3], panels[b + 2], panels[b + 3], panels[c + 3]
         p, q, r, s, x, y = forward_rows(x, y, a1, a2, a3, b2, b3, c3)
-        store(w, k * NODE, (x,))
-        store(w, (k + 1) * NODE, (y,))
+        store(work, k * NODE, (x,))
+        store(work, (k + 1) * NODE, (y,))
         for j in range(4, m, 2):
             here = (2 * k + j) * COLUMNS
             rows = load_spread(panels, at + j), load_spread(panels, b + j), load_spread(panels, c + j), load_spread(panels, d + j)
-            store(w, here, (less_four(load_columns(w, here), rows[0], rows[1], rows[2], rows[3], p, q, r, s),))
+            store(work, here, (less_four(load_columns(work, here), rows[0], rows[1], rows[2], rows[3], p, q, r, s),))
         at += 4 * m
     if own % 2:
         k = own - 1
         m = 2 * (nodes - k)
-        p, q, x = forward_two_rows(load_columns(w, k * NODE), panels[at + 1])
-        store(w, k * NODE, (x,))
+        p, q, x = forward_two_rows(load_columns(work, k * NODE), panels[at + 1])
+        store(work, k * NODE, (x,))
         for j in range(2, m, 2):
             here = (2 * k + j) * COLUMNS
-            store(w, here, (less_two(load_columns(w, here), load_spread(panels, at + j), load_spread(panels, at + m + j), p, q),))
+            store(work, here, (less_two(load_columns(work, here), load_spread(panels, at + j), load_spread(panels, at + m + j), p, q),))
 
 
 @part
-def backward(panels, at, w, own, nodes):
-    """w <- U^-1 D^-1 w on the front's own nodes, the others of `nodes` given; its panel ends at `at`."""
+def backward(panels, at, work, own, nodes):
+    """work <- U^-1 D^-1 work on the front's own nodes, the others of `nodes` given; its panel ends at `at`."""
     if own % 2:
         k = own - 1
         m = 2 * (nodes - k)
         at -= 2 * m
         two = zero_columns(), zero_columns()
         for j in range(2, m, 2):
-            x = load_columns(w, (2 * k + j) * COLUMNS)
+            x = load_columns(work, (2 * k + j) * COLUMNS)
             two = products_of_two(two, x, load_spread(panels, at + j), load_spread(panels, at + m + j))
-        store(w, k * NODE, (backward_two_rows(load_columns(w, k * NODE), two, panels[at], panels[at + m + 1], panels[at + 1]),))
+        store(work, k * NODE, (backward_two_rows(load_columns(work, k * NODE), two, panels[at], panels[at + m + 1], panels[at + 1]),))
     for k in range(own // 2 * 2 - 2, -1, -2):
         m = 2 * (nodes - k)
         at -= 4 * m
         b, c, d = at + m, at + 2 * m, at + 3 * m
         sums = zero_columns(), zero_columns(), zero_columns(), zero_columns()
         for j in range(4, m, 2):
-            x = load_columns(w, (2 * k + j) * COLUMNS)
+            x = load_columns(work, (2 * k + j) * COLUMNS)
             sums = products_of_four(
                 sums, x, load_spread(panels, at + j), load_spread(panels, b + j), load_spread(panels, c + j), load_spread(panels, d + j)
             )
-        x, y = load_columns(w, k * NODE), load_columns(w, (k + 1) * NODE)
+        x, y = load_columns(work, k * NODE), load_columns(work, (k + 1) * NODE)
         a1, a2, a3, b2, b3, c3 = panels[at + 1], panels[at + 2], panels[at + 3], panels[b + 2], panels[b + 3], panels[c + 3]
         x, y = backward_rows(x, y, sums, panels[at], panels[b + 1], panels[c + 2], panels[d + 3], a1, a2, a3, b2, b3, c3)
-        store(w, k * NODE, (x,))
-        store(w, (k + 1) * NODE, (y,))
+        store(work, k * NODE, (x,))
+        store(work, (k + 1) * NODE, (y,))

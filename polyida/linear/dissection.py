@@ -130,8 +130,8 @@ def halve(indptr, indices, points, members, side, distance, queue, values):
 
 
 @part
-def along_axis(points, members, c):
-    """c = coordinate of the nodes along the longest principal axis of members."""
+def along_axis(points, members, coordinates):
+    """coordinates = those of the nodes along the longest principal axis of members."""
     n, o = members.shape[0], members[0]
     x = y = xx = xy = yy = 0.0
     for i in members:
@@ -139,7 +139,7 @@ def along_axis(points, members, c):
         x, y, xx, xy, yy = x + p, y + q, xx + p * p, xy + p * q, yy + q * q
     angle = 0.5 * np.arctan2(2.0 * (xy - x * y / n), (xx - x * x / n) - (yy - y * y / n))
     for k in range(n):
-        c[k] = np.cos(angle) * points[members[k], 0] + np.sin(angle) * points[members[k], 1]
+        coordinates[k] = np.cos(angle) * points[members[k], 0] + np.sin(angle) * points[members[k], 1]
 
 
 @part
@@ -160,18 +160,18 @@ def hops(indptr, indices, root, side, distance, queue):
 
 
 @part
-def middle(c):
-    """A value with about half of c below it and some not below; if all are equal, c becomes 0, 1, 2 ... first."""
-    n, low, high = c.shape[0], np.inf, -np.inf
-    for value in c:
+def middle(coordinates):
+    """A value with about half of the coordinates below it and some not below; if all are equal, they become 0, 1, 2 ... first."""
+    n, low, high = coordinates.shape[0], np.inf, -np.inf
+    for value in coordinates:
         low, high = min(low, value), max(high, value)
     if not low < high:
         low, high = 0.0, n - 1.0
         for k in range(n):
-            c[k] = k
+            coordinates[k] = k
     for _ in range(40):
         t, below = 0.5 * (low + high), 0
-        for value in c:
+        for value in coordinates:
             below += value < t
         if abs(2 * below - n) <= 0.02 * n:
             return t

@@ -39,13 +39,13 @@ def single(values):
 
 
 @shared
-def fill_panels(s, blocks, panels, numbers, places):
+def fill_panels(fronts, blocks, panels, numbers, places):
     """Eliminate front after front; numbers, places are scratch. False if a pivot is zero or not finite."""
-    workspace, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
-    local, waiting = places[: s.nodes.shape[0]], places[s.nodes.shape[0] :]
+    workspace, updates = numbers[: fronts.size * fronts.size], numbers[fronts.size * fronts.size :]
+    local, waiting = places[: fronts.nodes.shape[0]], places[fronts.nodes.shape[0] :]
     top = behind = 0
-    for f in range(s.children.shape[0]):
-        first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f] : s.start[f + 1]]
+    for f in range(fronts.children.shape[0]):
+        first, last, rows = fronts.first[f], fronts.first[f + 1], fronts.rows[fronts.start[f] : fronts.start[f + 1]]
         own = 2 * (last - first)
         n = own + 2 * rows.shape[0]
         front = workspace[: n * n].reshape((n, n))
@@ -56,16 +56,16 @@ def fill_panels(s, blocks, panels, numbers, places):
             local[k] = 2 * (k - first)
         for k in range(rows.shape[0]):
             local[rows[k]] = own + 2 * k
-        add_blocks(s, blocks, first, last, local, front)
-        for _ in range(s.children[f]):
+        add_blocks(fronts, blocks, first, last, local, front)
+        for _ in range(fronts.children[f]):
             behind -= 1
             c = waiting[behind]
-            reach = s.rows[s.start[c] : s.start[c + 1]]
+            reach = fronts.rows[fronts.start[c] : fronts.start[c + 1]]
             top -= reach.shape[0] * (2 * reach.shape[0] + 1)
             add_update(updates[top:], reach, local, front)
         if not eliminate(front, own):
             return False
-        store_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
+        store_rows(front, own, panels[fronts.panel[f] : fronts.panel[f + 1]])
         top += store_update(front, own, updates[top:])
         waiting[behind] = f
         behind += 1
@@ -73,13 +73,13 @@ def fill_panels(s, blocks, panels, numbers, places):
 
 
 @part
-def add_blocks(s, blocks, first, last, local, front):
+def add_blocks(fronts, blocks, first, last, local, front):
     """Add the blocks of the front's own nodes with themselves and later ones."""
     for k in range(first, last):
-        i = s.nodes[k]
+        i = fronts.nodes[k]
         a = local[k]
-        for p in range(s.indptr[i], s.indptr[i + 1]):
-            j = s.order[2 * s.indices[p]] // 2
+        for p in range(fronts.indptr[i], fronts.indptr[i + 1]):
+            j = fronts.order[2 * fronts.indices[p]] // 2
             if j >= k:
                 b = local[j]
                 front[a, b] += blocks[p, 0, 0]
@@ -125,11 +125,11 @@ def eliminate(front, own):
 
 
 @part
-def subtract_four(front, k, i):
-    """Take rows k .. k + 3 of U from the rows of node i: eight products for six loads keep the processor busy."""
-    x, y = front[i, i:], front[i + 1, i:]
-    a, b, c, d = front[k, i:], front[k + 1, i:], front[k + 2, i:], front[k + 3, i:]
-    da, db, dc, dd = front[k, k], front[k + 1, k + 1], front[k + 2, k + 2], front[k + 3, k + 3]
+def subtract_four(front, top, row):
+    """Take rows top .. top + 3 of U from rows row and row + 1, of a node: eight products for six loads keep the processor busy."""
+    x, y = front[row, row:], front[row + 1, row:]
+    a, b, c, d = front[top, row:], front[top + 1, row:], front[top + 2, row:], front[top + 3, row:]
+    da, db, dc, dd = (front[top, top], front[top + 1, top + 1], front[top + 2, top + 2], front[top + 3, top + 3])
     xa, xb, xc, xd = da * a[0], db * b[0], dc * c[0], dd * d[0]
     ya, yb, yc, yd = da * a[1], db * b[1], dc * c[1], dd * d[1]
     for j in range(x.shape[0]):
@@ -139,10 +139,10 @@ def subtract_four(front, k, i):
 
 
 @part
-def subtract_two(front, k, i):
-    """Take rows k and k + 1 of U from the rows of node i."""
-    x, y, a, b = front[i, i:], front[i + 1, i:], front[k, i:], front[k + 1, i:]
-    da, db = front[k, k], front[k + 1, k + 1]
+def subtract_two(front, top, row):
+    """Take rows top and top + 1 of U from rows row and row + 1, of a node."""
+    x, y, a, b = front[row, row:], front[row + 1, row:], front[top, row:], front[top + 1, row:]
+    da, db = front[top, top], front[top + 1, top + 1]
     xa, xb, ya, yb = da * a[0], db * b[0], da * a[1], db * b[1]
     for j in range(x.shape[0]):
         p, q = a[j], b[j]
@@ -151,9 +151,9 @@ def subtract_two(front, k, i):
 
 
 @part
-def finish(front, i):
-    """Turn the rows of node i into rows of U, with D on the diagonal. False if a pivot is zero or not finite."""
-    x, y = front[i, i:], front[i + 1, i:]
+def finish(front, row):
+    """Turn rows row and row + 1, of a node, into rows of U, with D on the diagonal. False if a pivot is zero or not finite."""
+    x, y = front[row, row:], front[row + 1, row:]
     if not 0.0 < abs(x[0]) < np.inf:
         return False
     share, scale = x[1], 1.0 / x[0]
@@ -195,57 +195,59 @@ def store_update(front, own, updates):
 
 
 @entry
-def solve_fronts(s, panels, x):
-    """x <- S^-1 x in float32 or complex64, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
-    work = np.empty(s.size, x.dtype)
-    for f in range(s.children.shape[0]):
-        if descend(s, panels, x, work, f):
-            spread(s, x, work, f)
-    for f in range(s.children.shape[0] - 1, -1, -1):
-        ascend(s, panels, x, work, f)
+def solve_fronts(fronts, panels, vector):
+    """vector <- S^-1 vector in float32 or complex64, (n,) or longer, in the places of fronts.order. Fronts on which it is zero cost nothing."""
+    work = np.empty(fronts.size, vector.dtype)
+    for f in range(fronts.children.shape[0]):
+        if descend(fronts, panels, vector, work, f):
+            spread(fronts, vector, work, f)
+    for f in range(fronts.children.shape[0] - 1, -1, -1):
+        ascend(fronts, panels, vector, work, f)
 
 
 @part
-def descend(s, panels, x, work, f):
-    """The forward half of a solve on front f: its part in x, that of later fronts in work. False if x is zero there; work is not filled then."""
-    at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+def descend(fronts, panels, vector, work, front):
+    """The forward half of a solve on a front: its part in vector, that of later fronts in work. False if vector is zero there; work is not filled."""
+    at, own = 2 * fronts.first[front], 2 * (fronts.first[front + 1] - fronts.first[front])
+    low, high = fronts.start[front], fronts.start[front + 1]
     n = own + 2 * (high - low)
-    if zero(x, at, own):
+    if zero(vector, at, own):
         return False
     for k in range(own):
-        work[k] = x[at + k]
+        work[k] = vector[at + k]
     for k in range(own, n):
         work[k] = 0.0
-    forward(panels, s.panel[f], work, own, n)
+    forward(panels, fronts.panel[front], work, own, n)
     for k in range(own):
-        x[at + k] = work[k]
+        vector[at + k] = work[k]
     return True
 
 
 @part
-def spread(s, x, work, f):
-    """Add the part of later fronts in work, from front f, to x."""
-    own, low = 2 * (s.first[f + 1] - s.first[f]), s.start[f]
-    for k in range(low, s.start[f + 1]):
-        i, q = 2 * s.rows[k], own + 2 * (k - low)
-        x[i] += work[q]
-        x[i + 1] += work[q + 1]
+def spread(fronts, vector, work, front):
+    """Add the part of later fronts in work, from a front, to vector."""
+    own, low = 2 * (fronts.first[front + 1] - fronts.first[front]), fronts.start[front]
+    for k in range(low, fronts.start[front + 1]):
+        i, q = 2 * fronts.rows[k], own + 2 * (k - low)
+        vector[i] += work[q]
+        vector[i + 1] += work[q + 1]
 
 
 @part
-def ascend(s, panels, x, work, f):
-    """The backward half of a solve on front f."""
-    at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+def ascend(fronts, panels, vector, work, front):
+    """The backward half of a solve on a front."""
+    at, own = 2 * fronts.first[front], 2 * (fronts.first[front + 1] - fronts.first[front])
+    low, high = fronts.start[front], fronts.start[front + 1]
     n = own + 2 * (high - low)
     for k in range(own):
-        work[k] = x[at + k]
+        work[k] = vector[at + k]
     for k in range(low, high):
-        i, q = 2 * s.rows[k], own + 2 * (k - low)
-        work[q], work[q + 1] = x[i], x[i + 1]
+        i, q = 2 * fronts.rows[k], own + 2 * (k - low)
+        work[q], work[q + 1] = vector[i], vector[i + 1]
     if not zero(work, 0, n):
-        backward(panels, s.panel[f + 1], work, own, n)
+        backward(panels, fronts.panel[front + 1], work, own, n)
         for k in range(own):
-            x[at + k] = work[k]
+            vector[at + k] = work[k]
 
 
 @part
@@ -258,51 +260,51 @@ def zero(values, at, count):
 
 
 @part
-def forward(panels, at, w, own, n):
-    """w <- U^-T w on the front's own places, and less their part on the others, n in all; the panel starts at `at`."""
+def forward(panels, at, work, own, size):
+    """work <- U^-T work on the front's own places, and less their part on the others, `size` in all; the panel starts at `at`."""
     for k in range(0, own - 3, 4):
-        m = n - k
+        m = size - k
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
         c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
-        p = w[k]
-        q = w[k + 1] - a[1] * p
-        r = w[k + 2] - a[2] * p - b[2] * q
-        s = w[k + 3] - a[3] * p - b[3] * q - c[3] * r
-        w[k + 1], w[k + 2], w[k + 3] = q, r, s
-        v, a, b, c, d = w[k + 4 :], a[4:], b[4:], c[4:], d[4:]
+        p = work[k]
+        q = work[k + 1] - a[1] * p
+        r = work[k + 2] - a[2] * p - b[2] * q
+        s = work[k + 3] - a[3] * p - b[3] * q - c[3] * r
+        work[k + 1], work[k + 2], work[k + 3] = q, r, s
+        v, a, b, c, d = work[k + 4 :], a[4:], b[4:], c[4:], d[4:]
         for j in range(m - 4):
             v[j] -= a[j] * p + b[j] * q + c[j] * r + d[j] * s
         at += 4 * m
     if own % 4:
-        m = n - own + 2
+        m = size - own + 2
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
-        p = w[own - 2]
-        q = w[own - 1] - a[1] * p
-        w[own - 1] = q
-        v, a, b = w[own:], a[2:], b[2:]
+        p = work[own - 2]
+        q = work[own - 1] - a[1] * p
+        work[own - 1] = q
+        v, a, b = work[own:], a[2:], b[2:]
         for j in range(m - 2):
             v[j] -= a[j] * p + b[j] * q
 
 
 @part
-def backward(panels, at, w, own, n):
-    """w <- U^-1 D^-1 w on the front's own places, the others of n given; its panel ends at `at`."""
+def backward(panels, at, work, own, size):
+    """work <- U^-1 D^-1 work on the front's own places, the others of `size` given; its panel ends at `at`."""
     if own % 4:
-        m = n - own + 2
+        m = size - own + 2
         at -= 2 * m
-        a, b, v = panels[at : at + m], panels[at + m : at + 2 * m], w[own:]
-        p, q, e, f = w[own - 2] * a[0], w[own - 1] * b[1], a[2:], b[2:]
+        a, b, v = panels[at : at + m], panels[at + m : at + 2 * m], work[own:]
+        p, q, e, f = work[own - 2] * a[0], work[own - 1] * b[1], a[2:], b[2:]
         for j in range(m - 2):
             p -= e[j] * v[j]
             q -= f[j] * v[j]
-        w[own - 2], w[own - 1] = p - a[1] * q, q
+        work[own - 2], work[own - 1] = p - a[1] * q, q
     for k in range(own // 4 * 4 - 4, -1, -4):
-        m = n - k
+        m = size - k
         at -= 4 * m
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
         c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
-        e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], w[k + 4 :]
-        p, q, r, s = w[k] * a[0], w[k + 1] * b[1], w[k + 2] * c[2], w[k + 3] * d[3]
+        e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], work[k + 4 :]
+        p, q, r, s = work[k] * a[0], work[k + 1] * b[1], work[k + 2] * c[2], work[k + 3] * d[3]
         for j in range(m - 4):
             value = v[j]
             p -= e[j] * value
@@ -312,4 +314,4 @@ def backward(panels, at, w, own, n):
         r -= c[3] * s
         q -= b[2] * r + b[3] * s
         p -= a[1] * q + a[2] * r + a[3] * s
-        w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s
+        work[k], work[k + 1], work[k + 2], work[k + 3] = p, q, r, s

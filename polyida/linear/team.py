@@ -78,96 +78,96 @@ def after(signals, at, number):
 
 
 @entry
-def serve(s, panels, x, t, who):
+def serve(fronts, panels, vector, team, who):
     """The loop of thread `who`: it waits for calls, until GONE."""
-    work, calls = np.empty(s.size, x.dtype), 0
+    work, calls = np.empty(fronts.size, vector.dtype), 0
     while True:
-        calls = after(t.signals, 2 * LINE * who + CALLED, calls)
+        calls = after(team.signals, 2 * LINE * who + CALLED, calls)
         if calls == GONE:
             return
         if calls % 2:
-            gather(s, panels, x, t, who, work)
+            gather(fronts, panels, vector, team, who, work)
         else:
-            scatter(s, panels, x, t, who, work)
-        leave(t.signals, 2 * LINE * who + DONE, calls)
+            scatter(fronts, panels, vector, team, who, work)
+        leave(team.signals, 2 * LINE * who + DONE, calls)
 
 
 @part
-def gather(s, panels, x, t, who, work):
+def gather(fronts, panels, vector, team, who, work):
     """The forward half on the fronts of thread `who`; contributions to the top are stored in late."""
-    late, at = t.late[who], 0
-    for f in range(t.cuts[who], t.cuts[who + 1]):
-        if t.top[f]:
+    late, at = team.late[who], 0
+    for f in range(team.cuts[who], team.cuts[who + 1]):
+        if team.top[f]:
             continue
-        going = descend(s, panels, x, work, f)
+        going = descend(fronts, panels, vector, work, f)
         if who == 0:
             if going:
-                spread(s, x, work, f)
+                spread(fronts, vector, work, f)
             continue
-        own = 2 * (s.first[f + 1] - s.first[f])
-        for k in range(s.start[f], s.start[f + 1]):
-            i, q = 2 * s.rows[k], own + 2 * (k - s.start[f])
-            if t.shared[s.rows[k]]:
+        own = 2 * (fronts.first[f + 1] - fronts.first[f])
+        for k in range(fronts.start[f], fronts.start[f + 1]):
+            i, q = 2 * fronts.rows[k], own + 2 * (k - fronts.start[f])
+            if team.shared[fronts.rows[k]]:
                 late[at] = late[at + 1] = 0.0
                 if going:
                     late[at], late[at + 1] = work[q], work[q + 1]
                 at += 2
             elif going:
-                x[i] += work[q]
-                x[i + 1] += work[q + 1]
+                vector[i] += work[q]
+                vector[i + 1] += work[q + 1]
 
 
 @part
-def scatter(s, panels, x, t, who, work):
+def scatter(fronts, panels, vector, team, who, work):
     """The backward half on the fronts of thread `who`."""
-    for f in range(t.cuts[who + 1] - 1, t.cuts[who] - 1, -1):
-        if not t.top[f]:
-            ascend(s, panels, x, work, f)
+    for f in range(team.cuts[who + 1] - 1, team.cuts[who] - 1, -1):
+        if not team.top[f]:
+            ascend(fronts, panels, vector, work, f)
 
 
 @part
-def call(t):
+def call(team):
     """Call all other threads from thread 0. Returns the number of calls so far."""
-    calls = seen(t.signals, DONE) + 1
-    leave(t.signals, DONE, calls)
-    for who in range(1, t.late.shape[0]):
-        leave(t.signals, 2 * LINE * who + CALLED, calls)
+    calls = seen(team.signals, DONE) + 1
+    leave(team.signals, DONE, calls)
+    for who in range(1, team.late.shape[0]):
+        leave(team.signals, 2 * LINE * who + CALLED, calls)
     return calls
 
 
 @part
-def await_all(t, calls):
+def await_all(team, calls):
     """Wait until all threads have completed the call."""
-    for who in range(1, t.late.shape[0]):
-        after(t.signals, 2 * LINE * who + DONE, calls - 1)
+    for who in range(1, team.late.shape[0]):
+        after(team.signals, 2 * LINE * who + DONE, calls - 1)
 
 
 @part
-def solve_together(s, panels, x, t):
-    """x <- S^-1 x, as `solve_fronts` does, with others that `serve`."""
-    work = np.empty(s.size, x.dtype)
-    calls = call(t)
-    gather(s, panels, x, t, 0, work)
-    await_all(t, calls)
-    for who in range(1, t.late.shape[0]):
-        late, at = t.late[who], 0
-        for f in range(t.cuts[who], t.cuts[who + 1]):
-            if t.top[f]:
-                if descend(s, panels, x, work, f):
-                    spread(s, x, work, f)
+def solve_together(fronts, panels, vector, team):
+    """vector <- S^-1 vector, as `solve_fronts` does, with others that `serve`."""
+    work = np.empty(fronts.size, vector.dtype)
+    calls = call(team)
+    gather(fronts, panels, vector, team, 0, work)
+    await_all(team, calls)
+    for who in range(1, team.late.shape[0]):
+        late, at = team.late[who], 0
+        for f in range(team.cuts[who], team.cuts[who + 1]):
+            if team.top[f]:
+                if descend(fronts, panels, vector, work, f):
+                    spread(fronts, vector, work, f)
                 continue
-            for k in range(s.start[f], s.start[f + 1]):
-                if t.shared[s.rows[k]]:
-                    i = 2 * s.rows[k]
-                    x[i] += late[at]
-                    x[i + 1] += late[at + 1]
+            for k in range(fronts.start[f], fronts.start[f + 1]):
+                if team.shared[fronts.rows[k]]:
+                    i = 2 * fronts.rows[k]
+                    vector[i] += late[at]
+                    vector[i + 1] += late[at + 1]
                     at += 2
-    for f in range(s.children.shape[0] - 1, t.cuts[1] - 1, -1):
-        if t.top[f]:
-            ascend(s, panels, x, work, f)
-    calls = call(t)
-    scatter(s, panels, x, t, 0, work)
-    await_all(t, calls)
+    for f in range(fronts.children.shape[0] - 1, team.cuts[1] - 1, -1):
+        if team.top[f]:
+            ascend(fronts, panels, vector, work, f)
+    calls = call(team)
+    scatter(fronts, panels, vector, team, 0, work)
+    await_all(team, calls)
 
 
 @contextmanager

@@ -33,41 +33,41 @@ EXCLUDED = ("tangent", "force_q", "force_v", "residual_p", "mass_system", "step_
 
 
 @part
-def evaluate(function, data, t, x, v, s, outputs, rates):
+def evaluate(function, data, t, places, v, values, outputs, rates):
     """Fill rates by a C function (jit/user_functions.py); nan if it fails."""
-    if call(function, data, 0, t, x, v, address(s), outputs, address(rates)) != DONE:
+    if call(function, data, 0, t, places, v, address(values), outputs, address(rates)) != DONE:
         rates[:] = np.nan
 
 
 @part
-def largest(change, s, first, sizes):
+def largest(change, values, first, sizes):
     """Largest of the changes, in sizes, relative to the algebraic states and their sizes."""
     size = 0.0
     for i in range(change.shape[0]):
-        size = max(size, abs(change[i]) * sizes[i] / (sizes[i] + abs(s[first + i])))
+        size = max(size, abs(change[i]) * sizes[i] / (sizes[i] + abs(values[first + i])))
     return size
 
 
 @shared
-def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
-    """Fill the algebraic states of s, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
+def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, rates):
+    """Fill the algebraic states of `values`, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
 
-    function, data, t, x, v, outputs: a C function of the rates, and its arguments beside s and rates. sizes: typical sizes of the algebraic
-    states; s holds a guess of them. Returns how it ended.
+    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes: typical sizes of the algebraic
+    states; `values` holds a guess of them. Returns how it ended.
     """
     count, behind = sizes.shape[0], np.zeros_like(rates)
-    free, slope, pivots = s[first : first + count], np.empty((count, count)), np.empty(count, np.int64)
+    free, slope, pivots = values[first : first + count], np.empty((count, count)), np.empty(count, np.int64)
     change, left, rows = np.empty(count), np.empty(count), np.empty(count)
-    evaluate(function, data, t, x, v, s, outputs, rates)
+    evaluate(function, data, t, places, v, values, outputs, rates)
     for i in range(count):
         left[i] = rates[first + i]
     for _ in range(MOST):
         for j in range(count):
             middle, step = free[j], STEP * max(sizes[j], abs(free[j]))
             free[j] = middle + step
-            evaluate(function, data, t, x, v, s, outputs, rates)
+            evaluate(function, data, t, places, v, values, outputs, rates)
             free[j] = middle - step
-            evaluate(function, data, t, x, v, s, outputs, behind)
+            evaluate(function, data, t, places, v, values, outputs, behind)
             free[j] = middle
             for i in range(count):
                 slope[i, j] = (rates[first + i] - behind[first + i]) / (2.0 * step) * sizes[j]
@@ -90,11 +90,11 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
             while True:
                 for i in range(count):
                     free[i] += (share - moved) * change[i] * sizes[i]
-                evaluate(function, data, t, x, v, s, outputs, rates)
+                evaluate(function, data, t, places, v, values, outputs, rates)
                 for i in range(count):
                     left[i] = -rates[first + i] / rows[i]
                 solve(slope, pivots, left)
-                size, before = largest(left, s, first, sizes), largest(change, s, first, sizes)  # in one norm, which depends on s
+                size, before = largest(left, values, first, sizes), largest(change, values, first, sizes)  # in one norm, which depends on s
                 if size <= max(CLOSE, (1.0 - 0.25 * share) * before):
                     break
                 moved, share = share, 0.5 * share
@@ -103,7 +103,7 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
             if size <= ROUND or before <= CLOSE:
                 for i in range(count):
                     free[i] += left[i] * sizes[i]
-                evaluate(function, data, t, x, v, s, outputs, rates)
+                evaluate(function, data, t, places, v, values, outputs, rates)
                 return FOUND
             put(1.0, left, change)
             ratio = size / before if share == 1.0 else 1.0  # a shorter step does not show how good the slope is
@@ -113,11 +113,11 @@ def fill_algebraic(function, data, t, x, v, outputs, s, first, sizes, rates):
 
 
 @part
-def with_algebraic(function, data, t, q, v, x, guess, sizes):
-    """The states x of an own model with the algebraic ones behind them; nan for these without a solution."""
-    k, s = x.shape[0], np.empty(x.shape[0] + guess.shape[0])
+def with_algebraic(function, data, t, q, v, states, guess, sizes):
+    """The states of an own model with the algebraic ones behind them; nan for these without a solution."""
+    k, s = states.shape[0], np.empty(states.shape[0] + guess.shape[0])
     for i in range(s.shape[0]):
-        s[i] = x[i] if i < k else guess[i - k]
+        s[i] = states[i] if i < k else guess[i - k]
     if fill_algebraic(function, data, t, q, v, 0, s, k, sizes, np.zeros_like(s)) != FOUND:
         s[k:] = np.nan
     return s

@@ -299,26 +299,26 @@ def add_cell_energies(layout, corners, gradients, weights, lane_cells, c1, nu, u
 
 
 @traced(4)
-def _stress_slope(h, g, w, spherical, deviatoric):
-    """w d(G : sigma)/dF, g = (Gxx, Gyy, 2 Gxy).
+def _stress_slope(h, g, weight, lam_bar, two_mu):
+    """weight d(G : sigma)/dF, g = (Gxx, Gyy, 2 Gxy).
 
     tau = F S F^T,  sigma = tau / det F,  d(G : sigma) = (2 G F S + F D : (F^T G F) - (G : sigma) det F F^-T) / det F : dF
     """
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     shear, det = 0.5 * g[2], determinant(h)
-    s = second_piola(strain(h), spherical, deviatoric)
+    s = second_piola(strain(h), lam_bar, two_mu)
     n = g[0] * f11 + shear * f21, g[0] * f12 + shear * f22, shear * f11 + g[1] * f21, shear * f12 + g[1] * f22
     a = f11 * n[0] + f21 * n[2], f11 * n[1] + f21 * n[3], f12 * n[1] + f22 * n[3]
-    moved = carried(h, second_piola(a, spherical, deviatoric))
+    moved = carried(h, second_piola(a, lam_bar, two_mu))
     ratio = (s[0] * a[0] + 2.0 * (s[1] * a[1]) + s[2] * a[2]) / det
     stretched = n[0] * s[0] + n[1] * s[1], n[0] * s[1] + n[1] * s[2], n[2] * s[0] + n[3] * s[1], n[2] * s[1] + n[3] * s[2]
     turned = f22, 0.0 - f21, 0.0 - f12, f11
-    return tuple(w / det * (2.0 * x + y - ratio * z) for x, y, z in zip(stretched, moved, turned))
+    return tuple(weight / det * (2.0 * x + y - ratio * z) for x, y, z in zip(stretched, moved, turned))
 
 
 @entry
-def add_stress_forces(layout, corners, gradients, weights, toward, c, nu, u, f):
-    """f (nodes, 2) += the slope in u of the sum over cells of `toward . int (sxx, syy, sxy)`, as kernels.stress has it.
+def add_stress_forces(layout, corners, gradients, weights, toward, modulus, nu, u, nodal_force):
+    """nodal_force (nodes, 2) += the slope in u of the sum over cells of `toward . int (sxx, syy, sxy)`, as kernels.stress has it.
 
     toward (blocks, 3, LANES): numbers of each cell, 1/m^2 times what the sum is in.
     """
@@ -334,5 +334,5 @@ def add_stress_forces(layout, corners, gradients, weights, toward, c, nu, u, f):
         for p in range(layout[b, 1]):
             g = layout[b, 3] + p * size
             h, weight = _gradient(gradients, g, workspace, m), load(weights, layout[b, 4] + p * LANES)
-            _add_forces(force, gradients, g, _stress_slope(h, bar, weight, c * nu, c * (1.0 - nu)), size)
-        _scatter_balanced(force, corners, first, 0, m, f)
+            _add_forces(force, gradients, g, _stress_slope(h, bar, weight, modulus * nu, modulus * (1.0 - nu)), size)
+        _scatter_balanced(force, corners, first, 0, m, nodal_force)

@@ -45,55 +45,55 @@ class Cone(NamedTuple):
 
 
 @part
-def bound(x, p, i, slope):
-    """c(p) of friction row i; fills its slope (k,)."""
+def bound(rows, forces, row, slope):
+    """The bound c(p) = c + mu |l + L p| of the force of a friction row; fills its slope (k,)."""
     slope[:] = 0.0
     square = 0.0
-    for e in range(x.start[i], x.start[i + 1]):
-        value = x.l[e]
-        for j in range(p.shape[0]):
-            value += x.L[e, j] * p[j]
+    for e in range(rows.start[row], rows.start[row + 1]):
+        value = rows.l[e]
+        for j in range(forces.shape[0]):
+            value += rows.L[e, j] * forces[j]
         square += value * value
-        for j in range(p.shape[0]):
-            slope[j] += value * x.L[e, j]
+        for j in range(forces.shape[0]):
+            slope[j] += value * rows.L[e, j]
     norm = np.sqrt(square)
-    for j in range(p.shape[0]):
-        slope[j] *= x.mu[i] / norm if norm > 0.0 else 0.0
-    return x.c[i] + x.mu[i] * norm
+    for j in range(forces.shape[0]):
+        slope[j] *= rows.mu[row] / norm if norm > 0.0 else 0.0
+    return rows.c[row] + rows.mu[row] * norm
 
 
 @part
-def status_of(x, p, u, rho, i, limit):
-    """The status of row i."""
-    at = p[i] - rho * u
-    if x.kind[i] == CONTACT:
+def status_of(rows, forces, rate, rho, row, limit):
+    """The status of a row: closed, open, sticking or slipping, from its force less rho times its rate."""
+    at = forces[row] - rho * rate
+    if rows.kind[row] == CONTACT:
         return CLOSED if at > 0.0 else OPEN
-    if x.sign[i] != 0.0:
-        return SLIPS_UP if x.sign[i] > 0.0 else SLIPS_DOWN
+    if rows.sign[row] != 0.0:
+        return SLIPS_UP if rows.sign[row] > 0.0 else SLIPS_DOWN
     return SLIPS_DOWN if at > limit else SLIPS_UP if at < -limit else STICKS
 
 
 @part
-def rate_of(G, b, p, i):
-    """(rate of row i, the largest of its terms)."""
-    u, scale = b[i], abs(b[i])
-    for j in range(p.shape[0]):
-        u += G[i, j] * p[j]
-        scale = max(scale, abs(G[i, j] * p[j]))
+def rate_of(G, free_rates, forces, row):
+    """(rate (G p + b)_row, the largest of its terms)."""
+    u, scale = free_rates[row], abs(free_rates[row])
+    for j in range(forces.shape[0]):
+        u += G[row, j] * forces[j]
+        scale = max(scale, abs(G[row, j] * forces[j]))
     return u, scale
 
 
 @part
-def newton(G, b, x, p, status, matrix, right, slope):
-    """Iterations until p no longer changes; p and status are then the best ones. Returns (the largest error of p over the largest p, iterations)."""
-    k, least, kept, kept_status = p.shape[0], np.inf, p.copy(), status.copy()
+def newton(G, free_rates, rows, forces, status, matrix, right, slope):
+    """Newton's method until the forces no longer change; forces and status are then the best ones. Returns (largest error over the largest force, iterations)."""
+    k, least, kept, kept_status = forces.shape[0], np.inf, forces.copy(), status.copy()
     for iteration in range(NEWTON):
         error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
-            u, scale = rate_of(G, b, p, i)
+            u, scale = rate_of(G, free_rates, forces, i)
             rho = 1.0 / G[i, i]
-            limit = bound(x, p, i, slope) if x.kind[i] == FRICTION else 0.0
-            now = status_of(x, p, u, rho, i, limit)
+            limit = bound(rows, forces, i, slope) if rows.kind[i] == FRICTION else 0.0
+            now = status_of(rows, forces, u, rho, i, limit)
             same = same and now == status[i]
             status[i] = now
             if now in (CLOSED, STICKS):
@@ -104,14 +104,14 @@ def newton(G, b, x, p, status, matrix, right, slope):
             elif now == OPEN:
                 matrix[i, :] = 0.0
                 matrix[i, i] = 1.0
-                right[i] = -p[i]
+                right[i] = -forces[i]
             else:
                 way = 1.0 if now == SLIPS_UP else -1.0  # p = -way c(p)
                 for j in range(k):
                     matrix[i, j] = way * slope[j]
                 matrix[i, i] += 1.0
-                right[i] = -p[i] - way * limit
-            error, size = max(error, abs(right[i])), max(size, abs(p[i]), limit if now >= SLIPS_UP else rho * scale)
+                right[i] = -forces[i] - way * limit
+            error, size = max(error, abs(right[i])), max(size, abs(forces[i]), limit if now >= SLIPS_UP else rho * scale)
             finite = finite and np.isfinite(right[i])
         if not finite:
             break
@@ -120,35 +120,35 @@ def newton(G, b, x, p, status, matrix, right, slope):
             return error, iteration
         if error < least:
             least = error
-            put(1.0, p, kept)
+            put(1.0, forces, kept)
             kept_status[:] = status
         if not solve_small(matrix, right):
             break
         for i in range(k):
-            p[i] += right[i]
-    put(1.0, kept, p)
+            forces[i] += right[i]
+    put(1.0, kept, forces)
     status[:] = kept_status
     return least, NEWTON
 
 
 @part
-def press(G, b, low, high, p, matrix, right):
-    """Change p to the solution with given bounds: G p + b is 0 between them, not negative at the low one, not positive at the high one."""
-    k, full = p.shape[0], False
+def solve_box_lcp(G, free_rates, low, high, forces, matrix, right):
+    """Change the forces p to the solution with given bounds: G p + b is 0 between them, not negative at the low one, not positive at the high one."""
+    k, full = forces.shape[0], False
     free = np.zeros(k, np.bool_)
     for i in range(k):
-        p[i] = min(max(p[i], low[i]), high[i])
-        free[i] = low[i] < p[i] < high[i]
+        forces[i] = min(max(forces[i], low[i]), high[i])
+        free[i] = low[i] < forces[i] < high[i]
     for _ in range(CHANGES * (k + 1)):
         error, size, worst, released = 0.0, 0.0, 0.0, -1
         for i in range(k):
-            u, scale = rate_of(G, b, p, i)
+            u, scale = rate_of(G, free_rates, forces, i)
             right[i] = -u / G[i, i]
-            size = max(size, abs(p[i]), scale / G[i, i])
+            size = max(size, abs(forces[i]), scale / G[i, i])
             if free[i]:
                 error = max(error, abs(right[i]))
             elif low[i] < high[i]:
-                out = right[i] if p[i] <= low[i] else -right[i]
+                out = right[i] if forces[i] <= low[i] else -right[i]
                 if out > worst:
                     worst, released = out, i
         if full and worst > EXACT * size:
@@ -165,67 +165,67 @@ def press(G, b, low, high, p, matrix, right):
         share, blocked = 1.0, -1
         for i in range(k):
             bound_of_way = low[i] if right[i] < 0.0 else high[i]
-            if right[i] != 0.0 and (bound_of_way - p[i]) / right[i] < share:
-                share, blocked = (bound_of_way - p[i]) / right[i], i
+            if right[i] != 0.0 and (bound_of_way - forces[i]) / right[i] < share:
+                share, blocked = (bound_of_way - forces[i]) / right[i], i
         for i in range(k):
-            p[i] += share * right[i]
+            forces[i] += share * right[i]
         full = blocked < 0
         if not full:
-            p[blocked], free[blocked] = low[blocked] if right[blocked] < 0.0 else high[blocked], False
+            forces[blocked], free[blocked] = low[blocked] if right[blocked] < 0.0 else high[blocked], False
 
 
 @part
-def sweep(G, b, x, p, slope):
+def sweep(G, free_rates, rows, forces, slope):
     """One projected Gauss-Seidel sweep."""
-    k = p.shape[0]
+    k = forces.shape[0]
     for i in range(k):
-        u, _ = rate_of(G, b, p, i)
-        at = p[i] - u / G[i, i]
-        if x.kind[i] == CONTACT:
-            p[i] = max(0.0, at)
+        u, _ = rate_of(G, free_rates, forces, i)
+        at = forces[i] - u / G[i, i]
+        if rows.kind[i] == CONTACT:
+            forces[i] = max(0.0, at)
         else:
-            limit = bound(x, p, i, slope)
-            if x.sign[i] != 0.0:
-                p[i] = -x.sign[i] * limit
+            limit = bound(rows, forces, i, slope)
+            if rows.sign[i] != 0.0:
+                forces[i] = -rows.sign[i] * limit
             else:
-                p[i] = min(max(at, -limit), limit)
+                forces[i] = min(max(at, -limit), limit)
 
 
 @entry
-def solve_cone(G, b, x, p, status):
-    """Change p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
+def solve_cone(G, free_rates, rows, forces, status):
+    """Change the forces p (k,) of the rows from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
 
     G_ii become positive.
     """
-    k = p.shape[0]
+    k = forces.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
     for i in range(k):
         G[i, i] = max(abs(G[i, i]), LEAST)
-    error, count = newton(G, b, x, p, status, matrix, right, slope)
+    error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):
-            right[i] = -b[i]
+            right[i] = -free_rates[i]
             put(1.0, G[i], matrix[i])
             matrix[i, i] *= 1.0 + REGULAR
         if solve_small(matrix, right):
-            put(1.0, right, p)
+            put(1.0, right, forces)
             total += count
-            error, count = newton(G, b, x, p, status, matrix, right, slope)
+            error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
     for turn in range(ROUNDS):
         total += count
         if error <= GOOD:
             return total
         if not error < np.inf:
-            p[:] = 0.0
+            forces[:] = 0.0
         if turn == 0:
             low, high = np.zeros(k), np.full(k, np.inf)
             for i in range(k):
-                if x.kind[i] == FRICTION:
-                    limit = bound(x, p, i, slope)
-                    low[i], high[i] = (-limit, limit) if x.sign[i] == 0.0 else (-x.sign[i] * limit, -x.sign[i] * limit)
-            press(G, b, low, high, p, matrix, right)
+                if rows.kind[i] == FRICTION:
+                    limit = bound(rows, forces, i, slope)
+                    low[i], high[i] = (-limit, limit) if rows.sign[i] == 0.0 else (-rows.sign[i] * limit, -rows.sign[i] * limit)
+            solve_box_lcp(G, free_rates, low, high, forces, matrix, right)
         else:
             for _ in range(SWEEPS):
-                sweep(G, b, x, p, slope)
-        error, count = newton(G, b, x, p, status, matrix, right, slope)
+                sweep(G, free_rates, rows, forces, slope)
+        error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
     return total + count if error <= GOOD else -1
