@@ -17,9 +17,9 @@ from scipy.sparse import csr_array
 from polyida.element import cell_products
 from polyida.element.cell_products import symmetric_part
 from polyida.element.elements import fan_points, wachspress_of_three
-from polyida.element.kernels import _differences, _gradient, _workspace
+from polyida.element.kernels import _differences, _gradient, _workspace, lame
 from polyida.element.material import second_piola, strain, two_state_strain
-from polyida.element.operator import build
+from polyida.element.operator import Material, build
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, load2, load3, spread, store, traced
 from polyida.mesh import topology
@@ -72,49 +72,29 @@ def add_work(total, weight, x, y, lam_bar, two_mu):
 
 
 @entry
-def cell_errors(
-    layout,
-    corners,
-    gradients,
-    weights,
-    cells,
-    places,
-    near,
-    neighbours,
-    shares,
-    modulus,
-    nu,
-    viscosity,
-    u,
-    v,
-    multipliers,
-    factor,
-    fields,
-    means,
-    out,
-):
+def cell_errors(cells, lane_cells, places, near, neighbours, shares, material, u, v, multipliers, factor, fields, means, out):
     """out (2, cells) += the parts with three points of one frame: those of the fields, and of the gaps to the fits.
 
-    layout, corners, gradients, weights, cells: of the ReferenceOperator with three points; places (points, 2, LANES); near (cells + 1,): first of
+    cells, lane_cells: of the ReferenceOperator with three points; places (points, 2, LANES); near (cells + 1,): first of
     the neighbours of a cell and of their shares (., 3) in its fit. u, v, multipliers w (nodes, 2). factor: dJ/dW.
     fields (points, 3, 3, LANES): E, E + viscosity E' and D; means (cells, 3, 3): of these.
     """
-    differences, sums, fit, at = _workspace(layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
-    lam_bar, two_mu, third = modulus * nu, modulus * (1.0 - nu), 3 * LANES
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    differences, sums, fit, at = _workspace(cells.layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
+    (lam_bar, two_mu), third = lame(material), 3 * LANES
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size, total = 2 * m * LANES, spread(0.0)
         of_w, of_v = differences[size:], differences[2 * size :]
-        _differences(u, corners, first, 0, m, differences)
-        _differences(multipliers, corners, first, 0, m, of_w)
-        if viscosity != 0.0:
-            _differences(v, corners, first, 0, m, of_v)
+        _differences(u, cells.corners, first, 0, m, differences)
+        _differences(multipliers, cells.corners, first, 0, m, of_w)
+        if material.viscosity != 0.0:
+            _differences(v, cells.corners, first, 0, m, of_v)
         sums[:] = 0.0
-        for p in range(layout[b, 1]):
-            g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, d = _gradient(gradients, g, differences, m), _gradient(gradients, g, of_w, m)
+        for p in range(cells.layout[b, 1]):
+            g, weight = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
+            h, d = _gradient(cells.gradients, g, differences, m), _gradient(cells.gradients, g, of_w, m)
             e, slope = elastic_strain(h), turned(h, d)
-            moving = rate_strain(h, _gradient(gradients, g, of_v, m), viscosity) if viscosity != 0.0 else e
+            moving = rate_strain(h, _gradient(cells.gradients, g, of_v, m), material.viscosity) if material.viscosity != 0.0 else e
             store(fields, 3 * at * third, e)
             store(fields, (3 * at + 1) * third, moving)
             store(fields, (3 * at + 2) * third, slope)
@@ -126,20 +106,20 @@ def cell_errors(
         for k in range(LANES):
             if lane(total, k) > 0.0:
                 for i in range(9):
-                    means[cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
+                    means[lane_cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
     at = 0
-    for b in range(layout.shape[0]):
+    for b in range(cells.layout.shape[0]):
         total, gaps = spread(0.0), spread(0.0)
         fit[:] = 0.0
         for k in range(LANES):
-            cell = cells[b * LANES + k]
+            cell = lane_cells[b * LANES + k]
             for n in range(near[cell], near[cell + 1]):
                 for i in range(9):
                     x = means[neighbours[n], i // 3, i % 3]
                     for j in range(3):
                         fit[((i // 3 * 3 + j) * 3 + i % 3) * LANES + k] += shares[n, j] * x
-        for p in range(layout[b, 1]):
-            weight, place = load(weights, layout[b, 4] + p * LANES), load2(places, 2 * at * LANES)
+        for p in range(cells.layout[b, 1]):
+            weight, place = load(cells.weights, cells.layout[b, 4] + p * LANES), load2(places, 2 * at * LANES)
             e, x, y = load3(fields, 3 * at * third), load3(fields, (3 * at + 1) * third), load3(fields, (3 * at + 2) * third)
             over_x = gap(load3(fit, 3 * third), load3(fit, 4 * third), load3(fit, 5 * third), place, x)
             over_y = gap(load3(fit, 6 * third), load3(fit, 7 * third), load3(fit, 8 * third), place, y)
@@ -151,8 +131,8 @@ def cell_errors(
                 gaps = add_work(gaps, weight, over_e, over_e, -half * lam_bar, -half * two_mu)
             at += 1
         for k in range(LANES):
-            out[0, cells[b * LANES + k]] += lane(total, k)
-            out[1, cells[b * LANES + k]] += lane(gaps, k)
+            out[0, lane_cells[b * LANES + k]] += lane(total, k)
+            out[1, lane_cells[b * LANES + k]] += lane(gaps, k)
 
 
 class MeshError:
@@ -176,12 +156,13 @@ class MeshError:
     def add(self, q, v, w, factor):
         """Add states q, v and multipliers w of the model, (count, pairs, 2), with dJ/dW (count,)."""
         body, o, (c, nu), viscosity = self.body, self.body.operator, self.moduli, self.body.plate.material.viscosity
-        arrays = *self.fine.force_arrays, self.fine.lane_cells, self.places, *self.fit, c * float(body.factors[0][0]), nu, viscosity
+        arrays = self.fine.cells(), self.fine.lane_cells, self.places, *self.fit, Material(c * float(body.factors[0][0]), nu, viscosity)
+        cells, material = o.cells(), Material(c, nu, viscosity)
         for u, speed, now, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
             cell_errors(*arrays, u, speed, now, f, self.fields, self.means, self.three)
-            cell_products.force_work(*o.force_arrays, 0, c, nu, viscosity, u, speed, now[None], self.of_element[None])
+            cell_products.force_work(cells, material, u, speed, now[None], self.of_element[None])
             if f:
-                add_cell_energies(*o.force_arrays, o.lane_cells, c, nu, u, f, self.of_energy)
+                add_cell_energies(cells, o.lane_cells, material, u, f, self.of_energy)
 
     @property
     def parts(self):

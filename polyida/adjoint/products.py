@@ -9,7 +9,7 @@ import numpy as np
 
 from polyida.adjoint import relaxation
 from polyida.assembly import compact, joints
-from polyida.assembly.arrays import cells
+from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.equilibrium import on_pattern
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.element import cell_products, kernels
@@ -134,19 +134,17 @@ def plate_products(plates, viscosity, u, v, which, moving, fields, rotation, res
     """Add the parts of the plates."""
     for b in range(plates.body_operator.shape[0]):
         o, n0 = plates.body_operator[b], plates.body_node[b]
-        c1, nu = plates.body_c1[b], plates.body_nu[b]
         if viscosity.shape[0] == 0:
-            cell_products.stiffness_product(*cells(plates, o), n0, c1, nu, u, which, fields, results.stiff, rotation)
+            cell_products.stiffness_product(cells_of(plates, b), material_of(plates, b), u, which, fields, results.stiff, rotation)
         cell_products.mass_products(*on_pattern(plates, o, plates.mass), plates.body_density[b], n0, moving, fields, results.heavy)
         for k in range(which.shape[0]):
             c, turns = which[k], rotation if k == 0 else rotation[:0]
             if viscosity.shape[0]:
-                cell_products.viscous_products(
-                    *cells(plates, o), n0, c1, nu, viscosity[b], u, v, fields[c], results.stiff[c], results.slowing[c], turns
-                )
+                drag = results.slowing[c]
+                cell_products.viscous_products(cells_of(plates, b), material_of(plates, b), u, v, fields[c], results.stiff[c], drag, turns)
                 if plates.body_drag[b] != 0.0:
                     kernels.mass_product(
-                        *on_pattern(plates, o, plates.mass), plates.body_drag[b] * plates.body_density[b], n0, fields[c], results.slowing[c]
+                        *on_pattern(plates, o, plates.mass), plates.body_drag[b] * plates.body_density[b], n0, fields[c], drag
                     )
             if plates.body_stabilisation[b] != 0.0:
                 kernels.stabilisation_force(

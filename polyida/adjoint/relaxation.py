@@ -17,7 +17,7 @@ import numpy as np
 
 from polyida.adjoint.parameter import PartParameter
 from polyida.assembly import compact
-from polyida.assembly.arrays import cells
+from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.equilibrium import hold_strains
 from polyida.assembly.factors import CellContributions
 from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, relax_body, strains_of, take_pull
@@ -36,9 +36,7 @@ def multiply_body(scene, body, u, along, pull, back, force, out):
     if body >= few:
         compact.relaxation_products(scene.compact, body - few, u, along, pull, back, force, out)
     else:
-        relaxation_products(
-            *cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, along, pull, back, force, out
-        )
+        relaxation_products(cells_of(s, body), material_of(s, body), u, along, pull, back, force, out)
 
 
 @part

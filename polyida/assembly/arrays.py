@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.compact import Compact
+from polyida.element.operator import Cells, Material
 from polyida.jit import leaf, pack
 
 
@@ -124,7 +125,15 @@ def starts(lists):
 
 
 @leaf
-def cells(plates, operator):
-    """The first arguments of kernels over the cells of an operator: layout, corners, gradients, weights."""
+def cells_of(plates, body):
+    """The Cells of a plate."""
+    operator, node = plates.body_operator[body], plates.body_node[body]
     p, e = plates.at[operator], plates.at[operator + 1]
-    return plates.layout[p[0] : e[0]], plates.corners[p[1] : e[1]], plates.gradients[p[2] : e[2]], plates.weights[p[3] : e[3]]
+    layout, corners = plates.layout[p[0] : e[0]], plates.corners[p[1] : e[1]]
+    return Cells(layout, corners, plates.gradients[p[2] : e[2]], plates.weights[p[3] : e[3]], node)
+
+
+@leaf
+def material_of(plates, body):
+    """The Material of a plate."""
+    return Material(plates.body_c1[body], plates.body_nu[body], plates.body_viscosity[body])

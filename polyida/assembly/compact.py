@@ -14,7 +14,7 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.errors import DONE
-from polyida.jit import entry, fast, leaf, pack, part
+from polyida.jit import entry, fast, leaf, pack, part, served
 from polyida.jit.intrinsics import address, call, float_of, integer_of, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import put
@@ -177,23 +177,34 @@ def pairs_at(bodies, number):
     return carray(pointer(number), (bodies.pair[bodies.pair.shape[0] - 1], 2))
 
 
-@entry
-def elastic_force(bodies, body, displacements, forces, d, e, f, g):
+@part
+def number(bodies, bits):
+    """The float64 that has these bits."""
+    return float_of(bits)
+
+
+@part
+def tangent_at(bodies, at):
+    """The blocks (., 2, 2) of the tangent at an address."""
+    return carray(pointer(at), (bodies.block[bodies.block.shape[0] - 1], 2, 2))
+
+
+@part
+def elastic_force(bodies, body, u, r):
     """r += dW/dz of an elastic body."""
-    u, size = pairs_at(bodies, displacements), vectors(bodies, body)[2]
-    change = np.empty(size)
+    change = np.empty(vectors(bodies, body)[2])
     strained(bodies, body, u, change)
-    push_elastic(bodies, body, u, change, forces)
+    push_elastic(bodies, body, u, change, r)
     return DONE
 
 
 @part
-def push_elastic(bodies, body, u, change, forces):
+def push_elastic(bodies, body, u, change, r):
     """r += (dy/dz)^T (form change + shift) of an elastic body at displacements u."""
     s = stresses(bodies, body, 1.0, change)
     for k in range(s.shape[0]):
         s[k] += bodies.shift[bodies.shift_start[body] + k]
-    push_placed(bodies, body, u, s, pairs_at(bodies, forces))
+    push_placed(bodies, body, u, s, r)
 
 
 @part
@@ -205,16 +216,16 @@ def push_placed(bodies, body, u, stress, r):
     push(count, first, stress, z, r)
 
 
-@entry
-def elastic_force_middle(bodies, body, step, start, end, middle, forces, g):
-    """The same in the middle of a step, with viscosity."""
-    size, lag = vectors(bodies, body)[2], bodies.viscosity[body] / float_of(step)
+@part
+def elastic_force_middle(bodies, body, h, u0, u1, um, r):
+    """r += the elastic force at um in the middle of a step of h, with s of the mean strain of u0 and u1, and the viscous force."""
+    size, lag = vectors(bodies, body)[2], bodies.viscosity[body] / h
     before, change = np.empty(size), np.empty(size)
-    strained(bodies, body, pairs_at(bodies, start), before)
-    strained(bodies, body, pairs_at(bodies, end), change)
+    strained(bodies, body, u0, before)
+    strained(bodies, body, u1, change)
     for k in range(size):
         change[k] = 0.5 * (before[k] + change[k]) + lag * (change[k] - before[k])
-    push_elastic(bodies, body, pairs_at(bodies, middle), change, forces)
+    push_elastic(bodies, body, um, change, r)
     return DONE
 
 
@@ -292,11 +303,10 @@ def blocks(bodies, u, v, c_m, c_v, c_q, out):
             call(bodies.calls[BLOCKS], address(bodies), b, address(u), address(v), integer_of(c_v), integer_of(c_q), address(out), 0)
 
 
-@entry
-def elastic_blocks(bodies, body, displacements, velocities, factor_v, factor_q, blocks, g):
+@part
+def elastic_blocks(bodies, body, u, v, c_v, c_q, out):
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
-    u, v, c_v, c_q = pairs_at(bodies, displacements), pairs_at(bodies, velocities), float_of(factor_v), float_of(factor_q)
-    out, (first, count, size) = carray(pointer(blocks), (bodies.block[bodies.block.shape[0] - 1], 2, 2)), vectors(bodies, body)
+    first, count, size = vectors(bodies, body)
     d, z = np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
     place(bodies, first, count, u, z)
@@ -318,7 +328,11 @@ def elastic_blocks(bodies, body, displacements, velocities, factor_v, factor_q, 
     return DONE
 
 
-KERNELS = {FORCE: elastic_force, BLOCKS: elastic_blocks, MIDDLE: elastic_force_middle}
+KERNELS = {
+    FORCE: served(elastic_force, pairs_at, pairs_at),
+    BLOCKS: served(elastic_blocks, pairs_at, pairs_at, number, number, tangent_at),
+    MIDDLE: served(elastic_force_middle, number, pairs_at, pairs_at, pairs_at, pairs_at),
+}
 
 
 def provide(bodies, *wanted):

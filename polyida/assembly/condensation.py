@@ -14,13 +14,13 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.assembly import compact
-from polyida.assembly.arrays import SceneArrays, cells
+from polyida.assembly.arrays import SceneArrays, cells_of, material_of
 from polyida.assembly.relaxation import add_scaled, strains_of
 from polyida.element import kernels
 from polyida.element.relaxation import strain_at_points
 from polyida.errors import DONE
-from polyida.jit import entry, fast, pack, part
-from polyida.jit.intrinsics import integer_of, pointer
+from polyida.jit import fast, pack, part, served
+from polyida.jit.intrinsics import address, integer_of, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import put
 
@@ -48,8 +48,7 @@ def condensation(model, condensed):
     used = condensed and len(x.share) > 0
     workspace = Condensation(model.arrays, np.zeros(x.start[-1] * used), np.zeros(len(x.start) - 1), calls)
     if used:
-        functions = condensed_force, add_condensed, begin_strains, end_strains
-        calls[:] = workspace.address, *(table_address(function, typeof(workspace)) for function in functions)
+        calls[:] = workspace.address, *(table_address(function, typeof(workspace)) for function in FUNCTIONS)
     return workspace
 
 
@@ -62,32 +61,40 @@ def take_strain(scene, body, u, strain):
         strain[strain.shape[0] - 1] = 0.0
         compact.strained(scene.compact, body - o, u, strain[: compact.vectors(scene.compact, body - o)[2]])
     else:
-        layout, corners, gradients, _ = cells(s, s.body_operator[body])
-        strain_at_points(layout, corners, gradients, s.body_node[body], u, strain)
+        strain_at_points(cells_of(s, body), u, strain)
 
 
 @part
-def rows_of(relaxation, at):
+def coordinates(work, at):
     """(q, v, a, a_alg, change of a) at an address, (5, coordinates)."""
-    return carray(pointer(at), (5, 2 * relaxation.first + relaxation.start[relaxation.start.shape[0] - 1]))
+    x = work.scene.relaxation
+    return carray(pointer(at), (5, 2 * x.first + x.start[x.start.shape[0] - 1]))
 
 
-@entry
-def condensed_force(work, body, displacements, forces, rotations, e, f, g):
-    """Add the force of a full plate to r (nodes, 2); the rest as of `kernels.internal_force`."""
-    s, x = work.scene.plates, work.scene.relaxation
-    shape = (x.first, 2)
-    u, r, rotation = carray(pointer(displacements), shape), carray(pointer(forces), shape), carray(pointer(rotations), shape)
-    at, place = x.start[body], (s.body_node[body], s.body_c1[body], s.body_nu[body])
-    pull = work.known[at : at + strains_of(x, body)]
-    return integer_of(kernels.relaxed_force(*cells(s, s.body_operator[body]), *place, u, pull, 1.0 - work.shares[body], r, rotation))
+@part
+def nodal(work, at):
+    """The array (nodes, 2) at an address."""
+    return carray(pointer(at), (work.scene.relaxation.first, 2))
 
 
-@entry
-def add_condensed(work, displacements, forces, c, d, e, f, g):
-    """Add the forces of relaxation of the reduced plates to r (nodes, 2)."""
+@part
+def step_numbers(work, at):
+    """The numbers of a step at an address, TO_A to ALG_OF_END."""
+    return carray(pointer(at), (10,))
+
+
+@part
+def condensed_force(work, body, u, r, rotation):
+    """r += the force of a full plate with the stress D : (kappa E - known); the least det F, as in `kernels.internal_force`, with its bits."""
+    plates, x = work.scene.plates, work.scene.relaxation
+    known, kappa = work.known[x.start[body] : x.start[body] + strains_of(x, body)], 1.0 - work.shares[body]
+    return integer_of(kernels.relaxed_force(cells_of(plates, body), material_of(plates, body), u, known, kappa, r, rotation))
+
+
+@part
+def add_condensed(work, u, r):
+    """r += the forces of relaxation of the reduced plates at displacements u."""
     scene, x, full = work.scene, work.scene.relaxation, work.scene.plates.body_operator.shape[0]
-    u, r = carray(pointer(displacements), (x.first, 2)), carray(pointer(forces), (x.first, 2))
     for b in range(full, x.start.shape[0] - 1):
         if x.terms[b] < x.terms[b + 1]:
             at, count = x.start[b], strains_of(x, b)
@@ -98,11 +105,10 @@ def add_condensed(work, displacements, forces, c, d, e, f, g):
     return DONE
 
 
-@entry
-def begin_strains(work, before, numbers, c, d, e, f, g):
-    """Fill `known` and the shares of a step from the state at its beginning."""
-    x, p = work.scene.relaxation, carray(pointer(numbers), (10,))
-    rows, v_of_end = rows_of(x, before), p[TO_V] / p[TO_A]
+@part
+def begin_strains(work, rows, numbers):
+    """Fill `known` and the shares of a step from the state (rows of q, v, a, a_alg) at its beginning."""
+    x, v_of_end = work.scene.relaxation, numbers[TO_V] / numbers[TO_A]
     for b in range(x.start.shape[0] - 1):
         count, at = strains_of(x, b), 2 * x.first + x.start[b]
         known, work.shares[b] = work.known[x.start[b] : x.start[b] + count], 0.0
@@ -112,17 +118,16 @@ def begin_strains(work, before, numbers, c, d, e, f, g):
             factor = share * x.time[k] * x.unit[b]
             work.shares[b] += share * v_of_end
             add_scaled(known, factor, rows[1, at : at + count])
-            add_scaled(known, factor * p[V_OF_A], rows[2, at : at + count])
-            add_scaled(known, factor * p[V_OF_ALG], rows[3, at : at + count])
+            add_scaled(known, factor * numbers[V_OF_A], rows[2, at : at + count])
+            add_scaled(known, factor * numbers[V_OF_ALG], rows[3, at : at + count])
             at += count
     return DONE
 
 
-@entry
-def end_strains(work, displacements, before, state, numbers, d, e, f):
-    """Fill the rows of the strains in `state` at the end of a step, from those before, maybe the same, and the displacements at the end."""
-    scene, x, p = work.scene, work.scene.relaxation, carray(pointer(numbers), (10,))
-    u, past, rows = carray(pointer(displacements), (x.first, 2)), rows_of(x, before), rows_of(x, state)
+@part
+def end_strains(work, u, past, rows, numbers):
+    """Fill the strains in the rows at the end of a step from the past rows, maybe the same ones, and the displacements u at the end."""
+    scene, x = work.scene, work.scene.relaxation
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:
             continue
@@ -132,11 +137,11 @@ def end_strains(work, displacements, before, state, numbers, d, e, f):
         for k in range(x.terms[b], x.terms[b + 1]):
             for i in range(0, count, TOGETHER):
                 first, end = at + i, at + min(i + TOGETHER, count)
-                if state != before:
+                if address(rows) != address(past):
                     for row in range(4):
                         put(1.0, past[row, first:end], rows[row, first:end])
                 q, v, a, a_alg = rows[0, first:end], rows[1, first:end], rows[2, first:end], rows[3, first:end]
-                end_term(p, x.unit[b], x.time[k], strain[i : i + TOGETHER], q, v, a, a_alg, rows[4, first:end])
+                end_term(numbers, x.unit[b], x.time[k], strain[i : i + TOGETHER], q, v, a, a_alg, rows[4, first:end])
             at += count
     return DONE
 
@@ -160,3 +165,11 @@ def end_term(numbers, unit, time, strain, q, v, a, a_alg, change):
         change[j] -= a[j]
     for j in range(change.shape[0]):
         a[j] += change[j]
+
+
+FUNCTIONS = (
+    served(condensed_force, nodal, nodal, nodal),
+    served(add_condensed, nodal, first=nodal),
+    served(begin_strains, step_numbers, first=coordinates),
+    served(end_strains, coordinates, coordinates, step_numbers, first=nodal),
+)

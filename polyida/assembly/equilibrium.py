@@ -3,10 +3,11 @@
 import numpy as np
 
 from polyida.assembly import compact
-from polyida.assembly.arrays import cells
+from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.joints import joint_forces, point_values, spread
 from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, two_field
+from polyida.element.operator import Blocks
 from polyida.jit import entry, leaf, part, shared
 from polyida.jit.intrinsics import address, call, float_of
 from polyida.linear.dense import clear
@@ -37,7 +38,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
         if condensed and x.terms[b] < x.terms[b + 1]:
             det = float_of(call(x.condensed[1], x.condensed[0], b, address(u), address(r), address(rotation), 0, 0, 0))
         else:
-            det = kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
+            det = kernels.internal_force(cells_of(s, b), material_of(s, b), u, r, rotation)
         least = compact.lesser(least, det)
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
@@ -86,11 +87,11 @@ def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
-        place = s.pairs[p[4] : e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b]
+        own = Blocks(s.pairs[p[4] : e[4]], first, blocks)
         if v is not None:
-            two_field.tangent_viscous(*cells(s, o), *place, s.body_viscosity[b], u, v, c_q, c_v, blocks)
+            two_field.tangent_viscous(cells_of(s, b), own, material_of(s, b), u, v, c_q, c_v)
         elif c_q != 0.0:
-            kernels.tangent(*cells(s, o), *place, u, c_q, blocks)
+            kernels.tangent(cells_of(s, b), own, material_of(s, b), u, c_q)
         mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
         if mass != 0.0 or stiffness != 0.0:
             for k in range(e[6] - p[6]):
@@ -106,7 +107,7 @@ def strain_energy(scene, u):
     s, total = scene.plates, compact.energy(scene.compact, u)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
-        total += kernels.strain_energy(*cells(s, o), s.body_node[b], s.body_c1[b], s.body_nu[b], u)
+        total += kernels.strain_energy(cells_of(s, b), material_of(s, b), u)
         if s.body_stabilisation[b] != 0.0:
             total += kernels.stabilisation_energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], u)
     return total
@@ -188,8 +189,8 @@ def add_damping(scene, u, v, elastic, r):
             continue
         none = elastic[:0]
         elastic[:] = 0.0
-        kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, elastic, none)
+        kernels.internal_force(cells_of(s, b), material_of(s, b), u, elastic, none)
         for i in range(n0, s.body_node[b + 1]):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
-        two_field.internal_force_viscous(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)
+        two_field.internal_force_viscous(cells_of(s, b), material_of(s, b), u, v, r, none)

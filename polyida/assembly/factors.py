@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.assembly.arrays import concatenated, starts
+from polyida.assembly.arrays import cells_of, concatenated, material_of, starts
 from polyida.assembly.build import operator_arrays
-from polyida.assembly.equilibrium import cells
 from polyida.assembly.placement import dead_loads, steady
 from polyida.element import cell_products as kernels
 from polyida.errors import InputError
@@ -189,7 +188,7 @@ def _force_works(plates, q, v, fields, lanes, pairs):
         for o in range(plates.body_operator.shape[0]):
             p, e, n0 = plates.at[o], plates.at[o + 1], plates.body_node[o]
             own = lanes[:, LANES * p[0] : LANES * e[0]]
-            kernels.force_work(*cells(plates, o), n0, plates.body_c1[o], plates.body_nu[o], plates.body_viscosity[o], u, speed, along, own)
+            kernels.force_work(cells_of(plates, o), material_of(plates, o), u, speed, along, own)
             if plates.body_stabilisation[o] != 0.0:
                 kernels.difference_products(plates.indptr[p[5] : e[5]], plates.indices[p[6] : e[6]], n0, u, along, pairs[:, p[6] : e[6]])
 

@@ -13,8 +13,8 @@ from polyida.assembly.equilibrium import add_damping
 from polyida.assembly.own_laws import Laws, add_own_curvature, add_own_forces, take_damping_forces, take_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation, add_relaxation_middle
 from polyida.errors import DONE, NOT_FINITE
-from polyida.jit import entry, pack, part
-from polyida.jit.intrinsics import pointer
+from polyida.jit import pack, part, served
+from polyida.jit.intrinsics import pointer, real
 from polyida.jit.user_functions import table_address
 
 # constants of compiled code
@@ -48,64 +48,76 @@ def values(work, at):
     return carray(pointer(at), (work.profiles, 3))
 
 
-@entry
-def law_forces(work, drives, u, v, r, d, e, f):
-    """Add the forces of the laws to r."""
-    finite = add_own_forces(work.laws, work.scene.links, values(work, drives), nodal(work, u), nodal(work, v), nodal(work, r))
-    return DONE if finite else NOT_FINITE
+@part
+def number_at(work, at):
+    """The number at an address."""
+    return real(at)
 
 
-@entry
-def law_slopes(work, drives, dz, vz, c_v, own, e, f):
-    """Add K + c_v C of the laws to the blocks of the coupling; c_v: address of the number."""
-    coupling = work.scene.links.coupling
-    blocks, factor = carray(pointer(own), (coupling.columns.shape[0], 2, 2)), carray(pointer(c_v), (1,))[0]
-    add_own_curvature(work.laws, coupling, values(work, drives), at_points(work, dz), at_points(work, vz), 1.0, factor, blocks)
+@part
+def on_coupling(work, at):
+    """The blocks (., 2, 2) of the coupling at an address."""
+    return carray(pointer(at), (work.scene.links.coupling.columns.shape[0], 2, 2))
+
+
+@part
+def law_forces(work, drives, u, v, r):
+    """r -= the forces of the laws at displacements u and velocities v."""
+    return DONE if add_own_forces(work.laws, work.scene.links, drives, u, v, r) else NOT_FINITE
+
+
+@part
+def law_slopes(work, drives, dz, vz, c_v, blocks):
+    """blocks of the coupling += K + c_v C of the laws, at displacements dz and velocities vz of the points."""
+    add_own_curvature(work.laws, work.scene.links.coupling, drives, dz, vz, 1.0, c_v, blocks)
     return DONE
 
 
-@entry
-def law_damping(work, drives, dz, vz, moved, forces, e, f):
-    """Add C moved of the laws to the forces at the points."""
-    take_damping_forces(
-        work.laws, values(work, drives), at_points(work, dz), at_points(work, vz), at_points(work, moved), at_points(work, forces)
-    )
+@part
+def law_damping(work, drives, dz, vz, moved, forces):
+    """forces of the points += C moved of the laws."""
+    take_damping_forces(work.laws, drives, dz, vz, moved, forces)
     return DONE
 
 
-@entry
-def law_middle(work, drives, dz0, dz1, vz, half, forces, f):
-    """Add the forces of the laws in the middle of a step to the forces at the points."""
-    places = at_points(work, dz0), at_points(work, dz1)
-    others = at_points(work, vz), at_points(work, half), at_points(work, forces)
-    finite = take_midpoint_forces(work.laws, values(work, drives), places[0], places[1], others[0], others[1], others[2])
-    return DONE if finite else NOT_FINITE
+@part
+def law_middle(work, drives, dz0, dz1, vz, half, forces):
+    """forces of the points -= those of the laws in the middle of a step from dz0 to dz1, by a discrete gradient."""
+    return DONE if take_midpoint_forces(work.laws, drives, dz0, dz1, vz, half, forces) else NOT_FINITE
 
 
-@entry
-def relaxing(work, still, u, v, r, d, e, f):
-    """Add the forces of relaxation to r; still: as of `add_relaxation`."""
-    add_relaxation(work.scene, nodal(work, u), None, nodal(work, v), float(still), nodal(work, r))
+@part
+def relaxing(work, still, u, v, r):
+    """r += the forces of relaxation; still: as of `add_relaxation`."""
+    add_relaxation(work.scene, u, None, v, float(still), r)
     return DONE
 
 
-@entry
-def relaxing_middle(work, u0, u1, um, vm, r, e, f):
-    """Add the forces of relaxation in the middle of a step to r."""
-    add_relaxation_middle(work.scene, nodal(work, u0), nodal(work, u1), nodal(work, um), nodal(work, vm), nodal(work, r))
+@part
+def relaxing_middle(work, u0, u1, um, vm, r):
+    """r += the forces of relaxation in the middle of a step from u0 to u1."""
+    add_relaxation_middle(work.scene, u0, u1, um, vm, r)
     return DONE
 
 
-@entry
-def damping(work, u, v, elastic, r, d, e, f):
-    """Add the damping forces of bodies to r."""
-    add_damping(work.scene, nodal(work, u), nodal(work, v), nodal(work, elastic), nodal(work, r))
+@part
+def damping(work, u, v, elastic, r):
+    """r += the damping forces of bodies at displacements u and velocities v."""
+    add_damping(work.scene, u, v, elastic, r)
     return DONE
 
 
-OF_LAWS = {LAW_FORCES: law_forces, LAW_SLOPES: law_slopes, LAW_DAMPING: law_damping, LAW_MIDDLE: law_middle}
-OF_RELAXATION = {RELAXING: relaxing, RELAXING_MIDDLE: relaxing_middle}
-OF_DAMPING = {DAMPING: damping}
+OF_LAWS = {
+    LAW_FORCES: served(law_forces, nodal, nodal, nodal, first=values),
+    LAW_SLOPES: served(law_slopes, at_points, at_points, number_at, on_coupling, first=values),
+    LAW_DAMPING: served(law_damping, at_points, at_points, at_points, at_points, first=values),
+    LAW_MIDDLE: served(law_middle, at_points, at_points, at_points, at_points, at_points, first=values),
+}
+OF_RELAXATION = {
+    RELAXING: served(relaxing, nodal, nodal, nodal),
+    RELAXING_MIDDLE: served(relaxing_middle, nodal, nodal, nodal, nodal, first=nodal),
+}
+OF_DAMPING = {DAMPING: served(damping, nodal, nodal, nodal, first=nodal)}
 
 
 def optional_kernels(model, *wanted):

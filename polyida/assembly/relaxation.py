@@ -20,11 +20,12 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.assembly import compact
-from polyida.assembly.arrays import SceneArrays, cells
+from polyida.assembly.arrays import SceneArrays, cells_of, material_of
 from polyida.element import kernels
+from polyida.element.operator import Blocks
 from polyida.element.relaxation import change_of_strain, relax, strain_square
 from polyida.errors import DONE
-from polyida.jit import entry, fast, pack, part
+from polyida.jit import entry, fast, pack, part, served
 from polyida.jit.intrinsics import LANES, address, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import copy_matrix, put
@@ -46,7 +47,7 @@ def relax_body(scene, body, u, half, pull, force, strain):
     if body >= o:
         compact.relax(scene.compact, body - o, u, half, pull, force, strain)
     else:
-        relax(*cells(s, s.body_operator[body]), s.body_node[body], s.body_c1[body], s.body_nu[body], u, half, pull, force, strain)
+        relax(cells_of(s, body), material_of(s, body), u, half, pull, force, strain)
 
 
 @part
@@ -57,8 +58,7 @@ def change_strain(scene, body, u, along, strain):
     if body >= o:
         compact.change_of_strain(scene.compact, body - o, u, along, strain)
     else:
-        layout, corners, gradients, _ = cells(s, s.body_operator[body])
-        change_of_strain(layout, corners, gradients, s.body_node[body], u, along, strain)
+        change_of_strain(cells_of(s, body), u, along, strain)
 
 
 @part
@@ -69,7 +69,7 @@ def square(scene, body, strain):
     if body >= o:
         return compact.strain_square(scene.compact, body - o, strain)
     first = s.body_operator[body]
-    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], s.body_c1[body], s.body_nu[body], strain)
+    return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], material_of(s, body), strain)
 
 
 @part
@@ -149,9 +149,8 @@ def add_relaxed_blocks(scene, u, v, changes, c_q, blocks):
                 compact.relaxed_blocks(scene.compact, b - few, u, pull, changes[b], c_q, blocks)
                 continue
             o = s.body_operator[b]
-            pairs = s.pairs[s.at[o, 4] : s.at[o + 1, 4]]
-            place = pairs, s.body_node[b], s.body_block[b], s.body_c1[b], s.body_nu[b]
-            kernels.relaxed_tangent(*cells(s, o), *place, u, c_q, pull, changes[b], blocks)
+            own = Blocks(s.pairs[s.at[o, 4] : s.at[o + 1, 4]], s.body_block[b], blocks)
+            kernels.relaxed_tangent(cells_of(s, b), own, material_of(s, b), u, c_q, pull, changes[b])
 
 
 @pack
@@ -177,7 +176,7 @@ def elimination(model, dtype):
     numbers = np.zeros(2, dtype), parts, np.zeros(x.start[-1], dtype), np.zeros(nodes, dtype), np.zeros(nodes), np.zeros(all_nodes, dtype)
     workspace = Elimination(model.arrays, *numbers, calls)
     if len(x.share):
-        calls[:] = workspace.address, *(table_address(function, typeof(workspace)) for function in (eliminate_whole, recover_whole))
+        calls[:] = workspace.address, *(table_address(function, typeof(workspace)) for function in FUNCTIONS)
     return workspace
 
 
@@ -200,10 +199,16 @@ def recover(work, u, dq):
         copy_matrix(work.whole, dq)
 
 
-@entry
-def eliminate_whole(work, displacements, body, c, d, e, force, g):
-    """Fill work.r from the residuals work.whole."""
-    scene, x, r, u = work.scene, work.scene.relaxation, work.whole, carray(pointer(displacements), work.whole.shape)
+@part
+def nodal(work, at):
+    """The array (nodes, 2) at an address."""
+    return carray(pointer(at), work.whole.shape)
+
+
+@part
+def eliminate_whole(work, u):
+    """Fill work.r, the residuals of the nodes, from those of all coordinates in work.whole, at displacements u."""
+    scene, x, r = work.scene, work.scene.relaxation, work.whole
     copy_matrix(r[: x.first], work.r)
     residuals = r.reshape(-1)[2 * x.first :]
     for body in range(x.start.shape[0] - 1):
@@ -227,10 +232,10 @@ def eliminate_whole(work, displacements, body, c, d, e, force, g):
     return DONE
 
 
-@entry
-def recover_whole(work, displacements, body, c, d, e, force, g):
-    """Fill the corrections of the strains in work.whole."""
-    scene, x, dq, u = work.scene, work.scene.relaxation, work.whole, carray(pointer(displacements), work.whole.shape)
+@part
+def recover_whole(work, u):
+    """Fill the corrections of the strains in work.whole, from those of the nodes there, at displacements u."""
+    scene, x, dq = work.scene, work.scene.relaxation, work.whole
     changes, c_v = dq.reshape(-1)[2 * x.first :], work.rates[1]
     for body in range(x.start.shape[0] - 1):
         if x.terms[body] == x.terms[body + 1]:
@@ -250,6 +255,9 @@ def recover_whole(work, displacements, body, c, d, e, force, g):
                 add_scaled(own, work.parts[p] / (x.unit[body] * c_v * (1.0 + work.rates[0] * x.time[k])), strain)
                 at += count
     return DONE
+
+
+FUNCTIONS = served(eliminate_whole, first=nodal), served(recover_whole, first=nodal)
 
 
 @entry

@@ -11,6 +11,7 @@ from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of, sticks_between
 from polyida.element import kernels
+from polyida.element.operator import Material
 from polyida.element.relaxation import change_of_strain, relax_stress
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
@@ -437,17 +438,17 @@ class SceneBodies(Constraints):
                 continue
             (modulus, nu), operator = body.plate.material.in_plane, body.operator
             parts.append(np.empty((body.mesh.n_cells, 3)))
-            at = operator.lane_cells, operator.areas, body.nodes.start
-            kernels.stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, parts[-1])
+            cells, material = operator.cells(body.nodes.start), Material(modulus / (1 - nu**2), nu)
+            kernels.stress(cells, operator.lane_cells, operator.areas, material, nodal, parts[-1])
             viscosity, relaxes = body.plate.material.viscosity, body.name in self.strains
             if v is not None and (viscosity or relaxes):
                 pull = np.zeros(3 * len(operator.weights))
-                change_of_strain(*operator.force_arrays[:3], body.nodes.start, nodal, rates, pull)
+                change_of_strain(cells, nodal, rates, pull)
                 pull *= -viscosity
                 if relaxes:
                     relaxed, fields = self.strains[body.name].pull_of(v), self.once(fields_at_points, of_shape=True).get(body.name)
                     pull += relaxed if fields is None else pull_at_points(fields, relaxed)
-                relax_stress(*operator.force_arrays, *at, modulus / (1 - nu**2), nu, nodal, pull, parts[-1])
+                relax_stress(cells, operator.lane_cells, operator.areas, material, nodal, pull, parts[-1])
         return np.concatenate(parts)
 
     def stress_across(self, stress):

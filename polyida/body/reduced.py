@@ -11,6 +11,7 @@ from polyida.body.plate import Plate
 from polyida.body.rigid_body import FieldBody
 from polyida.element import kernels
 from polyida.element.elements import operator_of, stabilisation_factor
+from polyida.element.operator import Blocks, Material
 from polyida.errors import InputError
 from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
@@ -329,14 +330,14 @@ class PlateMatrices:
 
         o = self.operator
         blocks = np.zeros((len(o.indices), 2, 2))
-        kernels.tangent(o.layout, o.corners, o.gradients, o.weights, o.pairs, 0, 0, *self.c1, np.zeros((o.n_nodes, 2)), 1.0, blocks)
+        kernels.tangent(o.cells(), Blocks(o.pairs, 0, blocks), Material(*self.c1), np.zeros((o.n_nodes, 2)), 1.0)
         K = bsr_array((blocks, o.indices, o.indptr), shape=(2 * o.n_nodes,) * 2).tocsc()
         return K if self.stabilisation is None else (K + kron(self.stabilisation, eye_array(2))).tocsc()
 
     def force(self, moved):
         """Internal force (N, 2), N, at displacements (N, 2), m."""
         o, f, moved = self.operator, np.zeros_like(moved), np.ascontiguousarray(moved)
-        kernels.internal_force(*o.force_arrays, 0, *self.c1, moved, f, np.empty((0, 2)))
+        kernels.internal_force(o.cells(), Material(*self.c1), moved, f, np.empty((0, 2)))
         if self.stabilisation is not None:
             kernels.stabilisation_force(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, moved, f)
         return f

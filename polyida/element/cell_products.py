@@ -19,7 +19,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace, mass_product
+from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace, lame, mass_product
 from polyida.element.material import (
     add_outer,
     add_product,
@@ -110,41 +110,42 @@ def _two_gradients(gradients, start, differences, count):
 
 
 @entry
-def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, which, fields, nodal_forces, rotation):
+def stiffness_product(cells, material, u, which, fields, nodal_forces, rotation):
     """Add K(u) w, w = fields[c], to nodal_forces[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
     count = which.shape[0]
-    work = _workspace(layout, 2 + 4 * count, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 2 + 4 * count, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         forces = work[(1 + count) * size :]
-        _differences(u, corners, first, node_offset, m, work)
+        _differences(u, cells.corners, first, cells.first_node, m, work)
         for c in range(count):
-            _differences(fields[which[c]], corners, first, node_offset, m, work[(1 + c) * size :])
+            _differences(fields[which[c]], cells.corners, first, cells.first_node, m, work[(1 + c) * size :])
         for k in range(0, count * size, 2 * LANES):
             store(forces, k, zeros2())
         turn = zeros2()
-        for p in range(layout[b, 1]):
-            g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, d = _two_gradients(gradients, g, work, m)
-            turn, elastic = add_rotation(turn, share, h), stress(h, share, c1 * nu, c1 * (1.0 - nu))
-            _add_forces(forces, gradients, g, piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu)), size)
+        for p in range(cells.layout[b, 1]):
+            g, share = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
+            h, d = _two_gradients(cells.gradients, g, work, m)
+            turn, elastic = add_rotation(turn, share, h), stress(h, share, lam_bar, two_mu)
+            _add_forces(forces, cells.gradients, g, piola_change(h, elastic, d, share, lam_bar, two_mu), size)
             for c in range(1, count - 1, 2):  # two columns share the loads of the gradients
-                d, e = _two_gradients(gradients, g, work[(1 + c) * size :], m)
+                d, e = _two_gradients(cells.gradients, g, work[(1 + c) * size :], m)
                 here, behind = forces[c * size :], forces[(c + 1) * size :]
-                one = piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu))
-                two = piola_change(h, elastic, e, share, c1 * nu, c1 * (1.0 - nu))
+                one = piola_change(h, elastic, d, share, lam_bar, two_mu)
+                two = piola_change(h, elastic, e, share, lam_bar, two_mu)
                 for k in range(0, size, 2 * LANES):
-                    slope = load2(gradients, g + k)
+                    slope = load2(cells.gradients, g + k)
                     store(here, k, add_times(load2(here, k), one, slope))
                     store(behind, k, add_times(load2(behind, k), two, slope))
             if count % 2 == 0:
-                d = _gradient(gradients, g, work[count * size :], m)
-                change = piola_change(h, elastic, d, share, c1 * nu, c1 * (1.0 - nu))
-                _add_forces(forces[(count - 1) * size :], gradients, g, change, size)
+                d = _gradient(cells.gradients, g, work[count * size :], m)
+                change = piola_change(h, elastic, d, share, lam_bar, two_mu)
+                _add_forces(forces[(count - 1) * size :], cells.gradients, g, change, size)
         for c in range(count):
-            _scatter_balanced(forces[c * size :], corners, first, node_offset, m, nodal_forces[which[c]])
-        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+            _scatter_balanced(forces[c * size :], cells.corners, first, cells.first_node, m, nodal_forces[which[c]])
+        _scatter_turn(turn, cells.corners, first, cells.first_node, m, rotation)
 
 
 @part
@@ -172,31 +173,32 @@ def mass_products(indptr, indices, mass, scale, node_offset, which, fields, out)
 
 
 @entry
-def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, tau, u, v, along, nodal_force, slow, rotation):
+def viscous_products(cells, material, u, v, along, nodal_force, slow, rotation):
     """Add K(u, v)^T w, w = along, to nodal_force and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
-    work = _workspace(layout, 10, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 10, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         rates, force, drag = work[2 * size :], work[3 * size :], work[4 * size :]
-        _differences(u, corners, first, node_offset, m, work)
-        _differences(along, corners, first, node_offset, m, work[size:])
-        _differences(v, corners, first, node_offset, m, rates)
+        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(along, cells.corners, first, cells.first_node, m, work[size:])
+        _differences(v, cells.corners, first, cells.first_node, m, rates)
         for k in range(0, 2 * size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
-        for p in range(layout[b, 1]):
-            g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, d = _two_gradients(gradients, g, work, m)
+        for p in range(cells.layout[b, 1]):
+            g, share = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
+            h, d = _two_gradients(cells.gradients, g, work, m)
             turn = add_rotation(turn, share, h)
-            change = viscous_change(h, _gradient(gradients, g, rates, m), d, share, c1 * nu, c1 * (1.0 - nu), tau)
+            change = viscous_change(h, _gradient(cells.gradients, g, rates, m), d, share, lam_bar, two_mu, material.viscosity)
             for k in range(0, size, 2 * LANES):
-                here = load2(gradients, g + k)
+                here = load2(cells.gradients, g + k)
                 store(force, k, add_times(load2(force, k), first_half(change), here))
                 store(drag, k, add_times(load2(drag, k), second_half(change), here))
-        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
-        _scatter_balanced(drag, corners, first, node_offset, m, slow)
-        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+        _scatter_balanced(force, cells.corners, first, cells.first_node, m, nodal_force)
+        _scatter_balanced(drag, cells.corners, first, cells.first_node, m, slow)
+        _scatter_turn(turn, cells.corners, first, cells.first_node, m, rotation)
 
 
 @traced(1)
@@ -206,28 +208,30 @@ def add_product_of(total, a, b):
 
 
 @entry
-def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, fields, out):
-    """Add the work `w . f`, w = fields[c], of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used if tau_v = 0."""
-    work = _workspace(layout, 8, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+def force_work(cells, material, u, v, fields, out):
+    """Add the work `w . f`, w = fields[c], of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used without viscosity."""
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 8, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         rate, force, along = work[size:], work[2 * size :], work[3 * size :]
-        _differences(u, corners, first, node_offset, m, work)
-        if tau_v != 0.0:
-            _differences(v, corners, first, node_offset, m, rate)
+        _differences(u, cells.corners, first, cells.first_node, m, work)
+        if material.viscosity != 0.0:
+            _differences(v, cells.corners, first, cells.first_node, m, rate)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
-        for p in range(layout[b, 1]):
-            g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h = _gradient(gradients, g, work, m)
-            if tau_v != 0.0:
-                d = _gradient(gradients, g, rate, m)
-                _add_forces(force, gradients, g, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), size)
+        for p in range(cells.layout[b, 1]):
+            g, weight = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
+            h = _gradient(cells.gradients, g, work, m)
+            if material.viscosity != 0.0:
+                d = _gradient(cells.gradients, g, rate, m)
+                stress_of = two_state_piola(h, d, weight, lam_bar, two_mu, material.viscosity, 0.0)
+                _add_forces(force, cells.gradients, g, stress_of, size)
             else:
-                _add_forces(force, gradients, g, first_piola(h, weight, c1 * nu, c1 * (1.0 - nu)), size)
+                _add_forces(force, cells.gradients, g, first_piola(h, weight, lam_bar, two_mu), size)
         for c in range(fields.shape[0]):
-            _differences(fields[c], corners, first, node_offset, m, along)
+            _differences(fields[c], cells.corners, first, cells.first_node, m, along)
             total = load(out[c], b * LANES)
             for k in range(0, size, 2 * LANES):
                 total = add_product_of(total, load2(force, k), load2(along, k))

@@ -2,8 +2,7 @@
 
     f_i = int t F S G_i,  K_ij = int t [(G_i . S G_j) I + B_i^T D B_j] = int t G_i A G_j,  W = int t S : E / 2
 
-Arguments: the packed arrays of a ReferenceOperator; node_offset: the body's first node in u; c1 = t E_mod / (1 - nu^2), N/m; u (N, 2):
-displacements of all bodies, m. Arrays are contiguous, writeable float64. Results are added to the output arrays. Differences to the last
+Arguments: the Cells and the Material of the body (operator.py); u (N, 2): displacements of all bodies, m. Arrays are contiguous, writeable float64. Results are added to the output arrays. Differences to the last
 corner replace displacements: the forces of a cell then sum to zero, and large translations cost no digits.
 
 The stabilisation of virtual elements is a constant scalar matrix S on the node pattern whose rows sum to 0: f = factor (S (x) I) u,
@@ -35,7 +34,7 @@ from polyida.element.material import (
     transposed,
     watch,
 )
-from polyida.jit import entry, part
+from polyida.jit import entry, leaf, part
 from polyida.jit.intrinsics import (
     LANES,
     add_pair,
@@ -59,6 +58,12 @@ from polyida.jit.intrinsics import (
     zeros3,
     zeros4,
 )
+
+
+@leaf
+def lame(material):
+    """Lame's lam_bar = c nu of plane stress or strain, and 2 mu = c (1 - nu)."""
+    return material.stiffness * material.nu, material.stiffness * (1.0 - material.nu)
 
 
 @part
@@ -126,49 +131,50 @@ def _add_means(state, lane_cells, first, areas, out):
 
 
 @entry
-def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, nodal_force, rotation):
+def internal_force(cells, material, u, nodal_force, rotation):
     """Add the internal force to nodal_force (N, 2); return the least det F, NaN if a displacement is not finite.
 
     Add to rotation (N, 2), unless it is (0, 2), at every node the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F: the
     angle of this vector is the node's rotation.
     """
-    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, None, 1.0, nodal_force, rotation)
+    return _add_force(cells, material, u, None, 1.0, nodal_force, rotation)
 
 
 @entry
-def relaxed_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation):
+def relaxed_force(cells, material, u, pull, kappa, nodal_force, rotation):
     """The same with the stress D : (kappa E - pull); pull as in relaxation.py."""
-    return _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation)
+    return _add_force(cells, material, u, pull, kappa, nodal_force, rotation)
 
 
 @part
-def _add_force(layout, corners, gradients, weights, node_offset, c1, nu, u, pull, kappa, nodal_force, rotation):
+def _add_force(cells, material, u, pull, kappa, nodal_force, rotation):
     """Add the force of `internal_force`, or of `relaxed_force` if pull is not None; return the least det F."""
-    work = _workspace(layout, 4, 0)
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 4, 0)
     least = spread(np.inf), spread(0.0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         force, size = work[2 * m * LANES :], 2 * m * LANES
-        _differences(u, corners, first, node_offset, m, work)
+        _differences(u, cells.corners, first, cells.first_node, m, work)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
-        for p in range(layout[b, 1]):
-            g, w = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h = _gradient(gradients, g, work, m)
+        for p in range(cells.layout[b, 1]):
+            g, w = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
+            h = _gradient(cells.gradients, g, work, m)
             least, turn = watch(least, h), add_rotation(turn, w, h)
-            stress = _stress(pull, kappa, h, w, layout[b, 4] + p * LANES, c1 * nu, c1 * (1.0 - nu))
+            stress = _stress(pull, kappa, h, w, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
             for k in range(0, size, 2 * LANES):
-                store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
+                store(force, k, add_times(load2(force, k), stress, load2(cells.gradients, g + k)))
         balance = zeros2()  # inlined: calls of the functions above make this most frequent kernel slower
         for i in range(m):
             own = load2(force, 2 * i * LANES)
-            scatter_add(nodal_force, corners, first + i * LANES, node_offset, own)
+            scatter_add(nodal_force, cells.corners, first + i * LANES, cells.first_node, own)
             balance = difference(balance, own)
-        scatter_add(nodal_force, corners, first + m * LANES, node_offset, balance)
+        scatter_add(nodal_force, cells.corners, first + m * LANES, cells.first_node, balance)
         if rotation.shape[0] > 0:
             for k in range(first, first + (m + 1) * LANES, LANES):
-                scatter_add(rotation, corners, k, node_offset, turn)
+                scatter_add(rotation, cells.corners, k, cells.first_node, turn)
     return _least(least)
 
 
@@ -181,31 +187,32 @@ def _stress(pull, kappa, h, weight, at, lam_bar, two_mu):
 
 
 @entry
-def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, blocks):
+def tangent(cells, blocks, material, u, scale):
     """Add scale * K to blocks (M, 2, 2) of the node pattern; the body's blocks start at pair_offset."""
-    _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, None, 0.0, blocks)
+    _add_tangent(cells, blocks, material, u, scale, None, 0.0)
 
 
 @entry
-def relaxed_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks):
+def relaxed_tangent(cells, blocks, material, u, scale, pull, change):
     """The same with the stress -D : pull, and `change` times D elsewhere: what relaxation adds to K; pull as in relaxation.py."""
-    _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks)
+    _add_tangent(cells, blocks, material, u, scale, pull, change)
 
 
 @part
-def _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, pull, change, blocks):
+def _add_tangent(cells, blocks, material, u, scale, pull, change):
     """Add scale * K of `tangent`, or of `relaxed_tangent` if pull is not None."""
-    work = _workspace(layout, 6, 8)
-    for b in range(layout.shape[0]):
-        m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
+    lam_bar, two_mu = scale * material.stiffness * material.nu, scale * material.stiffness * (1.0 - material.nu)
+    work = _workspace(cells.layout, 6, 8)
+    for b in range(cells.layout.shape[0]):
+        m, points, g = cells.layout[b, 0] - 1, cells.layout[b, 1], cells.layout[b, 3]
         sums, products = work[2 * m * LANES :], work[6 * m * LANES :]
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         for p in range(points):
             start = g + 2 * p * m * LANES
-            h, elastic = _gradient(gradients, start, work, m), (scale * c1 * nu, scale * c1 * (1.0 - nu))
-            a = _moduli(pull, change, h, weights, layout[b, 4] + p * LANES, elastic[0], elastic[1])
+            h = _gradient(cells.gradients, start, work, m)
+            a = _moduli(pull, change, h, cells.weights, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
             for j in range(m):
-                store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(gradients, start + 2 * j * LANES)))
+                store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(cells.gradients, start + 2 * j * LANES)))
         for k in range(0, 4 * m * LANES, 4 * LANES):
             store(sums, k, zeros4())
         for j in range(m):
@@ -213,10 +220,10 @@ def _add_tangent(layout, corners, gradients, weights, pairs, node_offset, pair_o
                 block = zeros4()
                 for p in range(points):
                     block = add_stiffness(
-                        block, load2(gradients, g + 2 * (p * m + i) * LANES), load8(products, 8 * (j * points + p) * LANES)
+                        block, load2(cells.gradients, g + 2 * (p * m + i) * LANES), load8(products, 8 * (j * points + p) * LANES)
                     )
-                _add_block(block, i, j, m, pairs, layout[b, 5], pair_offset, blocks, sums)
-        _add_last(m, pairs, layout[b, 5], pair_offset, blocks, sums)
+                _add_block(block, i, j, m, cells.layout[b, 5], blocks, sums)
+        _add_last(m, cells.layout[b, 5], blocks, sums)
 
 
 @part
@@ -228,41 +235,42 @@ def _moduli(pull, change, h, weights, at, lam_bar, two_mu):
 
 
 @part
-def _add_block(block, row, column, count, pairs, start, pair_offset, blocks, sums):
+def _add_block(block, row, column, count, start, blocks, sums):
     """Add K_ij, i = row <= j = column, and its mirror image to the pattern and to the sums of their rows."""
     if row == column:
         block = symmetric(block)
     else:
         mirror = transposed(block)
-        scatter_add(blocks, pairs, start + (column * (count + 1) + row) * LANES, pair_offset, mirror)
+        scatter_add(blocks.values, blocks.pairs, start + (column * (count + 1) + row) * LANES, blocks.first, mirror)
         store(sums, 4 * column * LANES, add(load4(sums, 4 * column * LANES), mirror))
-    scatter_add(blocks, pairs, start + (row * (count + 1) + column) * LANES, pair_offset, block)
+    scatter_add(blocks.values, blocks.pairs, start + (row * (count + 1) + column) * LANES, blocks.first, block)
     store(sums, 4 * row * LANES, add(load4(sums, 4 * row * LANES), block))
 
 
 @part
-def _add_last(count, pairs, start, pair_offset, blocks, sums):
+def _add_last(count, start, blocks, sums):
     """Add the last corner's column and row: the rows of K sum to zero."""
     total = zeros4()
     for i in range(count):
         block = negative(load4(sums, 4 * i * LANES))
-        scatter_add(blocks, pairs, start + (i * (count + 1) + count) * LANES, pair_offset, block)
-        scatter_add(blocks, pairs, start + (count * (count + 1) + i) * LANES, pair_offset, transposed(block))
+        scatter_add(blocks.values, blocks.pairs, start + (i * (count + 1) + count) * LANES, blocks.first, block)
+        scatter_add(blocks.values, blocks.pairs, start + (count * (count + 1) + i) * LANES, blocks.first, transposed(block))
         total = add(total, load4(sums, 4 * i * LANES))
-    scatter_add(blocks, pairs, start + (count * (count + 1) + count) * LANES, pair_offset, symmetric(total))
+    scatter_add(blocks.values, blocks.pairs, start + (count * (count + 1) + count) * LANES, blocks.first, symmetric(total))
 
 
 @entry
-def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
+def strain_energy(cells, material, u):
     """Strain energy in J, summed with compensation."""
-    work = _workspace(layout, 2, 0)
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 2, 0)
     state = zeros2()
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
-        for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = add_energy(state, h, load(weights, layout[b, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu))
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        for p in range(cells.layout[b, 1]):
+            h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
+            state = add_energy(state, h, load(cells.weights, cells.layout[b, 4] + p * LANES), lam_bar, two_mu)
     energy = 0.0
     for k in range(LANES):
         energy += lane(state[0], k)
@@ -270,36 +278,37 @@ def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
 
 
 @entry
-def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, modulus, nu, u, out):
+def stress(cells, lane_cells, areas, material, u, out):
     """Store the Cauchy stress (sxx, syy, sxy), Pa, mean over the reference area of each cell, in out (cells, 3).
 
     sigma = F S F^T / det F with F in the plane; modulus = E_mod / (1 - nu^2), Pa. Exact in plane strain; in plane stress the change of thickness is
     neglected (it would scale sigma by 1 / F33, about 1 + nu tr(E) / (1 - nu)).
     """
     out[:] = 0.0
-    work = _workspace(layout, 2, 0)
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 2, 0)
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
-        for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), modulus * nu, modulus * (1.0 - nu))
+        for p in range(cells.layout[b, 1]):
+            h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
+            state = add_cauchy(state, h, load(cells.weights, cells.layout[b, 4] + p * LANES), lam_bar, two_mu)
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry
-def green_strain(layout, corners, gradients, weights, lane_cells, areas, node_offset, u, out):
+def green_strain(cells, lane_cells, areas, u, out):
     """Store the Green-Lagrange strain (Exx, Eyy, 2 Exy), mean over the reference area of each cell, in out (cells, 3)."""
     out[:] = 0.0
-    work = _workspace(layout, 2, 0)
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
+    work = _workspace(cells.layout, 2, 0)
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
-        for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = add_strain(state, h, load(weights, layout[b, 4] + p * LANES))
+        for p in range(cells.layout[b, 1]):
+            h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
+            state = add_strain(state, h, load(cells.weights, cells.layout[b, 4] + p * LANES))
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 

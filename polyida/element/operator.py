@@ -4,6 +4,7 @@ Polygons: corners (n, 2, c), counter-clockwise, c cells on the last axis.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,32 @@ def second_moments(corners):
 
 CHUNK = 256  # cells treated at once: the work arrays then fit into the cache
 LISTED = ("corners", "gradients", "weights", "pairs")  # arrays whose block starts a row of the layout holds
+
+
+class Cells(NamedTuple):
+    """The cells of one body: arrays of a ReferenceOperator, and the body's first node in u."""
+
+    layout: np.ndarray
+    corners: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+    first_node: int
+
+
+class Blocks(NamedTuple):
+    """The blocks (M, 2, 2) of a tangent, those of the body from number `first` on, and `pairs` of its ReferenceOperator."""
+
+    pairs: np.ndarray
+    first: int
+    values: np.ndarray
+
+
+class Material(NamedTuple):
+    """c = t E_mod / (1 - nu^2), N/m, or without the thickness t, Pa; Poisson's ratio; the Kelvin-Voigt relaxation time tau_v, s."""
+
+    stiffness: float
+    nu: float
+    viscosity: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +116,9 @@ class ReferenceOperator:
         """Number of cells."""
         return len(self.offsets) - 1
 
-    @property
-    def force_arrays(self):
-        """First arguments of kernels.internal_force and kernels.strain_energy."""
-        return self.layout, self.corners, self.gradients, self.weights
+    def cells(self, first_node=0):
+        """The Cells of a body whose first node in u has this number."""
+        return Cells(self.layout, self.corners, self.gradients, self.weights, first_node)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ the weights. Other arguments as in kernels.py; h, d: gradients of a state and of
 """
 
 from polyida.element.cell_products import _two_gradients, first_half, symmetric_part, times
-from polyida.element.kernels import _add_means, _differences, _gradient, _scatter_balanced, _workspace
+from polyida.element.kernels import _add_means, _differences, _gradient, _scatter_balanced, _workspace, lame
 from polyida.element.material import add_cauchy_of, add_times, carried, determinant, second_piola, strain, two_state_strain
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import LANES, load, load2, load3, store, traced, zeros2, zeros3
@@ -60,28 +60,29 @@ def last_three(change):
 
 
 @entry
-def relax(layout, corners, gradients, weights, node_offset, c1, nu, u, half, pull, nodal_force, out):
+def relax(cells, material, u, half, pull, nodal_force, out):
     """Add the force of the stress -D : pull to nodal_force (N, 2), and store the strain at u in out.
 
     half: None; or half the change of u in a step (N, 2): the strain is then the mean of those at u - half and u + half.
     """
-    work = _workspace(layout, 6, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 6, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         force = work[2 * size :]
-        _differences(u, corners, first, node_offset, m, work)
-        _directions(half, corners, first, node_offset, m, work[size:])
+        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _directions(half, cells.corners, first, cells.first_node, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
-        for p in range(layout[b, 1]):
-            g, at = layout[b, 3] + p * size, layout[b, 4] + p * LANES
-            h = _gradient(gradients, g, work, m)
-            store(out, 3 * at, _strain(half, h, gradients, g, work[size:], m))
-            stress = relaxed_piola(h, load3(pull, 3 * at), load(weights, at), -c1 * nu, -c1 * (1.0 - nu))
+        for p in range(cells.layout[b, 1]):
+            g, at = cells.layout[b, 3] + p * size, cells.layout[b, 4] + p * LANES
+            h = _gradient(cells.gradients, g, work, m)
+            store(out, 3 * at, _strain(half, h, cells.gradients, g, work[size:], m))
+            stress = relaxed_piola(h, load3(pull, 3 * at), load(cells.weights, at), -lam_bar, -two_mu)
             for k in range(0, size, 2 * LANES):
-                store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
-        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
+                store(force, k, add_times(load2(force, k), stress, load2(cells.gradients, g + k)))
+        _scatter_balanced(force, cells.corners, first, cells.first_node, m, nodal_force)
 
 
 @part
@@ -100,73 +101,75 @@ def _strain(half, h, gradients, start, directions, count):
 
 
 @entry
-def strain_at_points(layout, corners, gradients, node_offset, u, out):
+def strain_at_points(cells, u, out):
     """Store the strain at u in out."""
-    work = _workspace(layout, 2, 0)
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
-        for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            store(out, 3 * (layout[b, 4] + p * LANES), strain_of(h))
+    work = _workspace(cells.layout, 2, 0)
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        for p in range(cells.layout[b, 1]):
+            h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
+            store(out, 3 * (cells.layout[b, 4] + p * LANES), strain_of(h))
 
 
 @entry
-def change_of_strain(layout, corners, gradients, node_offset, u, along, out):
+def change_of_strain(cells, u, along, out):
     """Store the change of the strain at u along a field (N, 2) in out."""
-    work = _workspace(layout, 4, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    work = _workspace(cells.layout, 4, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
-        _differences(u, corners, first, node_offset, m, work)
-        _differences(along, corners, first, node_offset, m, work[size:])
-        for p in range(layout[b, 1]):
-            h, d = _two_gradients(gradients, layout[b, 3] + p * size, work, m)
-            store(out, 3 * (layout[b, 4] + p * LANES), strain_change(h, d))
+        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(along, cells.corners, first, cells.first_node, m, work[size:])
+        for p in range(cells.layout[b, 1]):
+            h, d = _two_gradients(cells.gradients, cells.layout[b, 3] + p * size, work, m)
+            store(out, 3 * (cells.layout[b, 4] + p * LANES), strain_change(h, d))
 
 
 @entry
-def relaxation_products(layout, corners, gradients, weights, node_offset, c1, nu, u, along, pull, back, nodal_force, out):
+def relaxation_products(cells, material, u, along, pull, back, nodal_force, out):
     """Add the change of the force of the stress -D : pull along a field w = along (N, 2), and B^T back, to nodal_force, and store D B w in out, B = dE/du."""
-    work = _workspace(layout, 6, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 6, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         force = work[2 * size :]
-        _differences(u, corners, first, node_offset, m, work)
-        _differences(along, corners, first, node_offset, m, work[size:])
+        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(along, cells.corners, first, cells.first_node, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
-        for p in range(layout[b, 1]):
-            g, at = layout[b, 3] + p * size, layout[b, 4] + p * LANES
-            h, d = _two_gradients(gradients, g, work, m)
-            change = relaxation_change(h, d, load3(pull, 3 * at), load3(back, 3 * at), load(weights, at), c1 * nu, c1 * (1.0 - nu))
+        for p in range(cells.layout[b, 1]):
+            g, at = cells.layout[b, 3] + p * size, cells.layout[b, 4] + p * LANES
+            h, d = _two_gradients(cells.gradients, g, work, m)
+            change = relaxation_change(h, d, load3(pull, 3 * at), load3(back, 3 * at), load(cells.weights, at), lam_bar, two_mu)
             store(out, 3 * at, last_three(change))
             for k in range(0, size, 2 * LANES):
-                store(force, k, add_times(load2(force, k), first_half(change), load2(gradients, g + k)))
-        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
+                store(force, k, add_times(load2(force, k), first_half(change), load2(cells.gradients, g + k)))
+        _scatter_balanced(force, cells.corners, first, cells.first_node, m, nodal_force)
 
 
 @entry
-def relax_stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, modulus, nu, u, pull, out):
+def relax_stress(cells, lane_cells, areas, material, u, pull, out):
     """Add the Cauchy stress of -D : pull to out (cells, 3), as of kernels.stress."""
-    work = _workspace(layout, 2, 0)
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, work)
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 2, 0)
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
-        for p in range(layout[b, 1]):
-            at, h = layout[b, 4] + p * LANES, _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(weights, at), modulus * nu, modulus * (1.0 - nu))
+        for p in range(cells.layout[b, 1]):
+            at, h = cells.layout[b, 4] + p * LANES, _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
+            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(cells.weights, at), lam_bar, two_mu)
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry
-def strain_square(weights, c1, nu, strain):
+def strain_square(weights, material, strain):
     """Integral of E : D : E over a body, J, of a strain E at its points."""
-    total = 0.0
+    total, nu = 0.0, material.nu
     for i in range(weights.shape[0]):
         at = 3 * LANES * (i // LANES) + i % LANES
         e11, e12, e22 = strain[at], strain[at + LANES], strain[at + 2 * LANES]
-        total += weights[i] * c1 * (nu * (e11 + e22) ** 2 + (1.0 - nu) * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12))
+        total += weights[i] * material.stiffness * (nu * (e11 + e22) ** 2 + (1.0 - nu) * (e11 * e11 + e22 * e22 + 2.0 * e12 * e12))
     return total

@@ -9,7 +9,7 @@ Arguments as in kernels.py.
 
 import numpy as np
 
-from polyida.element.kernels import _differences, _gradient, _least, _scatter_balanced, _scatter_turn, _workspace
+from polyida.element.kernels import _differences, _gradient, _least, _scatter_balanced, _scatter_turn, _workspace, lame
 from polyida.element.material import (
     add,
     add_rotation,
@@ -32,34 +32,35 @@ MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)  # state = mean of the fields, direction =
 
 
 @entry
-def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, nodal_force, rotation):
+def internal_force_viscous(cells, material, u, v, nodal_force, rotation):
     """Add elastic and viscous force at displacements u and velocities v to nodal_force; return the least det F, NaN if undefined.
 
-    tau_v: Kelvin-Voigt relaxation time, s. rotation as in kernels.internal_force. The dissipated power is
+    rotation as in kernels.internal_force. The dissipated power is
     v . (f - f(tau_v = 0)) = tau_v int t Edot : D : Edot >= 0, W.
     """
-    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, nodal_force, rotation)
+    return _force(cells, material, (material.viscosity, 0.0, 0.0), SECOND_ALONE, u, v, nodal_force, rotation)
 
 
 @entry
-def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v, c_q, c_v, blocks):
+def tangent_viscous(cells, blocks, material, u, v, c_q, c_v):
     """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
 
     dg/dv = tau_v int t B^T D B is symmetric to round-off and positive semidefinite; dg/dq is unsymmetric unless v is a rigid motion.
     """
-    work = _workspace(layout, 12, 8)
-    for k in range(layout.shape[0]):
-        m, points, g = layout[k, 0] - 1, layout[k, 1], layout[k, 3]
+    (lam_bar, two_mu), tau = lame(material), material.viscosity
+    work = _workspace(cells.layout, 12, 8)
+    for k in range(cells.layout.shape[0]):
+        m, points, g = cells.layout[k, 0] - 1, cells.layout[k, 1], cells.layout[k, 3]
         size = 2 * m * LANES
         rates, sums, products = work[size:], work[2 * size :], work[6 * size :]
-        _differences(u, corners, layout[k, 2], node_offset, m, work)
-        _differences(v, corners, layout[k, 2], node_offset, m, rates)
+        _differences(u, cells.corners, cells.layout[k, 2], cells.first_node, m, work)
+        _differences(v, cells.corners, cells.layout[k, 2], cells.first_node, m, rates)
         for p in range(points):
-            start, weight = g + p * size, load(weights, layout[k, 4] + p * LANES)
-            h, d = _gradient(gradients, start, work, m), _gradient(gradients, start, rates, m)
-            moduli = two_state_moduli(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, (c_q, c_q + c_v * tau_v, c_q * tau_v))
+            start, weight = g + p * size, load(cells.weights, cells.layout[k, 4] + p * LANES)
+            h, d = _gradient(cells.gradients, start, work, m), _gradient(cells.gradients, start, rates, m)
+            moduli = two_state_moduli(h, d, weight, lam_bar, two_mu, tau, (c_q, c_q + c_v * tau, c_q * tau))
             for j in range(m):
-                product = all_moduli_times(moduli, load2(gradients, start + 2 * j * LANES))
+                product = all_moduli_times(moduli, load2(cells.gradients, start + 2 * j * LANES))
                 store(products, 8 * (j * points + p) * LANES, product)
         for i in range(0, 4 * size, 4 * LANES):
             store(sums, i, zeros4())
@@ -67,31 +68,29 @@ def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pai
             for i in range(m):
                 block = zeros4()
                 for p in range(points):
-                    here = load2(gradients, g + p * size + 2 * i * LANES)
+                    here = load2(cells.gradients, g + p * size + 2 * i * LANES)
                     block = add_stiffness(block, here, load8(products, 8 * (j * points + p) * LANES))
-                scatter_add(blocks, pairs, layout[k, 5] + (i * (m + 1) + j) * LANES, pair_offset, block)
+                scatter_add(blocks.values, blocks.pairs, cells.layout[k, 5] + (i * (m + 1) + j) * LANES, blocks.first, block)
                 store(sums, 4 * i * LANES, add(load4(sums, 4 * i * LANES), block))
                 store(sums, 4 * (m + j) * LANES, add(load4(sums, 4 * (m + j) * LANES), block))
         # the last corner's column and row: rows and columns of the tangent sum to zero
-        total, start = zeros4(), layout[k, 5]
+        total, start = zeros4(), cells.layout[k, 5]
         for i in range(m):
             row, column = load4(sums, 4 * i * LANES), load4(sums, 4 * (m + i) * LANES)
-            scatter_add(blocks, pairs, start + (i * (m + 1) + m) * LANES, pair_offset, negative(row))
-            scatter_add(blocks, pairs, start + (m * (m + 1) + i) * LANES, pair_offset, negative(column))
+            scatter_add(blocks.values, blocks.pairs, start + (i * (m + 1) + m) * LANES, blocks.first, negative(row))
+            scatter_add(blocks.values, blocks.pairs, start + (m * (m + 1) + i) * LANES, blocks.first, negative(column))
             total = add(total, row)
-        scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, total)
+        scatter_add(blocks.values, blocks.pairs, start + (m * (m + 1) + m) * LANES, blocks.first, total)
 
 
 @entry
-def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, nodal_force, rotation):
+def internal_force_midpoint(cells, material, u0, u1, nodal_force, rotation):
     """Add the energy-momentum force of the step from u0 to u1 to nodal_force; return the least det F(u1), NaN if undefined.
 
-    viscosity = tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment at the mean positions. rotation as in
+    The material's viscosity is tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment at the mean positions. rotation as in
     kernels.internal_force, of F_m.
     """
-    return _force(
-        layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, nodal_force, rotation
-    )
+    return _force(cells, material, (2.0 * material.viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, nodal_force, rotation)
 
 
 @part
@@ -108,26 +107,27 @@ def _fields(one, other, corners, start, node_offset, count, mix, out):
 
 
 @part
-def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, one, other, nodal_force, rotation):
+def _force(cells, material, response, mix, one, other, nodal_force, rotation):
     """Add the force of the two fields `mix` of two fields, one and other; response = (rate, square, factor of d in the F whose det F is returned)."""
-    work = _workspace(layout, 6, 0)
+    lam_bar, two_mu = lame(material)
+    work = _workspace(cells.layout, 6, 0)
     least = spread(np.inf), spread(0.0)
     rate, square, ahead = response
-    for k in range(layout.shape[0]):
-        m, first = layout[k, 0] - 1, layout[k, 2]
+    for k in range(cells.layout.shape[0]):
+        m, first = cells.layout[k, 0] - 1, cells.layout[k, 2]
         size = 2 * m * LANES
         direction, force = work[size:], work[2 * size :]
-        _fields(one, other, corners, first, node_offset, m, mix, work)
+        _fields(one, other, cells.corners, first, cells.first_node, m, mix, work)
         for i in range(0, size, 2 * LANES):
             store(force, i, zeros2())
         turn = zeros2()
-        for p in range(layout[k, 1]):
-            g, w = layout[k, 3] + p * size, load(weights, layout[k, 4] + p * LANES)
-            h, d = _gradient(gradients, g, work, m), _gradient(gradients, g, direction, m)
+        for p in range(cells.layout[k, 1]):
+            g, w = cells.layout[k, 3] + p * size, load(cells.weights, cells.layout[k, 4] + p * LANES)
+            h, d = _gradient(cells.gradients, g, work, m), _gradient(cells.gradients, g, direction, m)
             least, turn = watch(least, advanced(h, d, ahead)), add_rotation(turn, w, h)
-            stress = two_state_piola(h, d, w, c1 * nu, c1 * (1.0 - nu), rate, square)
+            stress = two_state_piola(h, d, w, lam_bar, two_mu, rate, square)
             for i in range(0, size, 2 * LANES):
-                store(force, i, add_times(load2(force, i), stress, load2(gradients, g + i)))
-        _scatter_balanced(force, corners, first, node_offset, m, nodal_force)
-        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+                store(force, i, add_times(load2(force, i), stress, load2(cells.gradients, g + i)))
+        _scatter_balanced(force, cells.corners, first, cells.first_node, m, nodal_force)
+        _scatter_turn(turn, cells.corners, first, cells.first_node, m, rotation)
     return _least(least)

@@ -85,15 +85,17 @@ def leaf(function):
     return part(function, forceinline=True)
 
 
-def served(function, *shapes):
+def served(function, *shapes, first=None):
     """The part `f(workspace, instant, address x 6)`, an entry of a model's table, of a part `function(workspace, instant, *arguments)`.
 
-    shapes: for each argument a part (workspace, address) that returns the array there, or None for a number.
+    shapes: for each argument a part (workspace, address) that returns the array there, or None for a number. first: such a part for an entry that
+    gets an address in place of the instant.
     """
     places = [f"place_{k}" for k in range(6)]
     arguments = [place if shape is None else f"shape_{k}(workspace, {place})" for k, (place, shape) in enumerate(zip(places, shapes))]
-    names = {"inner": function} | {f"shape_{k}": shape for k, shape in enumerate(shapes)}
-    text = f"def outer(workspace, instant, {', '.join(places)}):\n    return inner(workspace, instant, {', '.join(arguments)})"
+    names = {"inner": function, "first": first} | {f"shape_{k}": shape for k, shape in enumerate(shapes)}
+    arguments = ["instant" if first is None else "first(workspace, instant)", *arguments]
+    text = f"def outer(workspace, instant, {', '.join(places)}):\n    return inner(workspace, {', '.join(arguments)})"
     exec(text, names)
     return part(_in_place_of(names["outer"], function.py_func))
 

@@ -13,8 +13,9 @@ from polyida.assembly.build import compact_of
 from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
 from polyida.element.cell_products import _add_forces
-from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _workspace
+from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _workspace, lame
 from polyida.element.material import add_energy, carried, determinant, second_piola, strain
+from polyida.element.operator import Material
 from polyida.errors import InputError
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, store, traced, zeros2
@@ -123,7 +124,7 @@ class CellStress:
     def stress(self, u):
         """Cauchy's, (cells, 3): xx, yy, xy, Pa."""
         operator, out = self.operator, np.empty((self.operator.n_cells, 3))
-        element.stress(*operator.force_arrays, operator.lane_cells, operator.areas, self.body.nodes.start, *self.moduli, u, out)
+        element.stress(operator.cells(self.body.nodes.start), operator.lane_cells, operator.areas, Material(*self.moduli), u, out)
         return out
 
     def pull(self, u, stress, bar, forces):
@@ -134,7 +135,7 @@ class CellStress:
         squares = np.stack([2.0 * xx - yy - zz + out, 2.0 * yy - xx - zz + out, 6.0 * xy])
         toward = squares * np.divide(self.share * bar, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
         by_lanes = np.moveaxis(toward[:, self.operator.lane_cells].reshape(3, -1, LANES), 0, 1)
-        arrays = *self.operator.force_arrays, np.ascontiguousarray(by_lanes), *self.moduli
+        arrays = self.operator.cells(), np.ascontiguousarray(by_lanes), Material(*self.moduli)
         add_stress_forces(*arrays, np.ascontiguousarray(u[self.body.nodes]), forces[self.body.nodes])
 
     def by_parameters(self, work):
@@ -239,12 +240,10 @@ def _body(placed, names):
 def _cell_energies(model, body, q, factor):
     """Sum over frames q (count, n) of factor times the energy of every cell of a plate at a factor of 1, (cells,), J."""
     s, number = model.arrays.plates, model.bodies.index(body)
-    u, operator = q.reshape(len(q), -1, 2)[:, body.nodes], body.operator
+    u, operator, material = q.reshape(len(q), -1, 2)[:, body.nodes], body.operator, Material(s.body_c1[number], s.body_nu[number])
     slopes = np.zeros(operator.n_cells)
     for one, f in zip(u, factor):
-        add_cell_energies(
-            *operator.force_arrays, operator.lane_cells, s.body_c1[number], s.body_nu[number], np.ascontiguousarray(one), f, slopes
-        )
+        add_cell_energies(operator.cells(), operator.lane_cells, material, np.ascontiguousarray(one), f, slopes)
     return slopes / body.factors[0] + _stabilised(model, number, u, factor)
 
 
@@ -284,16 +283,17 @@ def fill_forces(scene, drives, q, zero_a, zero_lam, factor, phi, points, out):
 
 
 @entry
-def add_cell_energies(layout, corners, gradients, weights, lane_cells, c1, nu, u, factor, out):
+def add_cell_energies(cells, lane_cells, material, u, factor, out):
     """out (cells,) += factor times the strain energy of every cell, J."""
-    workspace = _workspace(layout, 2, 0)
-    for b in range(layout.shape[0]):
-        m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], 0, m, workspace)
+    lam_bar, two_mu = lame(material)
+    workspace = _workspace(cells.layout, 2, 0)
+    for b in range(cells.layout.shape[0]):
+        m = cells.layout[b, 0] - 1
+        _differences(u, cells.corners, cells.layout[b, 2], 0, m, workspace)
         state = zeros2()
-        for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, workspace, m)
-            state = add_energy(state, h, load(weights, layout[b, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu))
+        for p in range(cells.layout[b, 1]):
+            h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, workspace, m)
+            state = add_energy(state, h, load(cells.weights, cells.layout[b, 4] + p * LANES), lam_bar, two_mu)
         for k in range(LANES):
             out[lane_cells[b * LANES + k]] += factor * lane(state[0], k)
 
@@ -317,22 +317,23 @@ def _stress_slope(h, g, weight, lam_bar, two_mu):
 
 
 @entry
-def add_stress_forces(layout, corners, gradients, weights, toward, modulus, nu, u, nodal_force):
+def add_stress_forces(cells, toward, material, u, nodal_force):
     """nodal_force (nodes, 2) += the slope in u of the sum over cells of `toward . int (sxx, syy, sxy)`, as kernels.stress has it.
 
     toward (blocks, 3, LANES): numbers of each cell, 1/m^2 times what the sum is in.
     """
-    workspace = _workspace(layout, 4, 0)
-    for b in range(layout.shape[0]):
-        m, first = layout[b, 0] - 1, layout[b, 2]
+    lam_bar, two_mu = lame(material)
+    workspace = _workspace(cells.layout, 4, 0)
+    for b in range(cells.layout.shape[0]):
+        m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         force, size = workspace[2 * m * LANES :], 2 * m * LANES
-        _differences(u, corners, first, 0, m, workspace)
+        _differences(u, cells.corners, first, 0, m, workspace)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         at = 3 * b * LANES
         bar = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
-        for p in range(layout[b, 1]):
-            g = layout[b, 3] + p * size
-            h, weight = _gradient(gradients, g, workspace, m), load(weights, layout[b, 4] + p * LANES)
-            _add_forces(force, gradients, g, _stress_slope(h, bar, weight, modulus * nu, modulus * (1.0 - nu)), size)
-        _scatter_balanced(force, corners, first, 0, m, nodal_force)
+        for p in range(cells.layout[b, 1]):
+            g = cells.layout[b, 3] + p * size
+            h, weight = _gradient(cells.gradients, g, workspace, m), load(cells.weights, cells.layout[b, 4] + p * LANES)
+            _add_forces(force, cells.gradients, g, _stress_slope(h, bar, weight, lam_bar, two_mu), size)
+        _scatter_balanced(force, cells.corners, first, 0, m, nodal_force)

@@ -69,7 +69,7 @@ def strains(model, q):
         operator = body.operator
         parts.append(np.empty((operator.n_cells, 3)))
         weighed = operator.areas * body.factors[0]
-        kernels.green_strain(*operator.force_arrays, operator.lane_cells, weighed, body.nodes.start, u, parts[-1])
+        kernels.green_strain(operator.cells(body.nodes.start), operator.lane_cells, weighed, u, parts[-1])
     return np.concatenate(parts)
 
 

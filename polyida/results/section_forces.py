@@ -11,6 +11,7 @@ from polyida.assembly.factors import CellContributions
 from polyida.assembly.placement import gravity_at
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
+from polyida.element.operator import Material
 from polyida.element.relaxation import relax
 from polyida.errors import InputError
 from polyida.io.layout import each
@@ -144,7 +145,7 @@ class Cut:
             first = sum(len(other.operator.weights) for other in model.bodies[:b])
             of_cells = contributions.weight_cells[first : first + len(body.operator.weights)] - contributions.first[b]
             self.strains_ahead = np.repeat(ahead[of_cells].reshape(-1, 1, LANES), 3, axis=1).ravel()
-            self.moduli = plates.body_c1[b], plates.body_nu[b]
+            self.material = Material(plates.body_c1[b], plates.body_nu[b])
 
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""
@@ -152,7 +153,7 @@ class Cut:
         residual = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, speeds, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
         if self.strains:
             pull, forces = self.strains_ahead * self.strains.pull_of(v), np.zeros_like(u)
-            relax(*self.body.operator.force_arrays, 0, *self.moduli, u, None, pull, forces, np.empty_like(pull))
+            relax(self.body.operator.cells(), self.material, u, None, pull, forces, np.empty_like(pull))
             residual = residual + forces[self.nodes][self.cut]
         x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())

@@ -7,6 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 import polyida as pi
+from polyida.element.operator import Material
 from polyida.element.relaxation import relax, strain_square
 from polyida.integrate.alpha.steps import Steps
 
@@ -88,13 +89,13 @@ def test_energy_and_dissipated_work_in_the_energy_momentum_method():
     model = spinning().build()
     run, h = pi.solve(model, 4.0, pi.EnergyMomentum(h=0.01)), 0.01
     body, strains, dissipated = model.bodies[0], model.strains["plate"], 0.0
-    operator, c1, nu = body.operator, model.arrays.plates.body_c1[0], model.arrays.plates.body_nu[0]
+    operator, material = body.operator, Material(model.arrays.plates.body_c1[0], model.arrays.plates.body_nu[0])
     for (q0, v0), (q1, v1) in pairwise(zip(np.asarray(run.q), np.asarray(run.v))):
         middle, half = ((x.reshape(-1, 2)[body.nodes]).copy() for x in (0.5 * (q0 + q1), 0.5 * (q1 - q0)))
         mean, none = np.empty(3 * len(operator.weights)), np.zeros_like(middle)
-        relax(*operator.force_arrays, 0, c1, nu, middle, half, np.zeros_like(mean), none, mean)
+        relax(operator.cells(), material, middle, half, np.zeros_like(mean), none, mean)
         x = (strains.units * 0.5 * (v0 + v1)[strains.columns]).reshape(len(TERMS), -1)
-        dissipated += h * sum(g / tau * strain_square(operator.weights, c1, nu, mean - one) for (g, tau), one in zip(TERMS, x))
+        dissipated += h * sum(g / tau * strain_square(operator.weights, material, mean - one) for (g, tau), one in zip(TERMS, x))
     energy = run.energy.total
     assert dissipated > 1e-2 * run.energy.strain.max()
     assert abs(energy[-1] + dissipated - energy[0]) < 1e-10 * np.abs(energy).max()

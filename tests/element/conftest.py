@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from polyida.element import elements, kernels
+from polyida.element.operator import Blocks, Material
 
 
 def mesh(points, cells):
@@ -84,6 +85,10 @@ class Body:
         self.points, self.op, self.first = np.asarray(mesh.points), operator(mesh), padding
         self.c1 = self.THICKNESS * self.E / (1 - self.NU**2)
 
+    def material(self, viscosity=0.0):
+        """The Material."""
+        return Material(self.c1, self.NU, viscosity)
+
     def displacement(self, function):
         """Displacements from a function of the points, after the padding."""
         u = np.zeros((self.first + self.op.n_nodes, 2))
@@ -93,19 +98,19 @@ class Body:
     def force(self, u):
         """Internal force and rotation sums of the body's nodes, and the status."""
         f, rotation = np.zeros_like(u), np.zeros_like(u)
-        status = kernels.internal_force(*self.op.force_arrays, self.first, self.c1, self.NU, u, f, rotation)
+        status = kernels.internal_force(self.op.cells(self.first), self.material(), u, f, rotation)
         assert not f[: self.first].any() and not rotation[: self.first].any()
         return f[self.first :], rotation[self.first :], status
 
     def energy(self, u):
         """Strain energy."""
-        return kernels.strain_energy(*self.op.force_arrays, self.first, self.c1, self.NU, u)
+        return kernels.strain_energy(self.op.cells(self.first), self.material(), u)
 
     def tangent(self, u, scale=1.0):
         """Dense tangent (2 n, 2 n) of the body."""
         op, before = self.op, 5
         blocks = np.zeros((before + len(op.indices), 2, 2))
-        kernels.tangent(*op.force_arrays, op.pairs, self.first, before, self.c1, self.NU, u, scale, blocks)
+        kernels.tangent(op.cells(self.first), Blocks(op.pairs, before, blocks), self.material(), u, scale)
         assert not blocks[:before].any()
         return self.dense(blocks[before:])
 
@@ -124,7 +129,8 @@ class Body:
     def stress(self, u):
         """Cauchy stress of the cells."""
         out = np.full((self.op.n_cells, 3), np.nan)
-        kernels.stress(*self.op.force_arrays, self.op.lane_cells, self.op.areas, self.first, self.c1 / self.THICKNESS, self.NU, u, out)
+        material = Material(self.c1 / self.THICKNESS, self.NU)
+        kernels.stress(self.op.cells(self.first), self.op.lane_cells, self.op.areas, material, u, out)
         return out
 
 

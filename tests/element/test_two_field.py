@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from polyida.element import two_field
+from polyida.element.operator import Blocks
 
 TAU = 0.03
 
@@ -36,14 +37,14 @@ class TwoStates:
     def force(self, kernel, number, a, b):
         """(force, rotation sums, status) of a kernel."""
         f, rotation, plate = np.zeros_like(a), np.zeros_like(a), self.plate
-        status = kernel(*self.op.force_arrays, self.first, plate.c1, plate.NU, number, a, b, f, rotation)
+        status = kernel(self.op.cells(self.first), plate.material(number), a, b, f, rotation)
         assert not f[: self.first].any() and not rotation[: self.first].any()
         return f[self.first :], rotation[self.first :], status
 
     def tangent(self, kernel, number, a, b, *factors):
         """Dense tangent (2 n, 2 n)."""
         blocks, plate = np.zeros((5 + len(self.op.indices), 2, 2)), self.plate
-        kernel(*self.op.force_arrays, self.op.pairs, self.first, 5, plate.c1, plate.NU, number, a, b, *factors, blocks)
+        kernel(self.op.cells(self.first), Blocks(self.op.pairs, 5, blocks), plate.material(number), a, b, *factors)
         assert not blocks[:5].any()
         return plate.dense(blocks[5:])
 

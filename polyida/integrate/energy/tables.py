@@ -22,6 +22,7 @@ from polyida.assembly.own_laws import NOISE, POINTS, add_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
+from polyida.element.operator import Material
 from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import address, call, pointer
@@ -247,8 +248,8 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
-        arguments = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
-        least = compact.lesser(least, two_field.internal_force_midpoint(*kernels.cells(s, o), n0, *arguments))
+        material = Material(s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h)
+        least = compact.lesser(least, two_field.internal_force_midpoint(kernels.cells_of(s, b), material, u0, u1, r, rotation))
         elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
         if s.body_drag[b] != 0.0:
             elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
