@@ -120,65 +120,68 @@ class SweepOutput(NamedTuple):
 
 
 @fast
-def begin(p, j, k, y, out, c):
-    """Set the right-hand sides of step k in column c, and predict w and mu."""
-    right, below, q, v, a, ahead = y.right[c], y.below[c], y.bars[Q, c], y.bars[V, c], y.bars[A, c], y.bars[AHEAD, c]
-    b = 1.0 / (p.beta * p.h * p.h)
+def begin(method, slopes, step, memory, out, column):
+    """Set the right-hand sides of a step in a column, and predict w and mu."""
+    right, below, bars = memory.right[column], memory.below[column], memory.bars[:, column]
+    q, v, a, ahead = bars[Q], bars[V], bars[A], bars[AHEAD]
+    b = 1.0 / (method.beta * method.h * method.h)
     for i in range(right.shape[0]):
-        right[i] = -q[i] - p.to_v * v[i] - p.to_a * a[i] - b * ahead[i]
+        right[i] = -q[i] - method.to_v * v[i] - method.to_a * a[i] - b * ahead[i]
     zero(below)
-    add_slope(j[c, LAM], k, -1.0, below)
-    predict(y.marks[c], out.w[:, c], k)
-    predict(y.marks[c], out.mu[:, c], k)
+    add_slope(slopes[column, LAM], step, -1.0, below)
+    predict(memory.marks[column], out.w[:, column], step)
+    predict(memory.marks[column], out.mu[:, column], step)
 
 
 @fast
-def predict(marks, x, k):
-    """Predict x[k] from the values of the next three steps and their differences."""
-    first, second, now, last, before, earlier = marks[SHARE], marks[SHARE + 1], x[k], x[k + 1], x[k + 2], x[k + 3]
+def predict(marks, history, step):
+    """Predict history[step] from the values of the next three steps and their differences."""
+    first, second = marks[SHARE], marks[SHARE + 1]
+    now, last, before, earlier = history[step], history[step + 1], history[step + 2], history[step + 3]
     for i in range(now.shape[0]):
         change = last[i] - before[i]
         now[i] = last[i] + first * change + second * (change - (before[i] - earlier[i])) if marks[SEEN] > 0.0 else 0.0
 
 
 @fast
-def add_slopes(j, k, bars, c):
-    """Add the slopes of an objective at the end of step k to the bars of column c."""
+def add_slopes(slopes, step, bars, column):
+    """Add the slopes of an objective at the end of a step to the bars of a column."""
     for kind in (Q, V, A):
-        add_slope(j[c, kind], k, 1.0, bars[kind, c])
+        add_slope(slopes[column, kind], step, 1.0, bars[kind, column])
 
 
 @fast
-def add_slope(j, k, factor, out):
-    """out += factor times row k of the array at address j, unless j is 0."""
-    if j:
-        slopes, at = pointer(j), k * out.shape[0]
+def add_slope(source, step, factor, out):
+    """out += factor times the row of a step of the array at the address `source`, unless that is 0."""
+    if source:
+        slopes, at = pointer(source), step * out.shape[0]
         for i in range(out.shape[0]):
             out[i] += factor * slopes[at + i]
 
 
 @fast
-def finish(p, k, y, out, c):
-    """Write the bars of the start of step k in column c, and y and z of the step."""
-    q, v, a, ahead, stiff, damped = y.bars[Q, c], y.bars[V, c], y.bars[A, c], y.bars[AHEAD, c], y.products[STIFF, c], y.products[DAMPED, c]
-    h, scale, keep = p.h, 1.0 / (1.0 - p.alpha_m), out.y.shape[1] > 0
+def finish(method, step, memory, out, column):
+    """Write the bars of the start of a step in a column, and y and z of the step."""
+    bars, stiff, damped = memory.bars[:, column], memory.products[STIFF, column], memory.products[DAMPED, column]
+    q, v, a, ahead = bars[Q], bars[V], bars[A], bars[AHEAD]
+    h, scale, keep = method.h, 1.0 / (1.0 - method.alpha_m), out.y.shape[1] > 0
     for i in range(q.shape[0]):
         b, d = -q[i] - stiff[i], -v[i] - damped[i]
-        x = (h * h * p.beta * b + h * p.gamma * d - ahead[i]) * scale
+        x = (h * h * method.beta * b + h * method.gamma * d - ahead[i]) * scale
         q[i] = -b
         v[i] = -d - h * b
-        a[i] = -p.alpha_f * x
-        ahead[i] = p.alpha_m * x - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * d
+        a[i] = -method.alpha_f * x
+        ahead[i] = method.alpha_m * x - h * h * (0.5 - method.beta) * b - h * (1.0 - method.gamma) * d
         if keep:
-            out.y[c, k, i], out.z[c, k, i] = b, d
+            out.y[column, step, i], out.z[column, step, i] = b, d
 
 
 @fast
-def fit(marks, x, k):
-    """Set the coefficients of the differences that fit the change from x[k + 1] to x[k] best; 0 while too few steps are known."""
+def fit(marks, history, step):
+    """Set the coefficients of the differences that fit the change of the last step best; 0 while too few steps are known."""
     marks[SEEN] += 1.0
     aa = ab = bb = ad = bd = 0.0
-    now, last, before, earlier, n = x[k], x[k + 1], x[k + 2], x[k + 3], x.shape[1]
+    now, last, before, earlier, n = history[step], history[step + 1], history[step + 2], history[step + 3], history.shape[1]
     for i in range(0, n, n // SAMPLES | 1):
         first, d = last[i] - before[i], now[i] - last[i]
         second = first - (before[i] - earlier[i])
@@ -301,10 +304,10 @@ def slope_addresses(slopes):
 
 
 @entry
-def add_last_slopes(j, k, bars):
-    """Add the slopes of all objectives at the end of step k."""
-    for c in range(j.shape[0]):
-        add_slopes(j, k, bars, c)
+def add_last_slopes(slopes, step, bars):
+    """Add the slopes of all objectives at the end of a step."""
+    for c in range(slopes.shape[0]):
+        add_slopes(slopes, step, bars, c)
 
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once

@@ -143,55 +143,57 @@ class SceneAdjointWork(NamedTuple):
 
 
 @part
-def stage(work, i):
-    """The Scratch of stage i."""
+def stage(work, number):
+    """The Scratch of the stage with this number."""
     x = work.first
-    if i == 1:
+    if number == 1:
         x = work.second
-    if i == 2:
+    if number == 2:
         x = work.third
     return x
 
 
 @part
-def pairs(work, x):
+def pairs(work, vector):
     """A vector (n,) as (nodes, 2)."""
-    return x.reshape(work.r.shape[2:])
+    return vector.reshape(work.r.shape[2:])
 
 
 @part
-def evaluate_mu_terms(work, t, k, i):
-    """Evaluate the terms of mu at stage i, unless the step has none (t is None)."""
-    if t is not None:
-        s, x, drives = work.scene.links, stage(work, i), work.drives[k, i]
-        joints.point_values(s, pairs(work, work.v[k, i]), x.points[VZ])
-        joints.joint_rate_jacobian(s, drives, x.points[DZ], x.points[VZ], t.rates[i])
-        t.curvature[i] = 0.0
-        joints.joint_curvature(s, drives, t.mu[k, i], t.curvature[i])
+def evaluate_mu_terms(work, terms, step, number):
+    """Evaluate the terms of mu at a stage, unless the step has none (terms is None)."""
+    if terms is not None:
+        s, x, drives = work.scene.links, stage(work, number), work.drives[step, number]
+        joints.point_values(s, pairs(work, work.v[step, number]), x.points[VZ])
+        joints.joint_rate_jacobian(s, drives, x.points[DZ], x.points[VZ], terms.rates[number])
+        terms.curvature[number] = 0.0
+        joints.joint_curvature(s, drives, terms.mu[step, number], terms.curvature[number])
 
 
 @part
-def prepare_mode(work, mode, i):
-    """The frames of a mode's factor, and its border, at stage i."""
+def prepare_mode(work, mode, number):
+    """The frames of a mode's factor, and its border, at a stage."""
     if mode is not None:
         s, c, workspace = work.scene.links, mode.factored, mode.workspace
-        corotated.turn_frames(s, c, workspace, stage(work, i).rotation)
+        corotated.turn_frames(s, c, workspace, stage(work, number).rotation)
         corotated.points_matrix(s, c, workspace)
-        fill(work, mode, i, workspace.border.slopes, workspace.border.curvature)
+        fill(work, mode, number, workspace.border.slopes, workspace.border.curvature)
         workspace.keeps[0] = 0
 
 
 @part
-def prepare_rates(work, t, k, i):
-    """Factor B B^T at stage i of step k, unless the step has no mu (t is None). False if it is singular."""
-    return True if t is None else factor_rates(work.scene.links, t.system, work.drives[k, i], stage(work, i).points[DZ])
+def prepare_rates(work, terms, step, number):
+    """Factor B B^T at a stage of a step, unless the step has no mu (terms is None). False if it is singular."""
+    if terms is None:
+        return True
+    return factor_rates(work.scene.links, terms.system, work.drives[step, number], stage(work, number).points[DZ])
 
 
 @part
-def fill(work, mode, i, slopes, curvature):
-    """phi_z of stage i, and the transposed curvature on the points with the point masses."""
-    mirror, x = work.scene.links.coupling.mirror, stage(work, i)
-    put(1.0, work.slopes[i], slopes)
+def fill(work, mode, number, slopes, curvature):
+    """phi_z of a stage, and the transposed curvature on the points with the point masses."""
+    mirror, x = work.scene.links.coupling.mirror, stage(work, number)
+    put(1.0, work.slopes[number], slopes)
     for e in range(mirror.shape[0]):
         for j in range(2):
             for o in range(2):
@@ -221,29 +223,29 @@ def correct(work, mode, u, which):
 
 
 @fast
-def collect(residuals, rows, mode, c):
+def collect(residuals, rows, mode, column):
     """A mode's part of the residuals of a column, in mode.r and mode.rows. Returns the sum of the sizes. With one stage mode.r is `residuals`."""
-    stages, r, own = residuals.shape[0], mode.r[c], mode.rows[c]
+    stages, r, own = residuals.shape[0], mode.r[column], mode.rows[column]
     if stages > 1:
         for a in range(r.shape[0]):
             for e in range(2):
                 r[a, e] = 0.0
                 for i in range(stages):
-                    r[a, e] += mode.column[i] * residuals[i, c, a, e]
+                    r[a, e] += mode.column[i] * residuals[i, column, a, e]
     for f in range(own.shape[0]):
         for e in range(own.shape[1]):
             own[f, e] = 0.0
             for i in range(stages):
-                own[f, e] += mode.column[i] * rows[f, i, c, e]
+                own[f, e] += mode.column[i] * rows[f, i, column, e]
     return max(LEAST, size_of(r))
 
 
 @fast
-def size_of(x):
-    """The sum of the sizes of the entries of x (nodes, 2)."""
+def size_of(values):
+    """The sum of the sizes of the values (nodes, 2)."""
     total = 0.0
-    for a in range(x.shape[0]):
-        total += magnitude(x[a, 0]) + magnitude(x[a, 1])
+    for a in range(values.shape[0]):
+        total += magnitude(values[a, 0]) + magnitude(values[a, 1])
     return total
 
 
@@ -260,85 +262,85 @@ def solve_columns(factored, workspace, lanes, sizes, r, dw, which):
 
 
 @part
-def solve_border(work, mode, tied, c):
+def solve_border(work, mode, tied, column):
     """The multipliers of a mode in a column, and the effect of their forces on dw. False if the border is singular."""
-    s, factored, workspace, dw = work.scene.links, mode.factored, mode.workspace, mode.dw[c]
+    s, factored, workspace, dw = work.scene.links, mode.factored, mode.workspace, mode.dw[column]
     if not workspace.spin.shape[0]:
         return True
     joints.point_values(s, dw, workspace.moved)
-    if not corotated.solve_multipliers(s, factored, workspace, mode.rows[c, MU], mode.multipliers[c, MU]):
+    if not corotated.solve_multipliers(s, factored, workspace, mode.rows[column, MU], mode.multipliers[column, MU]):
         return False
     workspace.keeps[0] = 1
     corotated.apply_point_forces(s, factored, workspace, dw)
     corotated.settle_states(s, factored, workspace.border.curvature, workspace.moved, dw)
-    return solve_kappa(work, mode, tied, c)
+    return solve_kappa(work, mode, tied, column)
 
 
 @part
-def solve_kappa(work, mode, t, c):
-    """kappa of a mode in a column, and mu without c kappa, unless the step has no mu (t is None). False if the system is singular."""
-    if t is None:
+def solve_kappa(work, mode, terms, column):
+    """kappa of a mode in a column, and mu without c kappa, unless the step has no mu (terms is None). False if the system is singular."""
+    if terms is None:
         return True
-    s, values, rows, multipliers = work.scene.links, mode.workspace.moved, mode.rows[c], mode.multipliers[c]
-    rate_values(s, t.system, mode.slowing, mode.workspace, mode.c[1], mode.dw[c], values)
+    s, values, rows, multipliers = work.scene.links, mode.workspace.moved, mode.rows[column], mode.multipliers[column]
+    rate_values(s, terms.system, mode.slowing, mode.workspace, mode.c[1], mode.dw[column], values)
     for e in range(rows.shape[1]):
-        rows[KAPPA, e] = -rows[KAPPA, e] - joints.along(s, t.system.workspace.slopes, e, values)
-    good = solve_rates(t.system, rows[KAPPA], multipliers[KAPPA])
+        rows[KAPPA, e] = -rows[KAPPA, e] - joints.along(s, terms.system.workspace.slopes, e, values)
+    good = solve_rates(terms.system, rows[KAPPA], multipliers[KAPPA])
     for e in range(rows.shape[1]):
         multipliers[MU, e] -= mode.c[1] * multipliers[KAPPA, e]
     return good
 
 
 @part
-def add_change(work, mode, twice, c):
+def add_change(work, mode, twice, column):
     """Add the part of a mode to the corrections of the stages in a column. With one stage mode.dw is work.dw."""
     if mode is not None:
         for i in range(work.dw.shape[0]):
             share = twice * mode.row[i]
             for a in range(work.dw.shape[2] if work.dw.shape[0] > 1 else 0):
                 for e in range(2):
-                    work.dw[i, c, a, e] += (share * mode.dw[c, a, e]).real
+                    work.dw[i, column, a, e] += (share * mode.dw[column, a, e]).real
             for f in range(work.change.shape[0]):
                 for e in range(work.change.shape[3]):
-                    work.change[f, i, c, e] += (share * mode.multipliers[c, f, e]).real
+                    work.change[f, i, column, e] += (share * mode.multipliers[column, f, e]).real
 
 
 @part
-def add_mu_terms(work, t, multipliers, bar, c):
-    """Add the terms of kappa and mu to the products of a column, and B v* to work.rows, unless the step has no mu (t is None)."""
-    if t is None:
+def add_mu_terms(work, terms, multipliers, bar, column):
+    """Add the terms of kappa and mu to the products of a column, and B v* to work.rows, unless the step has no mu (terms is None)."""
+    if terms is None:
         return
-    s, stages, values, forces = work.scene.links, work.r.shape[0], t.points[0], t.points[1]
+    s, stages, values, forces = work.scene.links, work.r.shape[0], terms.points[0], terms.points[1]
     for i in range(stages):
-        slowing = stage(work, i).slowing[c]
+        slowing = stage(work, i).slowing[column]
         clear(forces)
-        joints.add_rows(s, work.slopes[i], multipliers[KAPPA, i, c], forces)
+        joints.add_rows(s, work.slopes[i], multipliers[KAPPA, i, column], forces)
         joints.spread(s, forces, slowing)
         for a in range(slowing.shape[0]):
             for e in range(2):
-                t.v[i, a, e] = slowing[a, e] + (bar[c, a, e] if i == stages - 1 else 0.0)
+                terms.v[i, a, e] = slowing[a, e] + (bar[column, a, e] if i == stages - 1 else 0.0)
     for i in range(stages):
         for j in range(stages):
-            heavy = stage(work, j).heavy[c]
+            heavy = stage(work, j).heavy[column]
             for a in range(heavy.shape[0]):
                 for e in range(2):
-                    t.v[i, a, e] += work.to_v[i, j] * heavy[a, e]
-        joints.point_values(s, t.v[i], values)
-        products.pull_back(s.coupling, t.curvature[i], values, forces)
+                    terms.v[i, a, e] += work.to_v[i, j] * heavy[a, e]
+        joints.point_values(s, terms.v[i], values)
+        products.pull_back(s.coupling, terms.curvature[i], values, forces)
         for k in range(work.rows.shape[3]):
-            work.rows[KAPPA, i, c, k] = joints.along(s, work.slopes[i], k, values)
-        joints.add_rows(s, t.rates[i], multipliers[KAPPA, i, c], forces)
-        joints.spread(s, forces, stage(work, i).stiff[c])
+            work.rows[KAPPA, i, column, k] = joints.along(s, work.slopes[i], k, values)
+        joints.add_rows(s, terms.rates[i], multipliers[KAPPA, i, column], forces)
+        joints.spread(s, forces, stage(work, i).stiff[column])
 
 
 @part
-def multiply(work, k, now, multipliers, bar, which, moving, anew):
+def multiply(work, step, now, multipliers, bar, which, moving, anew):
     """Compute the products of w and the multipliers at the stages in the columns of `which`, M w only in those of `moving`.
 
     anew: True if the bodies' rotations must be computed.
     """
     for i in range(work.r.shape[0]):
-        x, u, v = stage(work, i), pairs(work, work.q[k, i]), pairs(work, work.v[k, i])
+        x, u, v = stage(work, i), pairs(work, work.q[step, i]), pairs(work, work.v[step, i])
         products.body_products(work.scene, work.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
         for c in which:
             products.point_products(work.scene.links, work.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
@@ -349,16 +351,16 @@ def multiply(work, k, now, multipliers, bar, which, moving, anew):
 
 
 @fast
-def set_residuals(work, right, below, c):
+def set_residuals(work, right, below, column):
     """rows = residuals of the equations in a column, and r (s, columns, nodes, 2) = minus the residuals, rotated to the middle stage."""
     stages = work.r.shape[0]
     for i in range(stages):
-        stiff, own, r = stage(work, i).stiff[c], stage(work, i).heavy[c], work.r[i, c]
+        stiff, own, r = stage(work, i).stiff[column], stage(work, i).heavy[column], work.r[i, column]
         for a in range(r.shape[0]):
             for e in range(2):
-                r[a, e] = right[i, c, a, e] - stiff[a, e] - work.to_a[i, i] * own[a, e]
+                r[a, e] = right[i, column, a, e] - stiff[a, e] - work.to_a[i, i] * own[a, e]
         for j in range(stages):
-            heavy, slowing, to_v, to_a = stage(work, j).heavy[c], stage(work, j).slowing[c], work.to_v[i, j], work.to_a[i, j]
+            heavy, slowing, to_v, to_a = stage(work, j).heavy[column], stage(work, j).slowing[column], work.to_v[i, j], work.to_a[i, j]
             for a in range(r.shape[0] if j != i else 0):
                 for e in range(2):
                     r[a, e] -= to_a * heavy[a, e]
@@ -366,7 +368,7 @@ def set_residuals(work, right, below, c):
                 for e in range(2):
                     r[a, e] -= to_v * slowing[a, e]
         for e in range(below.shape[2]):
-            work.rows[MU, i, c, e] -= below[i, c, e]
+            work.rows[MU, i, column, e] -= below[i, column, e]
         if stages > 1:
             for a in range(r.shape[0]):
                 co, n, p, q = work.turn[i, a, 0], work.turn[i, a, 1], r[a, 0], r[a, 1]
@@ -374,11 +376,11 @@ def set_residuals(work, right, below, c):
 
 
 @fast
-def add_correction(work, now, multipliers, c):
+def add_correction(work, now, multipliers, column):
     """w += dw in a column, rotated back, and the multipliers. Returns the sums of |dw| and |w|, since squares may underflow, and of |dmu| and |mu|."""
     moved = size = mu_moved = mu_size = 0.0
     for i in range(now.shape[0]):
-        dw, own = work.dw[i, c], now[i, c]
+        dw, own = work.dw[i, column], now[i, column]
         for a in range(own.shape[0]):
             p, q = dw[a, 0], dw[a, 1]
             if now.shape[0] > 1:
@@ -391,20 +393,20 @@ def add_correction(work, now, multipliers, c):
     for f in range(multipliers.shape[0]):
         for i in range(multipliers.shape[1]):
             for e in range(multipliers.shape[3]):
-                multipliers[f, i, c, e] += work.change[f, i, c, e]
+                multipliers[f, i, column, e] += work.change[f, i, column, e]
                 if f == MU:
-                    mu_moved += abs(work.change[f, i, c, e])
-                    mu_size += abs(multipliers[f, i, c, e])
+                    mu_moved += abs(work.change[f, i, column, e])
+                    mu_size += abs(multipliers[f, i, column, e])
     return moved, size, mu_moved, mu_size
 
 
 @part
-def convergence(work, c, moved, size, mu_moved, mu_size, iteration):
+def convergence(work, column, moved, size, mu_moved, mu_size, iteration):
     """(True if the error of a column after a correction by `moved` is small enough or round-off, True if it will not become so).
 
     The error of mu is that of w times M / h^2, and an error of the bars of the state before: it is estimated by its own last correction.
     """
-    marks, rates, last = work.marks, work.rates[c], work.rates[c, MOVED]
+    marks, rates, last = work.marks, work.rates[column], work.rates[column, MOVED]
     rate, measured, rates[MOVED] = rates[CONTRACTION], iteration > 0 and last > 0.0, moved
     if measured:
         rate = moved / last
@@ -416,7 +418,7 @@ def convergence(work, c, moved, size, mu_moved, mu_size, iteration):
     slow = measured and not rate <= marks[SLOWEST]
     factor = rate / (1.0 - rate) if rate < 1.0 else np.inf
     small = moved * factor <= work.enough * size and mu_moved * factor <= OF_MU * work.enough * mu_size
-    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * work.sizes[c, LARGEST], slow
+    return small or (slow and moved <= ROUND_OFF * size) or moved <= NEGLIGIBLE * work.sizes[column, LARGEST], slow
 
 
 @part
@@ -428,74 +430,75 @@ def count_work(marks, solves):
 
 
 @entry
-def solve(w, k, right, below, bar, now, multipliers, out):
-    """Solve step k by refinement; the Scratches of w write their results to the array `out`, SceneAdjoint.products.
+def solve(workspace, step, right, below, bar, now, multipliers, out):
+    """Solve a step by refinement; the Scratches of the workspace write their results to the array `out`, SceneAdjoint.products.
 
     Returns a status: REFACTOR too if a step costs more than the mean of all steps with the factor, its making included.
     """
-    if w.marks[LATELY] * w.marks[STEPS] > w.marks[WORK] + RENEWAL:
+    if workspace.marks[LATELY] * workspace.marks[STEPS] > workspace.marks[WORK] + RENEWAL:
         return REFACTOR
-    _, stages, columns, m = w.rows.shape
-    middle, shape, work = stages // 2, w.r.shape, 0.0
+    _, stages, columns, m = workspace.rows.shape
+    middle, shape, work = stages // 2, workspace.r.shape, 0.0
     right_r, bar, right_rows = carray(pointer(right), shape), carray(pointer(bar), shape[1:]), carray(pointer(below), (stages, columns, m))
-    now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), w.rows.shape)
-    which = w.which
+    now, multipliers = carray(pointer(now), shape), carray(pointer(multipliers), workspace.rows.shape)
+    which = workspace.which
     for c in range(columns):
         which[c] = c
     for i in range(stages):
-        x, drives, speed = stage(w, i), w.drives[k, i], pairs(w, w.v[k, i])
-        products.hold_state(w.scene, w.laws, drives, pairs(w, w.q[k, i]), speed, w.lam[k, i], x)
-        joints.joint_jacobian(w.scene.links, drives, x.points[DZ], w.slopes[i])
-        evaluate_mu_terms(w, w.tied, k, i)
-    multiply(w, k, now, multipliers, bar, which, which, True)
+        x, drives = stage(workspace, i), workspace.drives[step, i]
+        u, v = pairs(workspace, workspace.q[step, i]), pairs(workspace, workspace.v[step, i])
+        products.hold_state(workspace.scene, workspace.laws, drives, u, v, workspace.lam[step, i], x)
+        joints.joint_jacobian(workspace.scene.links, drives, x.points[DZ], workspace.slopes[i])
+        evaluate_mu_terms(workspace, workspace.tied, step, i)
+    multiply(workspace, step, now, multipliers, bar, which, which, True)
     for i in range(stages if stages > 1 else 0):
-        own, mid = stage(w, i).rotation, stage(w, middle).rotation
+        own, mid = stage(workspace, i).rotation, stage(workspace, middle).rotation
         for a in range(shape[2]):
             size = 1.0 / np.sqrt((mid[a, 0] ** 2 + mid[a, 1] ** 2) * (own[a, 0] ** 2 + own[a, 1] ** 2))
-            w.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
-            w.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
-    if not prepare_rates(w, w.tied, k, middle):
+            workspace.turn[i, a, 0] = (mid[a, 0] * own[a, 0] + mid[a, 1] * own[a, 1]) * size
+            workspace.turn[i, a, 1] = (mid[a, 1] * own[a, 0] - mid[a, 0] * own[a, 1]) * size
+    if not prepare_rates(workspace, workspace.tied, step, middle):
         return SINGULAR
-    prepare_mode(w, w.real, middle)
-    prepare_mode(w, w.pair, middle)
+    prepare_mode(workspace, workspace.real, middle)
+    prepare_mode(workspace, workspace.pair, middle)
     for iteration in range(MAX_CORRECTIONS):
         for c in which:
-            set_residuals(w, right_r, right_rows, c)
-            w.sizes[c, UNCONSTRAINED] = 0.0
-        u = pairs(w, w.q[k, middle])
-        if not (correct(w, w.real, u, which) and correct(w, w.pair, u, which)):
+            set_residuals(workspace, right_r, right_rows, c)
+            workspace.sizes[c, UNCONSTRAINED] = 0.0
+        u = pairs(workspace, workspace.q[step, middle])
+        if not (correct(workspace, workspace.real, u, which) and correct(workspace, workspace.pair, u, which)):
             return SINGULAR
-        w.marks[SOLVES] += which.shape[0]
+        workspace.marks[SOLVES] += which.shape[0]
         work += 0.5 * (1.0 + which.shape[0])  # each further column costs about half of the first
         for e in range(which.shape[0]):
             c = which[e]
             if stages > 1:
-                w.dw[:, c] = 0.0
-            w.change[:, :, c] = 0.0
-            add_change(w, w.real, 1.0, c)
-            add_change(w, w.pair, 2.0, c)
-            w.sizes[c, LARGEST] = max(w.sizes[c, LARGEST], w.sizes[c, UNCONSTRAINED])
-            moved, size, mu_moved, mu_size = add_correction(w, now, multipliers, c)
-            small, hopeless = convergence(w, c, moved, size, mu_moved, mu_size, iteration)
+                workspace.dw[:, c] = 0.0
+            workspace.change[:, :, c] = 0.0
+            add_change(workspace, workspace.real, 1.0, c)
+            add_change(workspace, workspace.pair, 2.0, c)
+            workspace.sizes[c, LARGEST] = max(workspace.sizes[c, LARGEST], workspace.sizes[c, UNCONSTRAINED])
+            moved, size, mu_moved, mu_size = add_correction(workspace, now, multipliers, c)
+            small, hopeless = convergence(workspace, c, moved, size, mu_moved, mu_size, iteration)
             if hopeless and not small:
                 return REFACTOR
-            w.small[e] = small
+            workspace.small[e] = small
         left = 0
         for e in range(which.shape[0]):
-            if not w.small[e]:
-                w.left[left] = which[e]
+            if not workspace.small[e]:
+                workspace.left[left] = which[e]
                 left += 1
-        multiply(w, k, now, multipliers, bar, which, which if stages > 1 else w.left[:left], False)
+        multiply(workspace, step, now, multipliers, bar, which, which if stages > 1 else workspace.left[:left], False)
         for e in range(left):
-            which[e] = w.left[e]
+            which[e] = workspace.left[e]
         which = which[:left]
         if not left:
             stage_products = carray(pointer(out), (3, *shape))
             for i in range(stages):
-                for c in range(columns if not stage(w, i).slowing.shape[1] else 0):
+                for c in range(columns if not stage(workspace, i).slowing.shape[1] else 0):
                     clear(stage_products[1, i, c])  # the sweep of Radau IIA adds to them
-            count_work(w.marks, work)
-            w.marks[SLOWEST] = OLD
+            count_work(workspace.marks, work)
+            workspace.marks[SLOWEST] = OLD
             return DONE
     return REFACTOR
 

@@ -161,115 +161,115 @@ class DenseAdjointWork(NamedTuple):
 
 
 @part
-def evaluate(w, k, i):
-    """K, C, M, T, B and H of stage i of step k. Returns a status."""
-    d = w.model
-    d.t[small.INNER] = d.t[small.END] = w.t[k, i]
-    put(1.0, w.q[k, i], d.q)
-    put(1.0, w.v[k, i], d.v)
-    put(1.0, w.a[k, i], d.a)
-    put(1.0, w.lam[k, i], d.lam)
+def evaluate(work, step, stage):
+    """K, C, M, T, B and H of a stage of a step. Returns a status."""
+    d = work.model
+    d.t[small.INNER] = d.t[small.END] = work.t[step, stage]
+    put(1.0, work.q[step, stage], d.q)
+    put(1.0, work.v[step, stage], d.v)
+    put(1.0, work.a[step, stage], d.a)
+    put(1.0, work.lam[step, stage], d.lam)
     d.flags[small.ENDED] = DONE
-    small.matrices_at(d, w.K[i], w.C[i], w.M[i])
-    if w.mu.shape[2] and d.flags[small.ROWS_VARY]:
-        bend(w, d, w.mu[k, i], w.H[i], w.T[i])
+    small.matrices_at(d, work.K[stage], work.C[stage], work.M[stage])
+    if work.mu.shape[2] and d.flags[small.ROWS_VARY]:
+        bend(work, d, work.mu[step, stage], work.H[stage], work.T[stage])
     if d.lam.shape[0] and d.flags[small.ROWS_VARY]:
         small.evaluate(d, small.PHI_Q, small.INNER, d.B)
-    copy_matrix(d.B, w.B[i])
+    copy_matrix(d.B, work.B[stage])
     return d.flags[small.ENDED]
 
 
 @part
-def bend(w, d, mu, H, T):
+def bend(work, model, mu, H, T):
     """`H = d(B v + phi_t)/dq` and `T = (B^T mu)_q D^-1` by differences of fourth order (model/differences.py)."""
     H[:], T[:] = 0.0, 0.0
-    for j in range(d.q.shape[0]):
-        at = d.q[j]
+    for j in range(model.q.shape[0]):
+        at = model.q[j]
         step = small.REACH * max(1.0, abs(at))
         for e in range(4):
-            d.q[j], weight = at + (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
-            small.evaluate(d, small.PHI_Q, small.INNER, d.B)
-            if d.flags[small.DRIVEN]:
-                small.evaluate(d, small.PHI_T, small.INNER, d.phi_t)
+            model.q[j], weight = at + (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
+            small.evaluate(model, small.PHI_Q, small.INNER, model.B)
+            if model.flags[small.DRIVEN]:
+                small.evaluate(model, small.PHI_T, small.INNER, model.phi_t)
             for k in range(mu.shape[0]):
-                H[k, j] += weight * d.phi_t[k]
-                for i in range(d.q.shape[0]):
-                    H[k, j] += weight * d.B[k, i] * d.v[i]
-                    T[i, j] += weight * d.B[k, i] * mu[k] * w.lift[j]
-        d.q[j] = at
+                H[k, j] += weight * model.phi_t[k]
+                for i in range(model.q.shape[0]):
+                    H[k, j] += weight * model.B[k, i] * model.v[i]
+                    T[i, j] += weight * model.B[k, i] * mu[k] * work.lift[j]
+        model.q[j] = at
 
 
 @part
-def assemble(w, size, unit):
+def assemble(work, size, unit):
     """The matrix of a step, columns of w in units of 1/size, of kappa in `unit`."""
-    A, (s, m, n), tied = w.matrix, w.B.shape, w.mu.shape[2] > 0
+    A, (s, m, n), tied = work.matrix, work.B.shape, work.mu.shape[2] > 0
     A[:] = 0.0
     for i in range(s):
         lam, mu = s * n + i * m, s * (n + m) + i * m
         for j in range(s):
-            to_v, to_a, same = w.to_v[i, j], w.to_a[i, j], i == j
+            to_v, to_a, same = work.to_v[i, j], work.to_a[i, j], i == j
             for p in range(n):
                 for r in range(n):
-                    total = to_a * w.M[j, r, p] + to_v * w.C[j, r, p]
+                    total = to_a * work.M[j, r, p] + to_v * work.C[j, r, p]
                     if same:
-                        total += w.K[i, r, p]
+                        total += work.K[i, r, p]
                     if tied:
                         for o in range(n):
-                            total += w.T[i, p, o] * (to_v * w.M[j, r, o] + (w.C[i, r, o] if same else 0.0))
+                            total += work.T[i, p, o] * (to_v * work.M[j, r, o] + (work.C[i, r, o] if same else 0.0))
                     A[i * n + p, j * n + r] = total / size
             for e in range(m if tied else 0):
                 for p in range(n):
-                    total = to_v * w.B[j, e, p]
+                    total = to_v * work.B[j, e, p]
                     if same:
-                        total += w.H[i, e, p]
+                        total += work.H[i, e, p]
                         for o in range(n):
-                            total += w.T[i, p, o] * w.B[i, e, o]
+                            total += work.T[i, p, o] * work.B[i, e, o]
                     A[i * n + p, s * (n + m) + j * m + e] = total * unit
                 for r in range(n):
                     total = 0.0
                     for o in range(n):
-                        total += w.B[i, e, o] * w.lift[o] * (to_v * w.M[j, r, o] + (w.C[i, r, o] if same else 0.0))
+                        total += work.B[i, e, o] * work.lift[o] * (to_v * work.M[j, r, o] + (work.C[i, r, o] if same else 0.0))
                     A[mu + e, j * n + r] = total / (unit * size)
         for e in range(m):
             for p in range(n):
-                A[i * n + p, lam + e] = A[lam + e, i * n + p] = w.B[i, e, p]
+                A[i * n + p, lam + e] = A[lam + e, i * n + p] = work.B[i, e, p]
             for o in range(m if tied else 0):
                 total = 0.0
                 for p in range(n):
-                    total += w.B[i, e, p] * w.lift[p] * w.B[i, o, p]
+                    total += work.B[i, e, p] * work.lift[p] * work.B[i, o, p]
                 A[mu + e, mu + o] = total
 
 
 @entry
-def solve(w, k, right, below, bar, now, multipliers, out):
-    """Solve step k. Returns a status."""
-    (s, m, n), kinds = w.B.shape, 1 + (w.mu.shape[2] > 0)
+def solve(work, step, right, below, bar, now, multipliers, out):
+    """Solve a step. Returns a status."""
+    (s, m, n), kinds = work.B.shape, 1 + (work.mu.shape[2] > 0)
     for i in range(s):
-        ended = evaluate(w, k, i)
+        ended = evaluate(work, step, i)
         if ended != DONE:
             return ended
-    size, unit = 0.0, 1.0 / abs(w.to_v[s - 1, s - 1])
+    size, unit = 0.0, 1.0 / abs(work.to_v[s - 1, s - 1])
     for p in range(n):
-        size += abs(w.K[s - 1, p, p] + w.to_a[s - 1, s - 1] * w.M[s - 1, p, p]) / n
+        size += abs(work.K[s - 1, p, p] + work.to_a[s - 1, s - 1] * work.M[s - 1, p, p]) / n
     size = size if size > 0.0 else 1.0
-    assemble(w, size, unit)
-    if not compiled_lu.factor(w.matrix, w.pivots):
+    assemble(work, size, unit)
+    if not compiled_lu.factor(work.matrix, work.pivots):
         return SINGULAR
-    right, below = carray(pointer(right), (s, w.columns, n)), carray(pointer(below), (s, w.columns, m))
-    bar = carray(pointer(bar), (w.columns, n))
-    now, multipliers = carray(pointer(now), (s, w.columns, n)), carray(pointer(multipliers), (kinds, s, w.columns, m))
-    out = carray(pointer(out), (3, s, w.columns, n))
-    for c in range(w.columns):
-        ended = solve_column(w, size, unit, right[:, c], below[:, c], bar[c], now[:, c], multipliers[:, :, c], out[:, :, c])
+    right, below = carray(pointer(right), (s, work.columns, n)), carray(pointer(below), (s, work.columns, m))
+    bar = carray(pointer(bar), (work.columns, n))
+    now, multipliers = carray(pointer(now), (s, work.columns, n)), carray(pointer(multipliers), (kinds, s, work.columns, m))
+    out = carray(pointer(out), (3, s, work.columns, n))
+    for c in range(work.columns):
+        ended = solve_column(work, size, unit, right[:, c], below[:, c], bar[c], now[:, c], multipliers[:, :, c], out[:, :, c])
         if ended != DONE:
             return ended
     return DONE
 
 
 @part
-def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
+def solve_column(work, size, unit, right, below, bar, now, multipliers, out):
     """Solve for a column with the factors of the step. Returns a status."""
-    (s, m, n), x = w.B.shape, w.x
+    (s, m, n), x = work.B.shape, work.x
     for i in range(s):
         for p in range(n):
             x[i * n + p] = right[i, p]
@@ -279,11 +279,11 @@ def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
     if multipliers.shape[0] == 2:
         for p in range(n):
             for o in range(n):
-                x[(s - 1) * n + p] -= w.T[s - 1, p, o] * bar[o]
+                x[(s - 1) * n + p] -= work.T[s - 1, p, o] * bar[o]
         for e in range(m):
             for p in range(n):
-                x[s * (n + m) + (s - 1) * m + e] -= w.B[s - 1, e, p] * w.lift[p] * bar[p] / unit
-    compiled_lu.solve(w.matrix, w.pivots, x)
+                x[s * (n + m) + (s - 1) * m + e] -= work.B[s - 1, e, p] * work.lift[p] * bar[p] / unit
+    compiled_lu.solve(work.matrix, work.pivots, x)
     if not small.finite(x):
         return NOT_FINITE
     for i in range(s):
@@ -293,34 +293,34 @@ def solve_column(w, size, unit, right, below, bar, now, multipliers, out):
             multipliers[0, i, e] = x[s * n + i * m + e]
             if multipliers.shape[0] == 2:
                 multipliers[1, i, e] = unit * x[s * (n + m) + i * m + e]
-    products(w, now, multipliers, bar, out)
-    w.solved[0] += 1
+    products(work, now, multipliers, bar, out)
+    work.solved[0] += 1
     return DONE
 
 
 @part
-def products(w, now, multipliers, bar, out):
+def products(work, now, multipliers, bar, out):
     """Products of the multipliers with the matrices: their parts of q*, v* and a*."""
-    (s, m, n), stiff, damped, heavy = w.B.shape, out[0], out[1], out[2]
+    (s, m, n), stiff, damped, heavy = work.B.shape, out[0], out[1], out[2]
     for i in range(s):
         for p in range(n):
             stiff[i, p] = damped[i, p] = heavy[i, p] = 0.0
             for r in range(n):
-                stiff[i, p] += w.K[i, r, p] * now[i, r]
-                damped[i, p] += w.C[i, r, p] * now[i, r]
-                heavy[i, p] += w.M[i, r, p] * now[i, r]
+                stiff[i, p] += work.K[i, r, p] * now[i, r]
+                damped[i, p] += work.C[i, r, p] * now[i, r]
+                heavy[i, p] += work.M[i, r, p] * now[i, r]
             for e in range(m):
-                stiff[i, p] += w.B[i, e, p] * multipliers[0, i, e]
+                stiff[i, p] += work.B[i, e, p] * multipliers[0, i, e]
                 if multipliers.shape[0] == 2:
-                    stiff[i, p] += w.H[i, e, p] * multipliers[1, i, e]
-                    damped[i, p] += w.B[i, e, p] * multipliers[1, i, e]
+                    stiff[i, p] += work.H[i, e, p] * multipliers[1, i, e]
+                    damped[i, p] += work.B[i, e, p] * multipliers[1, i, e]
     for i in range(s if multipliers.shape[0] == 2 else 0):
         for o in range(n):
             rate = damped[i, o] + (bar[o] if i == s - 1 else 0.0)
             for j in range(s):
-                rate += w.to_v[i, j] * heavy[j, o]
+                rate += work.to_v[i, j] * heavy[j, o]
             for p in range(n):
-                stiff[i, p] += w.T[i, p, o] * rate
+                stiff[i, p] += work.T[i, p, o] * rate
 
 
 class DenseAdjoint(AdjointTable):

@@ -235,9 +235,9 @@ def assemble(border, work):
 
 
 @part
-def respond(border, work, n, first, count):
-    """Set work.responses to G E of body n, (components, columns)."""
-    wide, at = 2 * (border.point_start[n + 1] - border.point_start[n]), border.block[n]
+def respond(border, work, body, first, count):
+    """Set work.responses to G E of a body, (components, columns)."""
+    wide, at = 2 * (border.point_start[body + 1] - border.point_start[body]), border.block[body]
     for j in range(count):
         for p in range(wide):
             work.responses[p, j] = 0.0
@@ -248,20 +248,20 @@ def respond(border, work, n, first, count):
 
 
 @part
-def is_accurate(e, work):
+def is_accurate(border, work):
     """True if work.x solves the system of work.matrix up to round-off. False for nan."""
     for u in range(work.x.shape[0]):
         work.left[u], work.terms[u] = 0.0, magnitude(work.right[u])
-    for f in range(e.size.shape[0]):
-        n, at, first = e.size[f], e.start[f], e.first[f]
+    for f in range(border.size.shape[0]):
+        n, at, first = border.size[f], border.start[f], border.first[f]
         for i in range(n):
             left, terms = 0.0 * work.x[0], 0.0
-            for j in range(n if i < e.pivots[f] else e.pivots[f]):
-                value = work.matrix[at + i * n + j] * work.x[e.unknowns[first + j]]
+            for j in range(n if i < border.pivots[f] else border.pivots[f]):
+                value = work.matrix[at + i * n + j] * work.x[border.unknowns[first + j]]
                 left += value
                 terms += magnitude(value)
-            work.left[e.unknowns[first + i]] += left
-            work.terms[e.unknowns[first + i]] += terms
+            work.left[border.unknowns[first + i]] += left
+            work.terms[border.unknowns[first + i]] += terms
     good = True
     for u in range(work.x.shape[0]):
         good = good and magnitude(work.right[u] - work.left[u]) <= ACCURATE * work.terms[u]

@@ -113,7 +113,7 @@ def unit_loads(model):
 
 
 @entry
-def fill_compliance_columns(factored, compliance_columns, rotation, loads, x):
+def fill_compliance_columns(factored, compliance_columns, rotation, loads, solution):
     """compliance_columns = S_ref^-1 loads, by the columns of the points, in the factor's frame. rotation: raw, becomes that frame; may be empty."""
     for i in range(rotation.shape[0]):
         size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
@@ -121,15 +121,15 @@ def fill_compliance_columns(factored, compliance_columns, rotation, loads, x):
     order, b = factored.fronts.order, factored.border
     for column in range(loads.shape[0]):
         for i in range(loads.shape[1]):
-            x[order[2 * i]], x[order[2 * i + 1]] = loads[column, i, 0], loads[column, i, 1]
-        solve_panels(factored.fronts, factored.panels, x)
+            solution[order[2 * i]], solution[order[2 * i + 1]] = loads[column, i, 0], loads[column, i, 1]
+        solve_panels(factored.fronts, factored.panels, solution)
         for n in range(b.point_start.shape[0] - 1):
             e = b.point_start[n] + column // 2
             if e < b.point_start[n + 1]:
                 first, end, at = factored.place[b.points[e], 0], factored.place[b.points[e], 1], factored.place[b.points[e], 2]
                 at += column % 2 * (end - first) - first
                 for i in range(first, end):
-                    compliance_columns[at + i, 0], compliance_columns[at + i, 1] = x[order[2 * i]], x[order[2 * i + 1]]
+                    compliance_columns[at + i, 0], compliance_columns[at + i, 1] = solution[order[2 * i]], solution[order[2 * i + 1]]
 
 
 def solve_workspace(model, system):
@@ -150,23 +150,23 @@ def solve_workspace(model, system):
 
 
 @shared
-def solve_panels(fronts, panels, x):
-    """x <- S_ref^-1 x in the factor's order: `solve_fronts`, compiled once for all callers."""
-    solve_fronts(fronts, panels, x)
+def solve_panels(fronts, panels, solution):
+    """solution <- S_ref^-1 solution in the factor's order: `solve_fronts`, compiled once for all callers."""
+    solve_fronts(fronts, panels, solution)
 
 
 @part
-def solve_in_place(factored, team, x):
+def solve_in_place(factored, team, solution):
     """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
     if team is None:
-        solve_panels(factored.fronts, factored.panels, x)
+        solve_panels(factored.fronts, factored.panels, solution)
     else:
-        solve_together(factored.fronts, factored.panels, x, team)
+        solve_together(factored.fronts, factored.panels, solution, team)
 
 
 @part
-def solve_turned(factored, work, size, r, x):
-    """x (nodes, 2) = P S_ref^-1 P^T r; size: of r, by which it is divided in the solve, so that it fits into single precision."""
+def solve_turned(factored, work, size, r, solution):
+    """solution (nodes, 2) = P S_ref^-1 P^T r; size: of r, by which it is divided in the solve, so that it fits into single precision."""
     order, b, turn, part = factored.fronts.order, work.x, work.turn, 1.0 / size
     for i in range(turn.shape[0]):
         p, q = part * r[i, 0], part * r[i, 1]
@@ -175,13 +175,13 @@ def solve_turned(factored, work, size, r, x):
     solve_in_place(factored, work.team, b)
     for i in range(turn.shape[0]):
         p, q = size * b[order[2 * i]], size * b[order[2 * i + 1]]
-        x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
-        x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+        solution[i, 0] = turn[i, 0] * p - turn[i, 1] * q
+        solution[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
 @part
-def solve_turned_columns(factored, work, lanes, sizes, r, x, which):
-    """The same for the columns in `which`, at most COLUMNS, of r and x (columns, nodes, 2), with one pass through the factor."""
+def solve_turned_columns(factored, work, lanes, sizes, r, solution, which):
+    """The same for the columns in `which`, at most COLUMNS, of r and solution (columns, nodes, 2), with one pass through the factor."""
     order, turn, count, parts = factored.fronts.order, work.turn, which.shape[0], np.empty(lanes.shape[1])
     for e in range(count):
         parts[e] = 1.0 / sizes[which[e]]
@@ -197,7 +197,7 @@ def solve_turned_columns(factored, work, lanes, sizes, r, x, which):
         first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
         for e in range(count):
             p, q = sizes[which[e]] * first[e], sizes[which[e]] * second[e]
-            x[which[e], i, 0], x[which[e], i, 1] = co * p - si * q, si * p + co * q
+            solution[which[e], i, 0], solution[which[e], i, 1] = co * p - si * q, si * p + co * q
 
 
 @shared

@@ -296,15 +296,15 @@ def is_along(bracket, work, most):
 
 
 @part
-def subtract_sides(laws, law, f, forces):
-    """forces -= f at the points of law k's sides. Returns True if they are finite."""
+def subtract_sides(laws, law, force, forces):
+    """forces -= force at the points of law k's sides. Returns True if they are finite."""
     finite = True
-    for i in range(f.shape[0]):
+    for i in range(force.shape[0]):
         p = laws.points[laws.parts[law, 1] + i]
-        finite = finite and abs(f[i, 0]) + abs(f[i, 1]) < np.inf
+        finite = finite and abs(force[i, 0]) + abs(force[i, 1]) < np.inf
         if p >= 0:
-            forces[p, 0] -= f[i, 0]
-            forces[p, 1] -= f[i, 1]
+            forces[p, 0] -= force[i, 0]
+            forces[p, 1] -= force[i, 1]
     return finite
 
 

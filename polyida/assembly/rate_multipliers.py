@@ -90,24 +90,24 @@ def _entries(matrix, rows, columns):
 
 
 @part
-def factor_rates(links, x, drives, dz):
+def factor_rates(links, rates, drives, dz):
     """Factor B B^T at places dz of the points. False if it is singular."""
-    joints.joint_jacobian(links, drives, dz, x.workspace.slopes)
-    zero(x.workspace.right)
-    return solve_border(x.border, x.workspace)
+    joints.joint_jacobian(links, drives, dz, rates.workspace.slopes)
+    zero(rates.workspace.right)
+    return solve_border(rates.border, rates.workspace)
 
 
 @part
-def solve_rates(x, right, mu):
+def solve_rates(rates, right, mu):
     """mu = (B B^T)^-1 right, (m,) real or complex, with the factor of `factor_rates`. False if the system is singular."""
-    w, m, numbers, out = x.workspace, right.shape[0], right.view(np.float64), mu.view(np.float64)
+    w, m, numbers, out = rates.workspace, right.shape[0], right.view(np.float64), mu.view(np.float64)
     parts = numbers.shape[0] // max(m, 1)
     for p in range(parts):
         size = 0.0
         for k in range(m):
             w.right[k] = numbers[parts * k + p]
             size += abs(w.right[k])
-        if size != 0.0 and not solve_border_again(x.border, w):
+        if size != 0.0 and not solve_border_again(rates.border, w):
             return False
         for k in range(m):
             out[parts * k + p] = w.x[k] if size != 0.0 else 0.0
@@ -115,43 +115,43 @@ def solve_rates(x, right, mu):
 
 
 @part
-def subtract_rates(links, x, z, right):
-    """right -= H dq. z: dq at the points, (points, 2)."""
+def subtract_rates(links, rates, dz, right):
+    """right -= H dq. dz: dq at the points, (points, 2)."""
     for k in range(right.shape[0]):
-        right[k] -= joints.along(links, x.rates, k, z)
+        right[k] -= joints.along(links, rates.rates, k, dz)
 
 
 @part
-def add_rate_forces(links, x, slowing, work, factor, mu, r):
+def add_rate_forces(links, rates, slowing, work, factor, mu, r):
     """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; work: SolveWorkspace with the frames of the nodes and points."""
     forces = work.point_forces
     clear(forces)
-    joints.add_rows(links, x.workspace.slopes, mu, forces)
+    joints.add_rows(links, rates.workspace.slopes, mu, forces)
     for f in range(forces.shape[0]):
         px, py = forces[f, 0], forces[f, 1]
         if px == 0.0 and py == 0.0:
             continue
-        for e in range(x.start[f], x.start[f + 1]):
-            i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
+        for e in range(rates.start[f], rates.start[f + 1]):
+            i, a, b = rates.pairs[e], rates.mass[e, 0], rates.mass[e, 1]
             r[i, 0] += factor * (a * px - b * py)
             r[i, 1] += factor * (a * py + b * px)
         if slowing.shape[0]:
             co, si = work.spin[f, 0], work.spin[f, 1]
             p, q = co * px + si * py, co * py - si * px
-            for e in range(x.start[f], x.start[f + 1]):
-                i = x.pairs[e]
+            for e in range(rates.start[f], rates.start[f + 1]):
+                i = rates.pairs[e]
                 gx, gy = slowing[e, 0, 0] * p + slowing[e, 0, 1] * q, slowing[e, 1, 0] * p + slowing[e, 1, 1] * q
                 r[i, 0] += work.turn[i, 0] * gx - work.turn[i, 1] * gy
                 r[i, 1] += work.turn[i, 1] * gx + work.turn[i, 0] * gy
 
 
 @part
-def rate_values(links, x, slowing, work, factor, dw, values):
+def rate_values(links, rates, slowing, work, factor, dw, values):
     """values (points, 2) = A (c M + C)^T dw."""
     for f in range(values.shape[0]):
         px, py, qx, qy = 0.0 * factor, 0.0 * factor, 0.0 * factor, 0.0 * factor
-        for e in range(x.start[f], x.start[f + 1]):
-            i, a, b = x.pairs[e], x.mass[e, 0], x.mass[e, 1]
+        for e in range(rates.start[f], rates.start[f + 1]):
+            i, a, b = rates.pairs[e], rates.mass[e, 0], rates.mass[e, 1]
             px += factor * (a * dw[i, 0] + b * dw[i, 1])
             py += factor * (a * dw[i, 1] - b * dw[i, 0])
             if slowing.shape[0]:

@@ -6,9 +6,9 @@ from polyida.jit import entry, part
 
 
 @part
-def magnitude(x):
-    """|Re x| + |Im x|: the size of a pivot, without a root."""
-    return abs(x.real) + abs(x.imag)
+def magnitude(value):
+    """|Re value| + |Im value|: the size of a pivot, without a root."""
+    return abs(value.real) + abs(value.imag)
 
 
 @part
@@ -40,44 +40,44 @@ def factor(matrix, pivots):
 
 
 @part
-def solve(matrix, pivots, b):
-    """b becomes the solution, with the factors of `factor`."""
-    n = b.shape[0]
+def solve(matrix, pivots, right):
+    """`right` becomes the solution, with the factors of `factor`."""
+    n = right.shape[0]
     for k in range(n):
         if pivots[k] != k:
-            b[k], b[pivots[k]] = b[pivots[k]], b[k]
+            right[k], right[pivots[k]] = right[pivots[k]], right[k]
     for i in range(1, n):
-        total = b[i]
+        total = right[i]
         for j in range(i):
-            total -= matrix[i, j] * b[j]
-        b[i] = total
+            total -= matrix[i, j] * right[j]
+        right[i] = total
     for i in range(n - 1, -1, -1):
-        total = b[i]
+        total = right[i]
         for j in range(i + 1, n):
-            total -= matrix[i, j] * b[j]
-        b[i] = total * matrix[i, i]
+            total -= matrix[i, j] * right[j]
+        right[i] = total * matrix[i, i]
 
 
 @part
-def put(c, x, y):
-    """y = c x; y may be longer."""
-    for i in range(x.shape[0]):
-        y[i] = c * x[i]
+def put(factor, source, target):
+    """target = factor source; target may be longer."""
+    for i in range(source.shape[0]):
+        target[i] = factor * source[i]
 
 
 @part
-def copy_matrix(x, y):
-    """y = x. numba takes two seconds to compile an assignment of arrays."""
-    for i in range(x.shape[0]):
-        for j in range(x.shape[1]):
-            y[i, j] = x[i, j]
+def copy_matrix(source, target):
+    """target = source. numba takes two seconds to compile an assignment of arrays."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
 
 
 @part
-def zero(x):
+def zero(vector):
     """Every entry of a vector 0. An assignment to a slice takes longer where vectors are short."""
-    for i in range(x.shape[0]):
-        x[i] = 0.0
+    for i in range(vector.shape[0]):
+        vector[i] = 0.0
 
 
 @part
@@ -89,19 +89,19 @@ def clear(matrix):
 
 
 @entry
-def solve_small(matrix, b):
-    """b <- matrix^-1 b, with rows divided by their largest entry first; overwrites both. False if it is singular."""
-    for i in range(b.shape[0]):
+def solve_small(matrix, right):
+    """right <- matrix^-1 right, with rows divided by their largest entry first; overwrites both. False if it is singular."""
+    for i in range(right.shape[0]):
         size = 0.0
-        for j in range(b.shape[0]):
+        for j in range(right.shape[0]):
             size = max(size, abs(matrix[i, j]))
         if not size > 0.0:
             return False
-        for j in range(b.shape[0]):
+        for j in range(right.shape[0]):
             matrix[i, j] /= size
-        b[i] /= size
-    pivots = np.empty(b.shape[0], np.int64)
+        right[i] /= size
+    pivots = np.empty(right.shape[0], np.int64)
     if not factor(matrix, pivots):
         return False
-    solve(matrix, pivots, b)
+    solve(matrix, pivots, right)
     return True

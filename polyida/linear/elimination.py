@@ -136,16 +136,16 @@ def _places(e, fronts, unknowns):
 
 
 @entry
-def eliminate(e, values, sizes):
+def eliminate(pattern, values, sizes):
     """Turn `values` into factors; `sizes` is scratch for a number of each unknown. False if a pivot is too small."""
     for u in range(sizes.shape[0]):
-        sizes[u] = values[e.diagonal[u]]
-    for f in range(e.size.shape[0]):
-        n, at = e.size[f], e.start[f]
-        for k in range(e.pivots[f]):
+        sizes[u] = values[pattern.diagonal[u]]
+    for f in range(pattern.size.shape[0]):
+        n, at = pattern.size[f], pattern.start[f]
+        for k in range(pattern.pivots[f]):
             top = at + k * n
             pivot = values[top + k]
-            if not magnitude(pivot) > SMALL * magnitude(sizes[e.unknowns[e.first[f] + k]]):
+            if not magnitude(pivot) > SMALL * magnitude(sizes[pattern.unknowns[pattern.first[f] + k]]):
                 return False
             pivot = 1.0 / pivot
             values[top + k] = pivot
@@ -156,42 +156,42 @@ def eliminate(e, values, sizes):
                     values[row + k] = factor
                     for j in range(k + 1, n):
                         values[row + j] -= factor * values[top + j]
-        if e.parent[f] >= 0:  # add the Schur complement to the parent
-            above, first, last = e.start[e.parent[f]], e.first[f], e.size[e.parent[f]]
-            for i in range(e.pivots[f], n):
-                row, to = at + i * n, above + e.into[first + i] * last
-                for j in range(e.pivots[f], n):
-                    values[to + e.into[first + j]] += values[row + j]
+        if pattern.parent[f] >= 0:  # add the Schur complement to the parent
+            above, first, last = pattern.start[pattern.parent[f]], pattern.first[f], pattern.size[pattern.parent[f]]
+            for i in range(pattern.pivots[f], n):
+                row, to = at + i * n, above + pattern.into[first + i] * last
+                for j in range(pattern.pivots[f], n):
+                    values[to + pattern.into[first + j]] += values[row + j]
     return True
 
 
 @entry
-def solve(e, values, right, x):
-    """Fill x with the solution for a right-hand side, with the factors of `eliminate` in `values`."""
-    put(1.0, right, x)
-    for f in range(e.size.shape[0]):
-        n, at, first = e.size[f], e.start[f], e.first[f]
+def solve(pattern, values, right, solution):
+    """Fill the solution for a right-hand side, with the factors of `eliminate` in `values`."""
+    put(1.0, right, solution)
+    for f in range(pattern.size.shape[0]):
+        n, at, first = pattern.size[f], pattern.start[f], pattern.first[f]
         for i in range(1, n):
-            total = x[e.unknowns[first + i]]
-            for k in range(min(i, e.pivots[f])):
-                total -= values[at + i * n + k] * x[e.unknowns[first + k]]
-            x[e.unknowns[first + i]] = total
-    for f in range(e.size.shape[0] - 1, -1, -1):
-        n, at, first = e.size[f], e.start[f], e.first[f]
-        for k in range(e.pivots[f] - 1, -1, -1):
-            total = x[e.unknowns[first + k]]
+            total = solution[pattern.unknowns[first + i]]
+            for k in range(min(i, pattern.pivots[f])):
+                total -= values[at + i * n + k] * solution[pattern.unknowns[first + k]]
+            solution[pattern.unknowns[first + i]] = total
+    for f in range(pattern.size.shape[0] - 1, -1, -1):
+        n, at, first = pattern.size[f], pattern.start[f], pattern.first[f]
+        for k in range(pattern.pivots[f] - 1, -1, -1):
+            total = solution[pattern.unknowns[first + k]]
             for j in range(k + 1, n):
-                total -= values[at + k * n + j] * x[e.unknowns[first + j]]
-            x[e.unknowns[first + k]] = total * values[at + k * n + k]
+                total -= values[at + k * n + j] * solution[pattern.unknowns[first + j]]
+            solution[pattern.unknowns[first + k]] = total * values[at + k * n + k]
 
 
 @entry
-def expand(e, values, matrix):
+def expand(pattern, values, matrix):
     """Fill the dense matrix of the system that `values` holds."""
     matrix[:] = 0.0
-    for f in range(e.size.shape[0]):
-        n, at, first = e.size[f], e.start[f], e.first[f]
+    for f in range(pattern.size.shape[0]):
+        n, at, first = pattern.size[f], pattern.start[f], pattern.first[f]
         for i in range(n):
             for j in range(n):
-                if i < e.pivots[f] or j < e.pivots[f]:
-                    matrix[e.unknowns[first + i], e.unknowns[first + j]] = values[at + i * n + j]
+                if i < pattern.pivots[f] or j < pattern.pivots[f]:
+                    matrix[pattern.unknowns[first + i], pattern.unknowns[first + j]] = values[at + i * n + j]

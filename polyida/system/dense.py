@@ -131,11 +131,11 @@ def evaluate_rows(work):
 
 
 @part
-def finite(x):
+def finite(values):
     """True if all entries are finite."""
     total = 0.0
-    for i in range(x.shape[0]):
-        total += 0.0 * x[i]
+    for i in range(values.shape[0]):
+        total += 0.0 * values[i]
     return total == 0.0
 
 
@@ -196,16 +196,16 @@ def constraints_behind(work, instant, q, dq, dv, phi, rate):
 
 
 @part
-def bordered(A, work, matrix, size):
-    """A = [[matrix, s B^T], [s B, 0]], s = size."""
+def bordered(whole, work, matrix, size):
+    """whole = [[matrix, s B^T], [s B, 0]], s = size."""
     n, m = work.q.shape[0], work.lam.shape[0]
     for i in range(n):
-        dense.put(1.0, matrix[i], A[i])
+        dense.put(1.0, matrix[i], whole[i])
         for k in range(m):
-            A[i, n + k] = size * work.B[k, i]
-            A[n + k, i] = size * work.B[k, i]
+            whole[i, n + k] = size * work.B[k, i]
+            whole[n + k, i] = size * work.B[k, i]
     for k in range(m):
-        dense.zero(A[n + k, n:])
+        dense.zero(whole[n + k, n:])
 
 
 @part
@@ -229,29 +229,29 @@ def combined(work, function, out):
 
 
 @part
-def add_difference(work, function, x, c):
-    """S += c d/dx of a function's value, by differences of fourth order (model/differences.py)."""
-    for j in range(x.shape[0]):
-        at = x[j]
+def add_difference(work, function, argument, factor):
+    """S += factor times the derivative of a function's value, by differences of fourth order (model/differences.py)."""
+    for j in range(argument.shape[0]):
+        at = argument[j]
         step = REACH * max(1.0, abs(at))
         for e in range(4):
-            x[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
+            argument[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
             combined(work, function, work.near[e])
-        x[j] = at
+        argument[j] = at
         for i in range(work.S.shape[0]):
-            work.S[i, j] += c * (8.0 * (work.near[0, i] - work.near[1, i]) - (work.near[2, i] - work.near[3, i])) / (12.0 * step)
+            work.S[i, j] += factor * (8.0 * (work.near[0, i] - work.near[1, i]) - (work.near[2, i] - work.near[3, i])) / (12.0 * step)
     return work.flags[ENDED]
 
 
 @part
-def add_slope(work, written, function, x, c):
-    """S += c times a derivative that the model writes, or its difference."""
+def add_slope(work, written, function, argument, factor):
+    """S += factor times a derivative that the model writes, or its difference."""
     if not work.functions[written]:
-        return add_difference(work, function, x, c)
+        return add_difference(work, function, argument, factor)
     ended = evaluate(work, written, INNER, work.slope)
     for i in range(work.S.shape[0]):
         for j in range(work.S.shape[0]):
-            work.S[i, j] += c * work.slope[i, j]
+            work.S[i, j] += factor * work.slope[i, j]
     return ended
 
 
@@ -289,12 +289,12 @@ def matrices_at(work, K, C, M):
 
 
 @entry
-def factor(work, instant, q, v, a, lam, c):
+def factor(work, instant, q, v, a, lam, factors):
     """S at a state; `solve` factors it with B."""
     n = work.q.shape[0]
     set_state(work, instant, q, v)
     set_a_lam(work, a, lam)
-    dense.put(1.0, c, work.c)
+    dense.put(1.0, factors, work.c)
     work.made_at[0] = work.t[INNER]
     dense.put(1.0, work.q, work.made_at[1:])
     dense.put(1.0, work.v, work.made_at[1 + n :])
@@ -314,11 +314,11 @@ def typical(matrix):
 
 
 @part
-def solve_bordered(work, A, pivots, size):
+def solve_bordered(work, whole, pivots, size):
     """work.x becomes the solution of a factored `bordered` system."""
     for k in range(work.q.shape[0], work.x.shape[0]):
         work.x[k] *= size
-    dense.solve(A, pivots, work.x)
+    dense.solve(whole, pivots, work.x)
     for k in range(work.q.shape[0], work.x.shape[0]):
         work.x[k] *= size
 
@@ -449,24 +449,24 @@ def acceleration(work, instant, q, v, a, lam):
 
 
 @entry
-def values(d, t, q, v, a, lam, r, phi, rates, biases):
+def values(work, t, q, v, a, lam, r, phi, rates, biases):
     """Fill r, phi, phi's rate and bias of states (k, .); each may be empty, (0, .). Returns how it ended."""
     ended = DONE
     for k in range(t.shape[0]):
-        d.times[0, INNER] = d.times[0, END] = t[k]
+        work.times[0, INNER] = work.times[0, END] = t[k]
         if r.shape[0]:
-            ended = residual(d, 0, q[k], v[k], a[k], lam[k], r[k], d.phi)
+            ended = residual(work, 0, q[k], v[k], a[k], lam[k], r[k], work.phi)
         elif phi.shape[0]:
-            set_state(d, 0, q[k], v[k])
-            ended = evaluate(d, PHI, END, d.phi)
+            set_state(work, 0, q[k], v[k])
+            ended = evaluate(work, PHI, END, work.phi)
         if phi.shape[0]:
-            dense.put(1.0, d.phi, phi[k])
+            dense.put(1.0, work.phi, phi[k])
         if ended == DONE and rates.shape[0]:
-            ended = rate(d, 0, q[k], v[k], rates[k])
+            ended = rate(work, 0, q[k], v[k], rates[k])
         if ended == DONE and biases.shape[0]:
-            set_state(d, 0, q[k], v[k])
-            ended = bias(d)
-            dense.put(1.0, d.phi_bias, biases[k])
+            set_state(work, 0, q[k], v[k])
+            ended = bias(work)
+            dense.put(1.0, work.phi_bias, biases[k])
         if ended != DONE:
             return ended
     return DONE

@@ -52,24 +52,24 @@ class Method(NamedTuple):
 
 
 @part
-def extrapolate(x, first, order, out):
-    """x[out] = the polynomial of an order through the last values, one step ahead."""
-    for i in range(x.shape[1]):
-        total = x[first, i]
+def extrapolate(history, first, order, out):
+    """history[out] = the polynomial of an order through the last values, one step ahead."""
+    for i in range(history.shape[1]):
+        total = history[first, i]
         for j in range(1, order + 1):
-            total += x[first + j, i]
-        x[out, i] = total
+            total += history[first + j, i]
+        history[out, i] = total
 
 
 @part
-def remember(x, value, first, errors):
-    """Add x[value] to the backward differences. Returns the order of the polynomial that would have been nearest to it."""
+def remember(history, value, first, errors):
+    """Add history[value] to the backward differences. Returns the order of the polynomial that would have been nearest to it."""
     zero(errors)
-    for i in range(x.shape[1]):
-        new = x[value, i]
+    for i in range(history.shape[1]):
+        new = history[value, i]
         for j in range(TERMS):
-            old = x[first + j, i]
-            x[first + j, i] = new
+            old = history[first + j, i]
+            history[first + j, i] = new
             new -= old
             errors[j] += new * new
     best = 0

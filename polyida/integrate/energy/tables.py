@@ -49,10 +49,10 @@ def table_of(model):
 
 
 @part
-def potential(work, x, d, s):
-    """V at x + s d."""
+def potential(work, start, direction, share):
+    """V at start + share direction."""
     for i in range(work.q.shape[0]):
-        work.q[i] = x[i] + s * d[i]
+        work.q[i] = start[i] + share * direction[i]
     small.evaluate(work, small.POTENTIAL, INNER, work.x)
     return work.x[0]
 
@@ -64,25 +64,25 @@ def five_states(work, at):
 
 
 @part
-def own_middle(w, instant, states, lam, r, phi):
+def own_middle(model, instant, states, lam, r, phi):
     """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    n, x0, x1, x, d = w.q.shape[0], states[0], states[1], states[2], w.near[0]
-    small.set_state(w, instant - 1, x, states[3])
-    small.set_a_lam(w, states[4], lam)
-    small.evaluate_rows(w)
-    small.equilibrium(w, r)
+    n, x0, x1, x, d = model.q.shape[0], states[0], states[1], states[2], model.near[0]
+    small.set_state(model, instant - 1, x, states[3])
+    small.set_a_lam(model, states[4], lam)
+    small.evaluate_rows(model)
+    small.equilibrium(model, r)
     for i in range(n):
-        d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
-    first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
+        d[i] = x1[i] - x0[i] if i < model.flags[small.OWN] else 0.0
+    first, last, work = potential(model, x0, d, 0.0), potential(model, x1, d, 0.0), 0.0
     for s, weight in POINTS:
-        work += weight * (potential(w, x, d, s) - potential(w, x, d, -s)) / (2.0 * s)
-    if w.flags[ENDED] != DONE:
-        return w.flags[ENDED]
-    metric, size = w.near[1], 0.0
+        work += weight * (potential(model, x, d, s) - potential(model, x, d, -s)) / (2.0 * s)
+    if model.flags[ENDED] != DONE:
+        return model.flags[ENDED]
+    metric, size = model.near[1], 0.0
     for i in range(n):
         metric[i] = 0.0
         for j in range(n):
-            metric[i] += w.M[i, j] * d[j]
+            metric[i] += model.M[i, j] * d[j]
         size += d[i] * metric[i]
     bracket = last - first - work
     if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
@@ -90,9 +90,9 @@ def own_middle(w, instant, states, lam, r, phi):
             r[i] += bracket / size * metric[i]
     ended = DONE
     if phi.shape[0]:
-        small.set_state(w, instant, x1, states[3])
-        ended = small.evaluate(w, small.PHI, END, w.phi)
-        put(1.0, w.phi, phi)
+        small.set_state(model, instant, x1, states[3])
+        ended = small.evaluate(model, small.PHI, END, model.phi)
+        put(1.0, model.phi, phi)
     return NOT_FINITE if ended == DONE and not (small.finite(r) and small.finite(phi)) else ended
 
 
@@ -243,18 +243,18 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
 
 
 @part
-def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
+def plates_middle(plates, h, u0, u1, um, vm, a, r, rotation):
     """Add inner, inertia and damping forces of all plates to r. Returns the least det F."""
     least = 1e300
-    for b in range(s.body_operator.shape[0]):
-        o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
-        material = Material(s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h)
-        least = compact.lesser(least, two_field.internal_force_midpoint(kernels.cells_of(s, b), material, u0, u1, r, rotation))
-        elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
-        if s.body_drag[b] != 0.0:
-            elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
-        if s.body_stabilisation[b] != 0.0:
-            elements.stabilisation_force(*kernels.on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, um, r)
+    for b in range(plates.body_operator.shape[0]):
+        o, n0, density = plates.body_operator[b], plates.body_node[b], plates.body_density[b]
+        material = Material(plates.body_c1[b], plates.body_nu[b], plates.body_viscosity[b] / h)
+        least = compact.lesser(least, two_field.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, r, rotation))
+        elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, r)
+        if plates.body_drag[b] != 0.0:
+            elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, r)
+        if plates.body_stabilisation[b] != 0.0:
+            elements.stabilisation_force(*kernels.on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, um, r)
     return least
 
 

@@ -74,31 +74,31 @@ def status_of(rows, forces, rate, rho, row, limit):
 
 
 @part
-def rate_of(G, free_rates, forces, row):
-    """(rate (G p + b)_row, the largest of its terms)."""
+def rate_of(delassus, free_rates, forces, row):
+    """(rate (G p + b)_row, G `delassus`, the largest of its terms)."""
     u, scale = free_rates[row], abs(free_rates[row])
     for j in range(forces.shape[0]):
-        u += G[row, j] * forces[j]
-        scale = max(scale, abs(G[row, j] * forces[j]))
+        u += delassus[row, j] * forces[j]
+        scale = max(scale, abs(delassus[row, j] * forces[j]))
     return u, scale
 
 
 @part
-def newton(G, free_rates, rows, forces, status, matrix, right, slope):
+def newton(delassus, free_rates, rows, forces, status, matrix, right, slope):
     """Newton's method until the forces no longer change; forces and status are then the best ones. Returns (largest error over the largest force, iterations)."""
     k, least, kept, kept_status = forces.shape[0], np.inf, forces.copy(), status.copy()
     for iteration in range(NEWTON):
         error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
-            u, scale = rate_of(G, free_rates, forces, i)
-            rho = 1.0 / G[i, i]
+            u, scale = rate_of(delassus, free_rates, forces, i)
+            rho = 1.0 / delassus[i, i]
             limit = bound(rows, forces, i, slope) if rows.kind[i] == FRICTION else 0.0
             now = status_of(rows, forces, u, rho, i, limit)
             same = same and now == status[i]
             status[i] = now
             if now in (CLOSED, STICKS):
                 for j in range(k):
-                    matrix[i, j] = G[i, j] * rho
+                    matrix[i, j] = delassus[i, j] * rho
                 matrix[i, i] += REGULAR
                 right[i] = -u * rho
             elif now == OPEN:
@@ -132,8 +132,8 @@ def newton(G, free_rates, rows, forces, status, matrix, right, slope):
 
 
 @part
-def solve_box_lcp(G, free_rates, low, high, forces, matrix, right):
-    """Change the forces p to the solution with given bounds: G p + b is 0 between them, not negative at the low one, not positive at the high one."""
+def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
+    """Change the forces p to the solution with given bounds: G p + b, G `delassus`, is 0 between them, not negative at the low one, not positive at the high one."""
     k, full = forces.shape[0], False
     free = np.zeros(k, np.bool_)
     for i in range(k):
@@ -142,9 +142,9 @@ def solve_box_lcp(G, free_rates, low, high, forces, matrix, right):
     for _ in range(CHANGES * (k + 1)):
         error, size, worst, released = 0.0, 0.0, 0.0, -1
         for i in range(k):
-            u, scale = rate_of(G, free_rates, forces, i)
-            right[i] = -u / G[i, i]
-            size = max(size, abs(forces[i]), scale / G[i, i])
+            u, scale = rate_of(delassus, free_rates, forces, i)
+            right[i] = -u / delassus[i, i]
+            size = max(size, abs(forces[i]), scale / delassus[i, i])
             if free[i]:
                 error = max(error, abs(right[i]))
             elif low[i] < high[i]:
@@ -157,7 +157,7 @@ def solve_box_lcp(G, free_rates, low, high, forces, matrix, right):
             return
         for i in range(k):
             for j in range(k):
-                matrix[i, j] = G[i, j] / G[i, i] if free[i] and free[j] else 0.0
+                matrix[i, j] = delassus[i, j] / delassus[i, i] if free[i] and free[j] else 0.0
             matrix[i, i] = 1.0 + REGULAR if free[i] else 1.0
             right[i] = right[i] if free[i] else 0.0
         if not solve_small(matrix, right):
@@ -175,12 +175,12 @@ def solve_box_lcp(G, free_rates, low, high, forces, matrix, right):
 
 
 @part
-def sweep(G, free_rates, rows, forces, slope):
+def sweep(delassus, free_rates, rows, forces, slope):
     """One projected Gauss-Seidel sweep."""
     k = forces.shape[0]
     for i in range(k):
-        u, _ = rate_of(G, free_rates, forces, i)
-        at = forces[i] - u / G[i, i]
+        u, _ = rate_of(delassus, free_rates, forces, i)
+        at = forces[i] - u / delassus[i, i]
         if rows.kind[i] == CONTACT:
             forces[i] = max(0.0, at)
         else:
@@ -192,7 +192,7 @@ def sweep(G, free_rates, rows, forces, slope):
 
 
 @entry
-def solve_cone(G, free_rates, rows, forces, status):
+def solve_cone(delassus, free_rates, rows, forces, status):
     """Change the forces p (k,) of the rows from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
 
     G_ii become positive.
@@ -200,17 +200,17 @@ def solve_cone(G, free_rates, rows, forces, status):
     k = forces.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
     for i in range(k):
-        G[i, i] = max(abs(G[i, i]), LEAST)
-    error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
+        delassus[i, i] = max(abs(delassus[i, i]), LEAST)
+    error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):
             right[i] = -free_rates[i]
-            put(1.0, G[i], matrix[i])
+            put(1.0, delassus[i], matrix[i])
             matrix[i, i] *= 1.0 + REGULAR
         if solve_small(matrix, right):
             put(1.0, right, forces)
             total += count
-            error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
+            error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
     for turn in range(ROUNDS):
         total += count
         if error <= GOOD:
@@ -223,9 +223,9 @@ def solve_cone(G, free_rates, rows, forces, status):
                 if rows.kind[i] == FRICTION:
                     limit = bound(rows, forces, i, slope)
                     low[i], high[i] = (-limit, limit) if rows.sign[i] == 0.0 else (-rows.sign[i] * limit, -rows.sign[i] * limit)
-            solve_box_lcp(G, free_rates, low, high, forces, matrix, right)
+            solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right)
         else:
             for _ in range(SWEEPS):
-                sweep(G, free_rates, rows, forces, slope)
-        error, count = newton(G, free_rates, rows, forces, status, matrix, right, slope)
+                sweep(delassus, free_rates, rows, forces, slope)
+        error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
     return total + count if error <= GOOD else -1

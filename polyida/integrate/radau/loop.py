@@ -266,24 +266,24 @@ def attempt(functions, workspace, first, method, tableau, h, begin, target, slot
 
 
 @part
-def record_step(log, k, target, h, memory, trial, work, slots, level, counts):
-    """Write step k to the record."""
-    log.t[k], log.level[k] = target, level
-    put(1.0, work.q, log.q[k])
-    put(1.0, work.v, log.v[k])
-    put(1.0, work.a, log.a[k])
-    put(1.0, work.lam, log.lam[k])
-    copy_matrix(trial.e, log.e[k])
-    copy_matrix(trial.dv, log.dv[k])
-    copy_matrix(trial.a, log.stages_a[k])
-    copy_matrix(trial.lam, log.stages_lam[k])
-    copy_matrix(trial.mu, log.mu[k])
-    copy_matrix(memory.miss_e[0], log.miss_e[k])
-    copy_matrix(memory.miss_lam[0], log.miss_lam[k])
-    copy_matrix(memory.phi_start, log.phi_start[k])
-    put(1.0, memory.marks, log.marks[k])
-    copy_matrix(slots.table[:READY], log.slots[k])
-    put(1.0, counts, log.counts[k])
+def record_step(log, number, target, h, memory, trial, work, slots, level, counts):
+    """Write a step to the record."""
+    log.t[number], log.level[number] = target, level
+    put(1.0, work.q, log.q[number])
+    put(1.0, work.v, log.v[number])
+    put(1.0, work.a, log.a[number])
+    put(1.0, work.lam, log.lam[number])
+    copy_matrix(trial.e, log.e[number])
+    copy_matrix(trial.dv, log.dv[number])
+    copy_matrix(trial.a, log.stages_a[number])
+    copy_matrix(trial.lam, log.stages_lam[number])
+    copy_matrix(trial.mu, log.mu[number])
+    copy_matrix(memory.miss_e[0], log.miss_e[number])
+    copy_matrix(memory.miss_lam[0], log.miss_lam[number])
+    copy_matrix(memory.phi_start, log.phi_start[number])
+    put(1.0, memory.marks, log.marks[number])
+    copy_matrix(slots.table[:READY], log.slots[number])
+    put(1.0, counts, log.counts[number])
 
 
 @entry

@@ -190,50 +190,50 @@ def empty(stages, n, m, tied):
     memory = Memory(*map(np.zeros, (n, n, n, n, n, m, each, closing, *misses, (2, m), (MARKS,))))
     trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
     shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), closing, (2, 2, m), (2, stages, stages), (3,)
-    modal = (n,), (n,), (2, m), (2, m)
-    return memory, trial, Scratch(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
+    kind = (n,), (n,), (2, m), (2, m)
+    return memory, trial, Scratch(*map(np.zeros, (*shapes, *kind)), *(np.zeros(shape, complex) for shape in kind))
 
 
 @fast
-def mean_square(shares, x):
-    """Sum of shares x^2."""
+def mean_square(shares, values):
+    """Sum of shares values^2."""
     total = 0.0
-    for i in range(x.shape[0]):
-        total += shares[i] * x[i] * x[i]
+    for i in range(values.shape[0]):
+        total += shares[i] * values[i] * values[i]
     return total
 
 
 @part
-def largest(x):
-    """max |x|."""
+def largest(values):
+    """max |values|."""
     size = 0.0
-    for i in range(x.shape[0]):
-        size = max(size, abs(x[i]))
+    for i in range(values.shape[0]):
+        size = max(size, abs(values[i]))
     return size
 
 
 @part
-def stage_rates(W, h, x, rates):
-    """rates = W x / h, (s, n) each."""
-    for k in range(x.shape[0]):
-        row, first, weight = rates[k], x[0], W[k, 0] / h
+def stage_rates(W, h, values, rates):
+    """rates = W values / h, (s, n) each."""
+    for k in range(values.shape[0]):
+        row, first, weight = rates[k], values[0], W[k, 0] / h
         for i in range(row.shape[0]):
             row[i] = weight * first[i]
-        for j in range(1, x.shape[0]):
-            other, weight = x[j], W[k, j] / h
+        for j in range(1, values.shape[0]):
+            other, weight = values[j], W[k, j] / h
             for i in range(row.shape[0]):
                 row[i] += weight * other[i]
 
 
 @part
-def weighted_sum(weights, x, out):
-    """out = weights x, (s, k) each."""
-    for k in range(x.shape[0]):
-        for i in range(x.shape[1]):
-            out[k, i] = weights[k, 0] * x[0, i]
-        for j in range(1, x.shape[0]):
-            for i in range(x.shape[1]):
-                out[k, i] += weights[k, j] * x[j, i]
+def weighted_sum(weights, values, out):
+    """out = weights values, (s, k) each."""
+    for k in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            out[k, i] = weights[k, 0] * values[0, i]
+        for j in range(1, values.shape[0]):
+            for i in range(values.shape[1]):
+                out[k, i] += weights[k, j] * values[j, i]
 
 
 @part
@@ -378,12 +378,12 @@ def fit(products, known, fits):
 
 
 @part
-def stage_state(tableau, h, memory, trial, work, k):
-    """Write q and v of stage k to the workspace."""
-    c = tableau.c[k] * h
+def stage_state(tableau, h, memory, trial, work, stage):
+    """Write q and v of a stage to the workspace."""
+    c = tableau.c[stage] * h
     for i in range(work.q.shape[0]):
-        work.q[i] = memory.q[i] + (c * memory.v[i] + trial.e[k, i])
-        work.v[i] = memory.v[i] + trial.dv[k, i]
+        work.q[i] = memory.q[i] + (c * memory.v[i] + trial.e[stage, i])
+        work.v[i] = memory.v[i] + trial.dv[stage, i]
 
 
 @part
@@ -410,12 +410,12 @@ def stage_velocities(model, first, method, tableau, h, memory, trial, work):
 
 
 @part
-def phi_by_increments(model, first, memory, trial, work, k):
-    """phi and phi' of stage k by increments from the start of the step; work.q is q of the stage."""
-    phi, rate = work.rows[PHI, k], work.rows[PHI_RATE, k]
+def phi_by_increments(model, first, memory, trial, work, stage):
+    """phi and phi' of a stage by increments from the start of the step; work.q is q of the stage."""
+    phi, rate = work.rows[PHI, stage], work.rows[PHI_RATE, stage]
     put(1.0, memory.phi_start[PHI], phi)
     put(1.0, memory.phi_start[PHI_RATE], rate)
-    return ask.constraints(model, first + 1 + k, work.q, trial.e[k], trial.dv[k], phi, rate)
+    return ask.constraints(model, first + 1 + stage, work.q, trial.e[stage], trial.dv[stage], phi, rate)
 
 
 @part
@@ -472,13 +472,13 @@ def from_modes(tableau, work):
 
 
 @part
-def add_multipliers(tableau, work, g, lam):
-    """Add the modes' multipliers g (0: lam, 1: mu) to those of the stages."""
+def add_multipliers(tableau, work, kind, lam):
+    """Add the modes' multipliers of one kind (0: lam, 1: mu) to those of the stages."""
     for k in range(lam.shape[0]):
         for e in range(lam.shape[1]):
-            lam[k, e] += 2.0 * (tableau.pair_column[k] * work.multipliers_pair[g, e]).real
+            lam[k, e] += 2.0 * (tableau.pair_column[k] * work.multipliers_pair[kind, e]).real
             if tableau.real_row.shape[0]:
-                lam[k, e] += tableau.real_column[k] * work.multipliers[g, e]
+                lam[k, e] += tableau.real_column[k] * work.multipliers[kind, e]
 
 
 @part

@@ -206,51 +206,52 @@ def bend(work, q, a):
 
 
 @part
-def row_size(work, c, level):
+def row_size(work, eigenvalue, level):
     """Divisor of the rows of a block: the factor of B in them."""
-    return abs(work.levels[level, 0] + c * (work.levels[level, 1] + c * work.levels[level, 2]))
+    return abs(work.levels[level, 0] + eigenvalue * (work.levels[level, 1] + eigenvalue * work.levels[level, 2]))
 
 
 @part
-def whole(A, work, c, size):
-    """Fill A with the matrix of a mode. lam is in units of the typical size of S, mu in those of |c|; rows are divided by `row_size`."""
-    k, n, m, scale = work.state[CHOSEN], work.K.shape[1], work.B.shape[0], abs(c)
+def whole(matrix, work, eigenvalue, size):
+    """Fill the matrix of a mode. lam is in units of the typical size of S, mu in those of |eigenvalue|; rows are divided by `row_size`."""
+    k, n, m, scale = work.state[CHOSEN], work.K.shape[1], work.B.shape[0], abs(eigenvalue)
     K, C, M = work.K[k], work.C[k], work.M[k]
     for i in range(n):
         for j in range(n):
-            A[i, j] = (K[i, j] + c * (C[i, j] + c * M[i, j])) / size
+            matrix[i, j] = (K[i, j] + eigenvalue * (C[i, j] + eigenvalue * M[i, j])) / size
         for e in range(m):
-            A[i, n + e] = work.B[e, i]
+            matrix[i, n + e] = work.B[e, i]
     for level in range(work.levels.shape[0]):
         rate, second, at = work.levels[level, 1], work.levels[level, 2], n + level * m
-        of_B, of_H, unit = work.levels[level, 0] + c * (rate + c * second), rate + 2.0 * c * second, row_size(work, c, level)
+        of_B = work.levels[level, 0] + eigenvalue * (rate + eigenvalue * second)
+        of_H, unit = rate + 2.0 * eigenvalue * second, row_size(work, eigenvalue, level)
         for e in range(m):
             for i in range(n):
-                A[at + e, i] = (of_B * work.B[e, i] + of_H * work.H[e, i] + second * work.N[e, i]) / unit
-            lu.zero(A[at + e, n:])
+                matrix[at + e, i] = (of_B * work.B[e, i] + of_H * work.H[e, i] + second * work.N[e, i]) / unit
+            lu.zero(matrix[at + e, n:])
     if work.levels.shape[0] == 2:
         for e in range(m):
             for i in range(n):
-                total = 0.0 * c
+                total = 0.0 * eigenvalue
                 for j in range(n):
-                    total += (C[i, j] + c * M[i, j]) * work.G[e, j]
-                A[i, n + m + e] = total * (scale / size)
+                    total += (C[i, j] + eigenvalue * M[i, j]) * work.G[e, j]
+                matrix[i, n + m + e] = total * (scale / size)
             for o in range(m):
-                total = 0.0 * c
+                total = 0.0 * eigenvalue
                 for j in range(n):
                     total += work.B[e, j] * work.G[o, j]
-                A[n + m + e, n + m + o] = total
+                matrix[n + m + e, n + m + o] = total
 
 
 @part
-def factored(work, c, number, A):
+def factored(work, eigenvalue, number, matrix):
     """Factor the matrix of a mode. False if it is singular."""
     k, total = work.state[CHOSEN], 0.0
     for i in range(work.K.shape[1]):
-        total += abs(work.K[k, i, i] + c * (work.C[k, i, i] + c * work.M[k, i, i]))
+        total += abs(work.K[k, i, i] + eigenvalue * (work.C[k, i, i] + eigenvalue * work.M[k, i, i]))
     work.sizes[number] = total / work.K.shape[1] if total > 0.0 else 1.0
-    whole(A, work, c, work.sizes[number])
-    return lu.factor(A, work.pivots[number])
+    whole(matrix, work, eigenvalue, work.sizes[number])
+    return lu.factor(matrix, work.pivots[number])
 
 
 @part
@@ -279,20 +280,20 @@ def rows(work, instant, q, v, a, known):
 
 
 @part
-def corrected(work, A, number, c, x, r, closing, dq, multipliers):
+def corrected(work, matrix, number, eigenvalue, solution, r, closing, dq, multipliers):
     """The correction of a mode."""
     n, m, size = work.K.shape[1], work.B.shape[0], work.sizes[number]
     for i in range(n):
-        x[i] = -r[i] / size
+        solution[i] = -r[i] / size
     for level in range(work.levels.shape[0]):
-        unit = row_size(work, c, level)
+        unit = row_size(work, eigenvalue, level)
         for e in range(level * m, (level + 1) * m):
-            x[n + e] = -closing[e] / unit
-    lu.solve(A, work.pivots[number], x)
-    lu.put(1.0, x[:n], dq)
+            solution[n + e] = -closing[e] / unit
+    lu.solve(matrix, work.pivots[number], solution)
+    lu.put(1.0, solution[:n], dq)
     for e in range(m):
-        multipliers[e] = size * x[n + e]
-        multipliers[m + e] = abs(c) * x[n + m + e] if work.levels.shape[0] == 2 else 0.0 * x[0]
+        multipliers[e] = size * solution[n + e]
+        multipliers[m + e] = abs(eigenvalue) * solution[n + m + e] if work.levels.shape[0] == 2 else 0.0 * solution[0]
 
 
 @part
