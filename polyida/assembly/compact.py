@@ -158,9 +158,12 @@ def forces(bodies, u, a, r, rotation):
 
 
 @part
-def forces_middle(bodies, h, u0, u1, um, vm, a, r, rotation):
-    """The same at the middle of a step of h, with damping. s is that of the mean strain of the ends, which conserves the energy."""
-    least = 1e300
+def forces_middle(bodies, h, states, r, rotation):
+    """The same at the middle of a step of h, with damping. s is that of the mean strain of the ends, which conserves the energy.
+
+    states (5, nodes, 2): displacements at both ends, and those of the middle with their velocities and accelerations.
+    """
+    u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(bodies.drag.shape[0]):
         add_mass(bodies, b, 1.0, a, r)
         if bodies.drag[b] != 0.0:

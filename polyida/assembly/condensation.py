@@ -140,15 +140,15 @@ def end_strains(work, u, past, rows, numbers):
                 if address(rows) != address(past):
                     for row in range(4):
                         put(1.0, past[row, first:end], rows[row, first:end])
-                q, v, a, a_alg = rows[0, first:end], rows[1, first:end], rows[2, first:end], rows[3, first:end]
-                end_term(numbers, x.unit[b], x.time[k], strain[i : i + TOGETHER], q, v, a, a_alg, rows[4, first:end])
+                end_term(numbers, x.unit[b], x.time[k], strain[i : i + TOGETHER], rows, first, end)
             at += count
     return DONE
 
 
 @fast
-def end_term(numbers, unit, time, strain, q, v, a, a_alg, change):
-    """`end_strains` of a part of a term. Loops of few arrays each: LLVM makes loops over vectors of them."""
+def end_term(numbers, unit, time, strain, rows, first, end):
+    """`end_strains` of a part of a term, columns first to end of the rows. Loops of few arrays each: LLVM makes loops over vectors of them."""
+    q, v, a, a_alg, change = rows[0, first:end], rows[1, first:end], rows[2, first:end], rows[3, first:end], rows[4, first:end]
     v_of_a, v_of_alg, dd_of_a, dd_of_alg = numbers[V_OF_A], numbers[V_OF_ALG], numbers[DD_OF_A], numbers[DD_OF_ALG]
     alg_of_a, alg_of_alg, alg_of_end = numbers[ALG_OF_A], numbers[ALG_OF_ALG], numbers[ALG_OF_END]
     h, v_of_end, dd_of_end = numbers[H], numbers[TO_V] / numbers[TO_A], 1.0 / numbers[TO_A]

@@ -208,6 +208,7 @@ class Increments:
 
     def __call__(self, dd, dv, phi, rate):
         """(phi, rate), (m,) each, at the end of the step, from those at its start; q changes by h v + dd and v by dv."""
-        phi, rate, step = phi.copy(), rate.copy(), (self.model.dz(dd), self.model.dz(dv))
-        joints.joint_change(self.model.arrays.links, self.drives, self.gain, self.h, self.dz, self.vz, *step, phi, rate)
+        phi, rate = phi.copy(), rate.copy()
+        points = np.stack([self.dz, self.vz, self.model.dz(dd), self.model.dz(dv)])
+        joints.joint_change(self.model.arrays.links, self.drives, self.gain, self.h, points, phi, rate)
         return phi, rate

@@ -273,13 +273,14 @@ def joint_rate_jacobian(links, drives, dz, vz, slopes):
 
 
 @entry
-def joint_change(links, drives, gains, h, dz, vz, dd, dv, phi, rate):
+def joint_change(links, drives, gains, h, points, phi, rate):
     """Add the changes of phi and rate = phi_z vz + phi_t in a step of h. Their round-off is that of second differences.
 
-    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the profile, of
+    points (4, points, 2): dz and vz at the start of the step, dd and dv: the points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the profile, of
     the profile minus h times its rate, of its rate. In `phi += h rate + ...`, rate replaces terms that cancel. With e = R E, `e_0 . f_0`
     becomes `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`. phi of velocity rows stays zero.
     """
+    dz, vz, dd, dv = points[0], points[1], points[2], points[3]
     for k in range(phi.shape[0]):
         phi[k] += h * rate[k] + along(links, links.row_slopes, k, dd)
         rate[k] += along(links, links.row_slopes, k, dv)
@@ -294,7 +295,7 @@ def joint_change(links, drives, gains, h, dz, vz, dd, dv, phi, rate):
         gx, gy = moved(links, f, vz)
         ddfx, ddfy = moved(links, f, dd)
         dvfx, dvfy = moved(links, f, dv)
-        ux, uy, ddx, ddy, dvx, dvy = turning_change(links, p, c, n, speed, gains, h, dz, vz, dd, dv)
+        ux, uy, ddx, ddy, dvx, dvy = turning_change(links, p, c, n, speed, gains, h, points)
         dex, dey, dfx, dfy = h * ux + ddx, h * uy + ddy, h * gx + ddfx, h * gy + ddfy
         if links.product_rate[p]:
             rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
@@ -307,14 +308,14 @@ def joint_change(links, drives, gains, h, dz, vz, dd, dv, phi, rate):
 
 
 @part
-def turning_change(links, product, cos, sin, speed, gains, h, dz, vz, dd, dv):
+def turning_change(links, product, cos, sin, speed, gains, h, points):
     """Velocity of e = R E of a product, its move minus h times the velocity, and its change of velocity.
 
     i rotates by a right angle, g is the increment of the angle, k = g - h theta', E_1 = E + h E' + dd_E:
     `e' = R (E' + theta' i E)`, `dd_e = R (dd_E + (cos g - 1) E_1 + (sin g - g) i E_1 + g i (E_1 - E) + k i E)`,
     `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
     """
-    e = links.product_first[product]
+    e, dz, vz, dd, dv = links.product_first[product], points[0], points[1], points[2], points[3]
     ux, uy = moved(links, e, vz)
     ddx, ddy = moved(links, e, dd)
     dvx, dvy = moved(links, e, dv)

@@ -27,7 +27,7 @@ from polyida.assembly.rate_multipliers import RateMultipliers
 from polyida.assembly.relaxation import eliminate, recover
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import entry, fast, pack, part, served
+from polyida.jit import fast, pack, part, served
 from polyida.jit.intrinsics import address, call, complex_pointer, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, copy_matrix, put
@@ -188,7 +188,7 @@ def constraints(work, instant, u, du, dv, phi, rate):
         joints.point_values(links, du, points[DX])
         joints.point_values(links, dv, points[DV])
         drives, gains, h = work.drives[work.begin[instant]], work.gains[instant], work.c[work.stage[instant]] * work.h[0]
-        joints.joint_change(links, drives, gains, h, points[START], points[VX], points[DX], points[DV], phi, rate)
+        joints.joint_change(links, drives, gains, h, points, phi, rate)
     else:
         joints.point_values(links, u, points[DX])
         joints.joint_forces(links, work.drives[instant], points[DX], work.level, phi, work.forces)
@@ -253,9 +253,9 @@ def renew_slopes(work, drives, dz, vz):
         call(work.optional[RENEW], address(work), address(drives), address(dz), address(vz), 0, 0, 0, 0)
 
 
-@entry
-def new_slopes(work, drives, dz, vz, d, e, f, g):
-    """`renew_slopes` of scenes with force elements and plates, in methods that ask for it; without plates, a solve costs less than the slopes."""
+@part
+def take_new_slopes(work, drives, dz, vz):
+    """`renew_slopes` by addresses, of scenes with force elements and plates; without plates, a solve costs less than the slopes."""
     factor, optional, links = work.real, work.optional, work.scene.links
     own, workspace = factor.workspace.own, factor.workspace
     own[:] = 0.0
@@ -264,6 +264,9 @@ def new_slopes(work, drives, dz, vz, d, e, f, g):
     corotated.turn_frames(links, factor.factored, workspace, work.rotation[work.rotation.shape[0] - 1])
     corotated.turn_slopes(links, workspace, -1.0, own, own)
     return DONE
+
+
+new_slopes = served(take_new_slopes, None, None)
 
 
 @part
@@ -392,11 +395,13 @@ def inertia(work, instant, v, a, r, p, u, rates):
     return DONE
 
 
-@entry
-def idle(work, instant, b, c, d, e, f, g):
-    """Do nothing: takes the place of a function that a scene does not need."""
+@part
+def do_nothing(work, instant):
+    """Takes the place of a function that a scene does not need."""
     return DONE
 
+
+idle = served(do_nothing)
 
 FUNCTIONS = {
     table.PREPARE: served(prepare, step_times),

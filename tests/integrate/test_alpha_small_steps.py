@@ -62,6 +62,6 @@ def test_change_of_phi_and_rate(scenes, kind):
     gains = increments.gain_table(model, times, drives, h)
     level = lambda t, q, v: (model.phi(t, q), model.phi_q(t, q) @ v + model.phi_t(t, q))  # noqa: E731
     phi, rate = (np.array(x) for x in level(times[0], q, v))
-    joints.joint_change(model.arrays.links, drives[0], gains[0], h, model.dz(q), model.dz(v), model.dz(dd), model.dz(dv), phi, rate)
+    joints.joint_change(model.arrays.links, drives[0], gains[0], h, np.stack([model.dz(x) for x in (q, v, dd, dv)]), phi, rate)
     expected = level(times[1], q + h * v + dd, v + dv)
     assert np.allclose(phi, expected[0], atol=1e-13) and np.allclose(rate, expected[1], atol=1e-12)

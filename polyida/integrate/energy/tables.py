@@ -231,21 +231,21 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
     states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
     (points, 2) are workspace; rotation (nodes, 2) as of the equilibrium of a state.
     """
-    s, links, u0, u1, um, vm, a = scene.plates, scene.links, states[0], states[1], states[2], states[3], states[4]
+    plates, um, a = scene.plates, states[2], states[4]
     for i in range(r.shape[0]):
-        r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
+        r[i, 0], r[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
     clear(rotation)
-    few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
+    few = compact.forces_middle(scene.compact, h, states, r, rotation)
     kernels.hold_strains(scene.relaxation, a, r, rotation)
-    least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
-    kernels.add_loads_and_joints(s, links, drives, um, a, lam, phi, dz, forces, r)
+    least = compact.lesser(plates_middle(plates, h, states, r, rotation), few)
+    kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, r)
     return least
 
 
 @part
-def plates_middle(plates, h, u0, u1, um, vm, a, r, rotation):
-    """Add inner, inertia and damping forces of all plates to r. Returns the least det F."""
-    least = 1e300
+def plates_middle(plates, h, states, r, rotation):
+    """Add inner, inertia and damping forces of all plates to r. Returns the least det F. states: as of `equilibrium`."""
+    u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(plates.body_operator.shape[0]):
         o, n0, density = plates.body_operator[b], plates.body_node[b], plates.body_density[b]
         material = Material(plates.body_c1[b], plates.body_nu[b], plates.body_viscosity[b] / h)
