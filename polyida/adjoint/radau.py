@@ -226,11 +226,10 @@ class RadauAdjoint(RunAdjoint):
         number, done, fresh = engine.table.begin(engine, first, control, b.t[1:]), 0, False
         sizes = (), (n,), (n,), (n,), (m,), (m if self.tied else 0,)
         out = Stages(*(np.empty((count, s, *size)) for size in sizes))
-        arrays = engine.memory, engine.trial, engine.scratch, engine.done
         while done < count:
             engine.done[:], before = 0, replace(self.counts)
-            at_work = engine.table.functions, engine.table.workspace, number, method, engine.compiled_tableau, h, control.now, engine.slots
-            done, ended = solve_stages(*at_work, fresh, b, done, *arrays, out)
+            at_work = engine.table.functions, engine.table.workspace, number, method, engine.arrays, control.now
+            done, ended = solve_stages(*at_work, h, fresh, b, done, out)
             engine.table.raise_error()
             vars(self.counts).update(engine.counts_at(before, engine.done[None], 0))
             fresh, failure = ended == loop.MAKE, None

@@ -76,12 +76,12 @@ def initial_stages(nodes, h, states, step, trial):
 
 
 @entry
-def solve_stages(functions, workspace, at, method, tableau, h, now, slots, fresh, states, done, memory, trial, work, counts, out):
+def solve_stages(functions, workspace, at, method, arrays, now, h, fresh, states, done, out):
     """Solve the stages of steps of h from number `done` on: (number of solved steps, status of the next one).
 
-    functions, workspace, method, tableau, memory, trial, work, slots, fresh, counts: as of `loop.take_steps`; at: number of the instant at
-    which the first step starts.
+    functions, workspace, method, arrays, fresh: as of `loop.take_steps`; at: number of the instant at which the first step starts.
     """
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     model, apart = (functions, workspace), tableau.c.shape[0] + 1
     for k in range(done, out.e.shape[0]):
         put(1.0, states.q[k], memory.q)
@@ -91,17 +91,14 @@ def solve_stages(functions, workspace, at, method, tableau, h, now, slots, fresh
         initial_stages(tableau.c, h, states, k, trial)
         now[STEP], now[TIME], now[TARGET] = h, states.t[k], states.t[k + 1]
         first = at if ask.provides(model, PREPARE) else at + k * apart
-        status, _ = attempt(
-            functions, workspace, first, method, tableau, h, states.t[k], states.t[k + 1], slots, fresh, memory, trial, work, counts
-        )
+        status, _ = attempt(functions, workspace, first, method, arrays, now, fresh)
         if status == MAKE and ask.provides(model, MATRICES):
-            slot = reserve_slot(slots, h, states.t[k], memory)
-            status, counts[FACTORS] = make_factors(model, first, tableau, memory, work, slot), counts[FACTORS] + 1
+            slot = reserve_slot(arrays.slots, h, states.t[k], memory)
+            status = make_factors(model, first, tableau, memory, work, slot)
+            arrays.counts[FACTORS] += 1
             if status == DONE:
                 initial_stages(tableau.c, h, states, k, trial)
-                status, _ = attempt(
-                    functions, workspace, first, method, tableau, h, states.t[k], states.t[k + 1], slots, True, memory, trial, work, counts
-                )
+                status, _ = attempt(functions, workspace, first, method, arrays, now, True)
         if status != DONE:
             return k, status
         fresh = False

@@ -40,7 +40,7 @@ class Control(NamedTuple):
 
     adaptive: True if steps follow the local error; h: the step of equal steps; first: the step at level 0; most, end: the largest step and the
     end of the piece; most_steps: limit of the number of steps, rejected ones included. now: LEVEL of the step size; TIME reached; FAILED,
-    attempts since the last accepted step; STEP and TARGET, length and end of the last attempt; REMAINING, steps until the limit.
+    attempts since the last accepted step; STEP and TARGET, length and end of the attempt; REMAINING, steps until the limit.
     """
 
     adaptive: bool
@@ -68,7 +68,7 @@ class FactorSlots(NamedTuple):
 class Record(NamedTuple):
     """Results of the steps of a stretch, each array (steps, ...): states, stages, and what Memory and Control hold after each step.
 
-    made (MADE, .): number of the step for which the driver made a factor, its slot, and the state as in FactorSlots; infinite without one.
+    t: with equal steps, their ends when the stretch begins. made (MADE, .): number of the step for which the driver made a factor, its slot, and the state as in FactorSlots; infinite without one.
     """
 
     t: np.ndarray
@@ -229,9 +229,10 @@ def selected(tableau, work):
 
 
 @shared
-def attempt(functions, workspace, first, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts):
-    """Try a step from the state of `memory`: (status, local error). The stages are in `trial`."""
-    model = functions, workspace
+def attempt(functions, workspace, first, method, arrays, now, fresh):
+    """Try the step in `now`, of Control, from the state of `memory`: (status, local error). The stages are in `trial`."""
+    model, tableau, slots, memory, work = (functions, workspace), arrays.tableau, arrays.slots, arrays.memory, arrays.work
+    h, begin, target = now[STEP], now[TIME], now[TARGET]
     count, times, select = tableau.c.shape[0], work.times, selected(tableau, work)
     times[0], times[1], times[2] = h, begin, clamp(method, begin)
     for i in range(count):
@@ -249,9 +250,7 @@ def attempt(functions, workspace, first, method, tableau, h, begin, target, slot
         return RESTORE, 0.0
     mark_used(slots, slot, memory.marks)
     ask.select(model, slot, select)
-    status, iterations = step.solve_stages(
-        model, first, method, tableau, h, memory, trial, work, newton_tolerance(method, h, memory), counts
-    )
+    status, iterations = step.solve_stages(model, first, method, arrays, h, newton_tolerance(method, h, memory))
     if status != DONE:
         if fresh or status in (NOT_FINITE, RAISED, WRONG_SHAPE):
             return status, 0.0
@@ -259,15 +258,16 @@ def attempt(functions, workspace, first, method, tableau, h, begin, target, slot
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
     slots.table[PRICE, slot] += max(0.0, iterations - slots.table[LEAST, slot])
-    status, error = step.project_end(model, first, method, tableau, h, memory, trial, work), 0.0
+    status, error = step.project_end(model, first, method, arrays, h), 0.0
     if status == DONE and method.estimates_error:
-        status, error = step.local_error(model, first, method, tableau, h, memory, trial, work, counts)
+        status, error = step.local_error(model, first, method, arrays, h)
     return status, error
 
 
 @part
-def record_step(log, number, target, h, memory, trial, work, slots, level, counts):
+def record_step(log, number, target, level, arrays):
     """Write a step to the record."""
+    memory, trial, work = arrays.memory, arrays.trial, arrays.work
     log.t[number], log.level[number] = target, level
     put(1.0, work.q, log.q[number])
     put(1.0, work.v, log.v[number])
@@ -282,18 +282,20 @@ def record_step(log, number, target, h, memory, trial, work, slots, level, count
     copy_matrix(memory.miss_lam[0], log.miss_lam[number])
     copy_matrix(memory.phi_start, log.phi_start[number])
     put(1.0, memory.marks, log.marks[number])
-    copy_matrix(slots.table[:READY], log.slots[number])
-    put(1.0, counts, log.counts[number])
+    copy_matrix(arrays.slots.table[:READY], log.slots[number])
+    put(1.0, arrays.counts, log.counts[number])
 
 
 @entry
-def take_steps(functions, workspace, first, method, tableau, control, slots, fresh, memory, trial, work, counts, ends, log):
+def take_steps(functions, workspace, first, method, arrays, control, fresh, log):
     """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status). PAUSE: `made` is full.
 
     functions, workspace: of the model's table (system/instant.py); first: number of the instant at which the stretch begins; fresh: True
-    if the factor of the first step was made for it; ends: the ends of equal steps.
+    if the factor of the first step was made for it.
     """
     model, now = (functions, workspace), control.now
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
+    slots, counts = arrays.slots, arrays.counts
     most, apart, taken, made = log.t.shape[0], tableau.c.shape[0] + 1, 0, 0
     while taken < most and (not control.adaptive or now[TIME] < control.end):
         h, target, begin = control.h, now[TIME], now[TIME]
@@ -308,10 +310,10 @@ def take_steps(functions, workspace, first, method, tableau, control, slots, fre
                 now[STEP] = h
                 return taken, TOO_MANY_STEPS
         else:
-            target = ends[taken]
+            target = log.t[taken]
         now[STEP], now[TARGET] = h, target
         at = first if ask.provides(model, PREPARE) else first + taken * apart
-        status, error = attempt(functions, workspace, at, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts)
+        status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
         if status == MAKE and ask.provides(model, MATRICES) and made < MADE:
             slot = reserve_slot(slots, h, clamp(method, begin), memory)
             log.made[made, 0], log.made[made, 1] = taken, slot
@@ -320,9 +322,7 @@ def take_steps(functions, workspace, first, method, tableau, control, slots, fre
             status, counts[step.FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[step.FACTORS] + 1
             fresh = status == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
-                status, error = attempt(
-                    functions, workspace, at, method, tableau, h, begin, target, slots, fresh, memory, trial, work, counts
-                )
+                status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
             else:
                 slots.table[H, slot] = slots.table[USED, slot] = 0.0
         if status == MAKE and ask.provides(model, MATRICES):
@@ -342,7 +342,7 @@ def take_steps(functions, workspace, first, method, tableau, control, slots, fre
             continue
         step.advance(h, error, memory, trial, work)
         fresh, now[TIME], now[FAILED] = False, target, 0.0
-        record_step(log, taken, target, h, memory, trial, work, slots, now[LEVEL], counts)
+        record_step(log, taken, target, now[LEVEL], arrays)
         taken += 1
     return taken, DONE
 

@@ -174,6 +174,18 @@ class Scratch(NamedTuple):
     multipliers_pair: np.ndarray
 
 
+@pack
+class Arrays(NamedTuple):
+    """All that the steps of a run read and write: slots: FactorSlots of loop.py; counts: what the steps cost."""
+
+    tableau: CompiledTableau
+    memory: Memory
+    trial: Trial
+    work: Scratch
+    slots: tuple
+    counts: np.ndarray
+
+
 def compiled_tableau(tableau):
     """The CompiledTableau of a Tableau."""
     modes = {mode.paired: mode for mode in tableau.modes}
@@ -387,8 +399,9 @@ def stage_state(tableau, h, memory, trial, work, stage):
 
 
 @part
-def stage_velocities(model, first, method, tableau, h, memory, trial, work):
+def stage_velocities(model, first, method, arrays, h):
     """v and v' of the stages from e and mu, and psi."""
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     stage_rates(tableau.W, h, trial.e, trial.dv)
     for k in range(trial.e.shape[0] if method.velocity_rows.shape[0] else 0):
         stage_state(tableau, h, memory, trial, work, k)
@@ -419,9 +432,10 @@ def phi_by_increments(model, first, memory, trial, work, stage):
 
 
 @part
-def residuals(model, first, method, tableau, h, memory, trial, work):
+def residuals(model, first, method, arrays, h):
     """r, phi and phi' of all stages."""
-    status = stage_velocities(model, first, method, tableau, h, memory, trial, work)
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
+    status = stage_velocities(model, first, method, arrays, h)
     for k in range(trial.e.shape[0]):
         if status != DONE:
             return status
@@ -494,9 +508,10 @@ def solve_pair(model, middle, lam, work):
 
 
 @part
-def iterate(model, first, method, tableau, h, memory, trial, work):
+def iterate(model, first, method, arrays, h):
     """One Newton iteration: (status, norm of dq and h dv: root mean square over stages, weighted by mass)."""
-    status = residuals(model, first, method, tableau, h, memory, trial, work)
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
+    status = residuals(model, first, method, arrays, h)
     if status != DONE:
         return status, 0.0
     stages, n = trial.e.shape
@@ -523,8 +538,9 @@ def iterate(model, first, method, tableau, h, memory, trial, work):
 
 
 @part
-def newton(model, first, method, tableau, h, memory, trial, work, allowed, counts):
+def newton(model, first, method, arrays, h, allowed):
     """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in `trial`."""
+    tableau, memory, trial, work, counts = arrays.tableau, arrays.memory, arrays.trial, arrays.work, arrays.counts
     size = np.sqrt(mean_square(memory.shares, memory.q)) + h * np.sqrt(mean_square(memory.shares, memory.v))
     contraction = min(2.0 * memory.marks[CONTRACTION], 1.0) if memory.marks[AGE] < MAX_AGE else 1.0
     last, worst, round_off = np.inf, 0.0, max(ROUND * size, method.least)
@@ -533,7 +549,7 @@ def newton(model, first, method, tableau, h, memory, trial, work, allowed, count
         counts[RESIDUALS] += trial.e.shape[0]
         counts[ITERATIONS] += 1
         counts[SOLVES] += 1 + (tableau.real_row.shape[0] > 0)
-        status, moved = iterate(model, first, method, tableau, h, memory, trial, work)
+        status, moved = iterate(model, first, method, arrays, h)
         if status != DONE or not np.isfinite(moved):
             return (NOT_FINITE if status == DONE else status), iteration
         if iteration > 1:
@@ -556,8 +572,9 @@ def newton(model, first, method, tableau, h, memory, trial, work, allowed, count
 
 
 @part
-def solve_stages(model, first, method, tableau, h, memory, trial, work, allowed, counts):
+def solve_stages(model, first, method, arrays, h, allowed):
     """Solve the stages of a step from the state in `memory`: (status, iterations)."""
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     status = ask.begin(model, first, memory.q, memory.v, work.times)
     if status != DONE:
         return status, 0
@@ -569,13 +586,14 @@ def solve_stages(model, first, method, tableau, h, memory, trial, work, allowed,
     status = ask.rows(model, first + 1 + k, work.q, work.v, None, 0)
     if status != DONE:
         return status, 0
-    return newton(model, first, method, tableau, h, memory, trial, work, allowed, counts)
+    return newton(model, first, method, arrays, h, allowed)
 
 
 @part
-def project_end(model, first, method, tableau, h, memory, trial, work):
+def project_end(model, first, method, arrays, h):
     """Update v and v' after the last correction, and project q and v of the step's end onto phi = 0 and phi' = 0 in the metric of M."""
-    status = stage_velocities(model, first, method, tableau, h, memory, trial, work)
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
+    status = stage_velocities(model, first, method, arrays, h)
     if not trial.lam.shape[1] or status != DONE:
         return status
     k = trial.e.shape[0] - 1
@@ -609,12 +627,13 @@ def project_end(model, first, method, tableau, h, memory, trial, work):
 
 
 @part
-def local_error(model, first, method, tableau, h, memory, trial, work, counts):
+def local_error(model, first, method, arrays, h):
     """(status, local error of q at the step's end: the norm of its difference to a method of order s).
 
     It is the difference of v_0, and of v' at the end of the last step, to the stages' polynomial, filtered by a solve with the step matrix, so
     that unresolved stiff modes do not count. The solve removes what phi does not permit; psi permits an error along W, (v + v'/c)/c.
     """
+    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     count, n = trial.e.shape
     middle, lam, real = first + 1 + count // 2, trial.lam[count // 2], tableau.real_row.shape[0] > 0
     for i in range(n):
@@ -632,7 +651,7 @@ def local_error(model, first, method, tableau, h, memory, trial, work, counts):
         status = ask.inertia(model, middle, change_v, change_a, inertia, momentum, memory.q, None)
     if status != DONE:
         return status, 0.0
-    counts[SOLVES] += 1
+    arrays.counts[SOLVES] += 1
     total, c = 0.0, complex(tableau.values[1], tableau.values[2]) / h
     for i in range(n):
         if real:

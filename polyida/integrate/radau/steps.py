@@ -47,10 +47,11 @@ class Steps:
         self.moves_v = (form == "ggl" or settings.project) and (bent or (model.compiled and model.m > 0))
         self.estimates_error = settings.adaptive or settings.tolerance is None
         self.table = _table(settings, model, self.tableau, self.tied)
-        self.compiled_tableau = step.compiled_tableau(self.tableau)
         self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
         self.slots, self.state = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m))), None
         self.done = np.zeros(loop.COUNTS, np.int64)
+        tableau = step.compiled_tableau(self.tableau)
+        self.arrays = step.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
         self.most = max(1, min(STEPS, most, 1 if model.switching else STEPS))
 
@@ -170,11 +171,11 @@ class Steps:
             self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
             misses_before = {name: getattr(y, name).copy() for name in ("miss_e", "miss_lam", "mu")}
             control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
-            table_arguments, run_arguments = (self.table.functions, self.table.workspace, first), (control, self.slots, fresh)
+            if not control.adaptive:
+                o.t[:] = ends[taken:]
+            at_work = self.table.functions, self.table.workspace, first
             with self.table.timed():
-                accepted, ended = loop.take_steps(
-                    *table_arguments, p, self.compiled_tableau, *run_arguments, y, self.trial, self.scratch, self.done, ends[taken:], o
-                )
+                accepted, ended = loop.take_steps(*at_work, p, self.arrays, control, fresh, o)
             self.state, before = None, replace(self.counts)
             if accepted:
                 shares = {"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {}
