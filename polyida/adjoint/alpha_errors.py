@@ -46,13 +46,14 @@ AT_INSTANT = 0.2  # of the slopes in lam and a: a frame that has more makes J de
 
 
 @entry
-def truncation(numbers, a, at, weights, ahead, of_q, of_v, tau, shares):
-    """Fill tau (2, count, n), what Newmark's formulas leave of q and v, and shares (count,) = -(of_q . tau_q + of_v . tau_v) of equal steps.
+def truncation(numbers, a, at, weights, ahead, factors, tau, shares):
+    """Fill tau (2, count, n), what Newmark's formulas leave of q and v, and shares (count,) = -(f_q . tau_q + f_v . tau_v) of equal steps.
 
     numbers: h, beta, gamma. a (., n): accelerations; at (count,): first one of each step's polynomial; weights (count, 2, points): of
-    `step_integrals`. ahead (count + 1, n): A.
+    `step_integrals`. ahead (count + 1, n): A. factors: f_q and f_v (count, n).
     """
     h, beta, gamma = numbers
+    of_q, of_v = factors
     for k in range(shares.shape[0]):
         for i in range(a.shape[1]):
             by_v = -(1.0 - gamma) * ahead[k, i] - gamma * ahead[k + 1, i]
@@ -77,13 +78,14 @@ def nearest(t, middle, width):
 
 
 @entry
-def shifted(t, h, widths, tau, factors, first, last, ends, sums):
+def shifted(steps, tau, factors, first, last, ends, sums):
     """sums (LAGS,) -= `sum factors . fast` over steps first to last - 1, fast = tau less its linear fit in time, of the steps at each lag.
 
-    t, h, widths (count,): middle of each step, its length, and width of the Gaussian; tau, factors (2, ., n): over h^4 and h^3 a fit is made.
+    steps: middle of each step, its length, and width of the Gaussian, (count,) each; tau, factors (2, ., n): over h^4 and h^3 a fit is made.
     The lags are from -WIDTHS to WIDTHS widths; one that leaves the steps adds nothing. If the run `ends` with the steps, fast is continued there by its
     odd image, without a jump or kink: the factors of an objective at the end are large there and cancel only in the sum with a smooth fast.
     """
+    t, h, widths = steps
     n, at, beyond = tau.shape[2], np.empty((last - first, LAGS), np.int64), t.shape[0] - 1  # at: the step at each lag, -1 for none
     low, high, longest, image = first, last, 0, np.zeros((last - first, LAGS), np.bool_)
     for k in range(first, last):
@@ -140,18 +142,21 @@ def shifted(t, h, widths, tau, factors, first, last, ends, sums):
 
 
 @entry
-def left_over(functions, workspace, q, v, a, lam, multipliers, mu, kappa, r, phi):
-    """(`sum w . r + mu . phi + kappa . rate`, status) of the states (count, .) of prepared steps, w the multipliers; kappa (0, m): no rates. r (n,), phi (m,): scratch.
+def left_over(functions, workspace, states, multipliers, r, phi):
+    """(`sum w . r + mu . phi + kappa . rate`, status) of prepared steps.
 
-    functions, workspace: of the model's table (system/instant.py).
+    functions, workspace: of the model's table (system/instant.py). states: q, v, a, lam (count, .); multipliers: w, mu, kappa (count, .), kappa
+    (0, m) without rates. r (n,), phi (m,): scratch.
     """
     model, total = (functions, workspace), 0.0
+    q, v, a, lam = states
+    w, mu, kappa = multipliers
     for k in range(q.shape[0]):
         status = ask.residual(model, k, q[k], v[k], a[k], lam[k], r, phi)
         if status != DONE:
             return total, status
         for i in range(r.shape[0]):
-            total += multipliers[k, i] * r[i]
+            total += w[k, i] * r[i]
         for i in range(phi.shape[0]):
             total += mu[k, i] * phi[i]
         if kappa.shape[0]:
@@ -236,7 +241,7 @@ class AlphaErrors(AlphaAdjoint):
         weights = step_integrals(times[at[:, None] - low + np.arange(points)], begin, h)
         tau = np.empty((2, count, self.model.n))
         numbers_of_method = np.array([segment.h, c.beta, c.gamma])
-        truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], *keep, tau, self.steps[first:end])
+        truncation(numbers_of_method, np.ascontiguousarray(a), at - low, weights, motion[3], tuple(keep), tau, self.steps[first:end])
         self.t[first:end], self.h[first:end] = begin + h, h
         self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0], piece == self.pieces[-1])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
@@ -251,14 +256,15 @@ class AlphaErrors(AlphaAdjoint):
     def _left_over(self, h, begin, t, q, v, a, lam, result):
         """What Newton's method left of the equations of some steps, times their multipliers."""
         n, m, table = self.model.n, self.model.m, self.table
-        arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, result.w, result.mu)]
+        states = tuple(np.ascontiguousarray(x, float) for x in (q, v, a, lam))
         kappa = result.kappa if self.model.velocity_rows.size else np.zeros((0, m))
+        multipliers = tuple(np.ascontiguousarray(x, float) for x in (result.w, result.mu, kappa))
         table.prepare(np.append(begin, t), (begin, t[-1]), h)
         if self.system is None:  # a table works with a factor, though no residual needs it
             self.system = table.system(self.settings)
-            table.factor(self.system, t[0], *(x[0].copy() for x in arrays[:4]), *self.settings.coefficients.rates(h))
+            table.factor(self.system, t[0], *(x[0].copy() for x in states), *self.settings.coefficients.rates(h))
         with table.at_work(self.system) as at:
-            total, ended = left_over(*at, *arrays, kappa, np.empty(n), np.empty(m))
+            total, ended = left_over(*at, states, multipliers, np.empty(n), np.empty(m))
         table.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t[0])
@@ -288,7 +294,7 @@ class AlphaErrors(AlphaAdjoint):
         known = t - 2.0 * WIDTHS * widths >= t[0]
         first = 0 if closed else min(self.open, int(np.argmax(known)) if known.any() else len(t))
         if first < self.open:
-            shifted(t, h, widths, tau, factors, first, self.open, ends, self.lost)
+            shifted((t, h, widths), tau, factors, first, self.open, ends, self.lost)
         last = int(np.searchsorted(t, t[min(first, len(t) - 1)] + 2.0 * WIDTHS * widths.max(), side="right"))
         kept = t[:last], h[:last], tau[:, :last].copy(), factors[:, :last].copy()
         self.window, self.open = (None, 0) if closed else (kept, first)

@@ -11,6 +11,8 @@ equations of an elastic plate leaves, for each step,
 `1/2 [E : C : E]_3 - 1/2 [E : C : E]_element - 1/2 [(E* - E) : C : (E* - E)]_3` is added.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -19,7 +21,7 @@ from polyida.element.cell_products import symmetric_part
 from polyida.element.elements import fan_points, wachspress_of_three
 from polyida.element.kernels import _differences, _gradient, _workspace, lame
 from polyida.element.material import second_piola, strain, two_state_strain
-from polyida.element.operator import Material, build
+from polyida.element.operator import Cells, Material, build
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, load2, load3, spread, store, traced
 from polyida.mesh import topology
@@ -71,14 +73,31 @@ def add_work(total, weight, x, y, lam_bar, two_mu):
     return total + weight * (s11 * y[0] + s22 * y[2] + 2.0 * s12 * y[1])
 
 
+class Fits(NamedTuple):
+    """The cells with three points and the linear fits to their neighbours.
+
+    cells, lane_cells: of the ReferenceOperator; places (points, 2, LANES): of its points from the cells' centroids; near (cells + 1,): first of
+    the neighbours of a cell and of their shares (., 3) in its fit. fields (points, 3, 3, LANES): E, E + viscosity E' and D of a frame; means
+    (cells, 3, 3): of these.
+    """
+
+    cells: Cells
+    lane_cells: np.ndarray
+    places: np.ndarray
+    near: np.ndarray
+    neighbours: np.ndarray
+    shares: np.ndarray
+    fields: np.ndarray
+    means: np.ndarray
+
+
 @entry
-def cell_errors(cells, lane_cells, places, near, neighbours, shares, material, u, v, multipliers, factor, fields, means, out):
+def cell_errors(fits, material, u, v, multipliers, factor, out):
     """out (2, cells) += the parts with three points of one frame: those of the fields, and of the gaps to the fits.
 
-    cells, lane_cells: of the ReferenceOperator with three points; places (points, 2, LANES); near (cells + 1,): first of
-    the neighbours of a cell and of their shares (., 3) in its fit. u, v, multipliers w (nodes, 2). factor: dJ/dW.
-    fields (points, 3, 3, LANES): E, E + viscosity E' and D; means (cells, 3, 3): of these.
+    u, v, multipliers w (nodes, 2). factor: dJ/dW.
     """
+    cells, lane_cells, places, near, neighbours, shares, fields, means = fits
     differences, sums, fit, at = _workspace(cells.layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
     (lam_bar, two_mu), third = lame(material), 3 * LANES
     for b in range(cells.layout.shape[0]):
@@ -142,24 +161,24 @@ class MeshError:
         mesh, self.body = body.mesh, body
         modulus, nu = body.plate.material.in_plane
         self.moduli = body.plate.thickness * modulus / (1 - nu**2), nu
-        self.fine = three = build(mesh, wachspress_of_three)
+        three = build(mesh, wachspress_of_three)
         places, numbers = [], three.lane_cells.reshape(-1, LANES)
         for cells, n in zip(numbers, three.layout[:, 0].tolist()):
             corners = mesh.points[mesh.nodes[mesh.offsets[cells] + np.arange(n)[:, None]]].transpose(0, 2, 1)
             near, _, centroid = fan_points(corners)
             places.append(near - centroid)
-        self.places, self.fit = np.ascontiguousarray(np.concatenate(places)), _fits(mesh)
-        self.fields, self.means = np.empty((len(self.places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
+        places = np.ascontiguousarray(np.concatenate(places))
+        scratch = np.empty((len(places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
+        self.fits = Fits(three.cells(), three.lane_cells, places, *_fits(mesh), *scratch)
         self.three, self.of_energy = np.zeros((2, mesh.n_cells)), np.zeros(mesh.n_cells)
         self.of_element = np.zeros(len(body.operator.lane_cells))
 
     def add(self, q, v, w, factor):
         """Add states q, v and multipliers w of the model, (count, pairs, 2), with dJ/dW (count,)."""
         body, o, (c, nu), viscosity = self.body, self.body.operator, self.moduli, self.body.plate.material.viscosity
-        arrays = self.fine.cells(), self.fine.lane_cells, self.places, *self.fit, Material(c * float(body.factors[0][0]), nu, viscosity)
-        cells, material = o.cells(), Material(c, nu, viscosity)
+        cells, material, whole = o.cells(), Material(c, nu, viscosity), Material(c * float(body.factors[0][0]), nu, viscosity)
         for u, speed, now, f in zip(*(np.ascontiguousarray(x[:, body.nodes]) for x in (q, v, w)), factor.tolist()):
-            cell_errors(*arrays, u, speed, now, f, self.fields, self.means, self.three)
+            cell_errors(self.fits, whole, u, speed, now, f, self.three)
             cell_products.force_work(cells, material, u, speed, now[None], self.of_element[None])
             if f:
                 add_cell_energies(cells, o.lane_cells, material, u, f, self.of_energy)

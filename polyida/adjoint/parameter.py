@@ -154,7 +154,7 @@ def equation_values(model):
         results = [np.zeros(np.shape(w)), *(np.zeros((0 if x is None else len(x), model.m)) for x in rows)]
         if table:
             table.evaluate_constants(float(work.t[0]), work.q[0])
-        if not table or small.values(table.w, *state, *results) != DONE:
+        if not table or small.values(table.w, tuple(state), tuple(results)) != DONE:
             for k, (t, q, v, a, lam) in enumerate(zip(work.t.tolist(), *state[1:])):
                 if len(w):
                     results[0][k] = model.residual(t, q, v, a, lam)

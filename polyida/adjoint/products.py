@@ -106,17 +106,19 @@ def few_products(bodies, blocks, field, r):
 
 
 @shared
-def body_products(scene, viscosity, u, v, which, moving, fields, rotation, results):
-    """Fill results.stiff and results.slowing of the columns in `which`, and results.heavy of those in `moving`, with the parts
-    of the bodies; rotation: results.rotation, or (0, 2) if it is known.
+def body_products(scene, viscosity, u, v, columns, fields, rotation, results):
+    """Fill results with the parts of the bodies.
+
+    columns: those of results.stiff and results.slowing, and those of results.heavy; rotation: results.rotation, or (0, 2) if it is known.
     """
+    which, moving = columns
     clear(rotation)
     for c in which:
         clear(results.stiff[c])
         clear(results.slowing[c])
     for c in moving:
         clear(results.heavy[c])
-    plate_products(scene.plates, viscosity, u, v, which, moving, fields, rotation, results)
+    plate_products(scene.plates, viscosity, u, v, columns, fields, rotation, results)
     for k in range(which.shape[0]):
         c, turns = which[k], rotation if k == 0 else rotation[:0]
         compact.momentum(scene.compact, fields[c], results.heavy[c])
@@ -130,8 +132,9 @@ def body_products(scene, viscosity, u, v, which, moving, fields, rotation, resul
 
 
 @part
-def plate_products(plates, viscosity, u, v, which, moving, fields, rotation, results):
-    """Add the parts of the plates."""
+def plate_products(plates, viscosity, u, v, columns, fields, rotation, results):
+    """Add the parts of the plates; the arguments are those of `body_products`."""
+    which, moving = columns
     for b in range(plates.body_operator.shape[0]):
         o, n0 = plates.body_operator[b], plates.body_node[b]
         if viscosity.shape[0] == 0:
@@ -207,7 +210,7 @@ def products(scene, viscosity, laws, drives, slopes, u, v, lam, fields, mu, resu
     """All products of one column at one state, into results; slopes is workspace for phi_z."""
     hold_state(scene, laws, drives, u, v, lam, results)
     which = np.zeros(1, np.int64)
-    body_products(scene, viscosity, u, v, which, which, fields, results.rotation, results)
+    body_products(scene, viscosity, u, v, (which, which), fields, results.rotation, results)
     joints.joint_jacobian(scene.links, drives, results.points[DZ], slopes)
     point_products(scene.links, slopes, 0, fields[0], mu, results)
 

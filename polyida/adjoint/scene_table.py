@@ -341,7 +341,7 @@ def multiply(work, step, now, multipliers, bar, which, moving, anew):
     """
     for i in range(work.r.shape[0]):
         x, u, v = stage(work, i), pairs(work, work.q[step, i]), pairs(work, work.v[step, i])
-        products.body_products(work.scene, work.viscosity, u, v, which, moving, now[i], x.rotation if anew else x.rotation[:0], x)
+        products.body_products(work.scene, work.viscosity, u, v, (which, moving), now[i], x.rotation if anew else x.rotation[:0], x)
         for c in which:
             products.point_products(work.scene.links, work.slopes[i], c, now[i, c], multipliers[MU, i, c], x)
             for e in range(work.rows.shape[3]):

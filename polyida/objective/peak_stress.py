@@ -206,8 +206,8 @@ class Elastic:
     def forces(self, q, factor):
         """factor (count,) times their slopes in q, (count, n)."""
         model, result = self.model, np.empty((len(q), *self.still.shape))
-        scratch_rows = np.empty(model.m), np.empty((2, model.n_points, 2))
-        fill_forces(self.arrays, self.drives, _pairs(q, model), self.still, self.none, np.asarray(factor, float), *scratch_rows, result)
+        scratch = np.empty(model.m), np.empty((2, model.n_points, 2))
+        fill_forces(self.arrays, self.drives, _pairs(q, model), (self.still, self.none), np.asarray(factor, float), scratch, result)
         result = result.reshape(len(q), -1)
         for own in self.own:
             for each, f, r in zip(q, factor, result):
@@ -271,13 +271,15 @@ def fill_energies(scene, q, out):
 
 
 @entry
-def fill_forces(scene, drives, q, zero_a, zero_lam, factor, phi, points, out):
+def fill_forces(scene, drives, q, zeros, factor, scratch, out):
     """Fill out (frames, pairs, 2) with factor (frames,) times the residual g(0, q, 0) of each frame, without constraint forces.
 
-    zero_a (pairs, 2) and zero_lam (m,) must be zero; phi (m,) and points (2, points, 2) are workspace.
+    zeros: of a (pairs, 2) and lam (m,); scratch: of phi (m,) and points (2, points, 2).
     """
+    a, lam = zeros
+    phi, points = scratch
     for k in range(q.shape[0]):
-        equilibrium.equilibrium(scene, drives, q[k], zero_a, zero_lam, out[k], phi, zero_a[:0], points[0], points[1])
+        equilibrium.equilibrium(scene, drives, q[k], a, lam, out[k], phi, a[:0], points[0], points[1])
         for i in range(out.shape[1]):
             out[k, i, 0], out[k, i, 1] = factor[k] * out[k, i, 0], factor[k] * out[k, i, 1]
 

@@ -449,8 +449,10 @@ def acceleration(work, instant, q, v, a, lam):
 
 
 @entry
-def values(work, t, q, v, a, lam, r, phi, rates, biases):
-    """Fill r, phi, phi's rate and bias of states (k, .); each may be empty, (0, .). Returns how it ended."""
+def values(work, states, results):
+    """Fill the results r, phi, phi's rate and bias of states t, q, v, a, lam (k, .); results may be empty, (0, .). Returns how it ended."""
+    t, q, v, a, lam = states
+    r, phi, rates, biases = results
     ended = DONE
     for k in range(t.shape[0]):
         work.times[0, INNER] = work.times[0, END] = t[k]
