@@ -138,8 +138,8 @@ class Forgetful(OneByOne):
 class Unturned(Steps):
     """Compiled stretches whose factor stays in the frame in which it was made."""
 
-    def _take(self, system):
-        super()._take(system)
+    def _set_system(self, system):
+        super()._set_system(system)
         if system is not None:
             system.corotated = system.corotated._replace(turns=False)
 

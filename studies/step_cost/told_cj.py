@@ -68,10 +68,10 @@ class Handed:
 class Told(integrator._Run):
     """A run whose preconditioner solves at its first call behind a residual, and hands the vector through at the next, as the product does."""
 
-    def __init__(self, settings, model, sizes, counts):
+    def __init__(self, settings, model, sizes, counts, looked_into):
         from sksundae.ida import IDA, IDAJacTimes, IDAPrecond
 
-        super().__init__(settings, model, sizes, counts)
+        super().__init__(settings, model, sizes, counts, looked_into)
         rtol, *atol = settings.tolerances(model, sizes)
         self.linear.predicted, self.fresh = Handed(), False
         self.solver = IDA(

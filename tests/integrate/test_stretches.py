@@ -1,11 +1,15 @@
 """Stretches of states give the run that states one by one give, whatever looks at them."""
 
+import itertools
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import polyida as pi
 from polyida.integrate.state import Counts, States, Stretch
 from polyida.model.guarded import guard
+from polyida.system import python
 
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
 
@@ -100,7 +104,11 @@ def test_a_stretch_that_is_not_finite_in_its_middle_gives_the_states_before():
 
 
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(rtol=1e-6), pi.RadauIIA(h=1e-3)])
-def test_steps_of_a_model_in_python_come_in_stretches(integrator):
+@pytest.mark.parametrize("tick", [0.0, 1.0])
+def test_steps_of_a_model_in_python_come_in_stretches_that_take_some_ms(integrator, tick, monkeypatch):
+    """By a clock that stands still they become long; by one on which each takes a second they are single steps."""
+    clock = itertools.count()
+    monkeypatch.setattr(python, "time", SimpleNamespace(perf_counter=lambda: tick * next(clock)))
     p = pi.problems.get("pendulum")
     taken = [len(stretch) for stretch in integrator.steps(guard(p.model), pi.consistent_state(p.model, q0=p.q0), 0.5, Counts()).stretches]
-    assert max(taken) > 16
+    assert max(taken) == 1 if tick else max(taken) > 16

@@ -298,3 +298,18 @@ def test_two_nearly_parallel_floors():
     landed = int(np.searchsorted(run.t, run.events[0].t))
     assert place[landed] == pytest.approx([0.3, 3e-4], abs=1e-5) and place[:, 1].max() <= 0.1 + 1e-12
     assert run.energy.total.max() <= run.energy.total[0] + 1e-12
+
+
+@pytest.mark.parametrize(
+    "method", [pi.GeneralizedAlpha(h=1e-4), pi.EnergyMomentum(h=1e-4), pi.RadauIIA(rtol=1e-8), pi.IDA(rtol=1e-7)], ids=repr
+)
+def test_restitution_that_would_add_energy_keeps_it(method):
+    """A rod without gravity falls onto its tip, where friction reverses the slip: Newton's law alone would double its energy (Kane, Levinson)."""
+    angle = 1.2
+    scene = pi.Scene(gravity=(0.0, 0.0))
+    motion = dict(origin=(0.0, 0.5 * np.sin(angle) + 1e-3), angle=angle, velocity=(-0.3, -1.0), spin=4.5)
+    rod = scene.add(pi.RigidBody(1.0, 0.0135, {"tip": (-0.5, 0.0)}, center=(0.0, 0.0), **motion))
+    scene.add(pi.Contact(rod.at("tip"), EAST, friction=0.5, restitution=1.0))
+    run = pi.solve(scene.build(), 5e-3, method)
+    energy = run.energy.kinetic
+    assert run.success and run.position(rod.at("tip"))[-1, 1] > 1e-4 and abs(energy[-1] - energy[0]) < 1e-6 * energy[0]
