@@ -178,7 +178,12 @@ class PythonTable:
 
 
 class DenseTable(PythonTable):
-    """The table of a small model: compiled code that calls the model's functions back."""
+    """The table of a small model: compiled code that calls the model's functions.
+
+    Functions that numba compiles are called as C functions, all others as callbacks into Python. names: those that the method calls.
+    """
+
+    names = OF_STEPS
 
     def _fill(self):
         model, needs = self.model, self.model.needs
@@ -187,7 +192,19 @@ class DenseTable(PythonTable):
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
-        self.workspace, self.factored, self.has_constants = w.address, None, False
+        if unguarded(model).by_numba:
+            self._take_compiled(functions)
+        self.workspace, self.factored, self.has_constants = self.w.address, None, False
+
+    def _take_compiled(self, functions):
+        """Replace callbacks by the model's compiled functions; derivatives that it does not write become compiled differences."""
+        self.longest, self.compiled = INSTANTS, Compiled(self.model, self.names)
+        functions[[small.TANGENT, small.FORCE_V]] = 0
+        if not self.model.needs.driven:
+            functions[small.PHI_BIAS] = 0
+        for name, at in self.compiled.addresses.items():
+            functions[small.FUNCTIONS.index(name)] = at
+        self.w = self.w._replace(data=self.compiled.data)
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
@@ -293,24 +310,6 @@ class DenseMatrix(StepMatrix):
         self.S, self.made_at, self.table.factored = w.S.copy(), w.made_at.copy(), self
 
 
-class CompiledTable(DenseTable):
-    """The table of a small model with compiled functions. Functions that it does not write are Python's, or differences."""
-
-    longest = INSTANTS
-    names = OF_STEPS
-
-    def _fill(self):
-        super()._fill()
-        self.compiled, functions = Compiled(self.model, self.names), self.w.functions
-        functions[[small.TANGENT, small.FORCE_V]] = 0
-        if not self.model.needs.driven:
-            functions[small.PHI_BIAS] = 0
-        for name, at in self.compiled.addresses.items():
-            functions[small.FUNCTIONS.index(name)] = at
-        self.w = self.w._replace(data=self.compiled.data)
-        self.workspace = self.w.address
-
-
 def small_own(model):
     """True for a user's small model that leaves its linear systems to the package."""
     own = unguarded(model)
@@ -322,4 +321,4 @@ def small_table(model, incremental=False):
     """The table of a model that is solved with dense matrices; None for other models."""
     if not small_own(model):
         return None
-    return (CompiledTable if unguarded(model).by_numba else DenseTable)(model, incremental)
+    return DenseTable(model, incremental)

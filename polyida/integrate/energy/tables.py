@@ -33,7 +33,7 @@ from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE
 from polyida.system import dense as small
 from polyida.system import scene as of_scene
 from polyida.system.dense import END, ENDED, INNER
-from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system.python import DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
@@ -46,7 +46,7 @@ def table_of(model):
         return EnergyTable(model) if model.compiled else PythonScene(model)
     if not small_own(model):
         return PythonOwn(model)
-    return (CompiledOwn if unguarded(model).by_numba else DenseOwn)(model)
+    return DenseOwn(model)
 
 
 @part
@@ -156,29 +156,21 @@ class PythonOwn(MiddleTable, PythonTable):
 
 
 class DenseOwn(MiddleTable, DenseTable):
-    """The table of a user's small model in Python."""
+    """The table of a user's small model. If numba compiles it and nothing is driven, the table makes v, a and lam of frames."""
+
+    names = OF_ENERGY
 
     def __init__(self, model):
         super().__init__(model)
-        self.functions[MIDDLE] = own_addresses()[MIDDLE]
+        self.complete = unguarded(model).by_numba and not model.needs.driven
+        for number, at in own_addresses().items():
+            self.functions[number] = at if number == MIDDLE or self.complete else 0
 
     def _functions(self, work):
         def potential(*_):
             work.x[0] = self.model.potential(work.q.copy())
 
         return super()._functions(work) | {"potential": self._protected(potential)}
-
-
-class CompiledOwn(MiddleTable, CompiledTable):
-    """The table of a user's small model that numba compiles; it makes v, a and lam of frames if nothing is driven."""
-
-    names = OF_ENERGY
-
-    def __init__(self, model):
-        super().__init__(model)
-        self.complete = not model.needs.driven
-        for number, at in own_addresses().items():
-            self.functions[number] = at if number == MIDDLE or self.complete else 0
 
 
 @entry

@@ -30,7 +30,7 @@ from polyida.integrate.radau import matrices
 from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
 from polyida.integrate.radau.tables import scene as stages
-from polyida.integrate.radau.tables.python import PythonStages, dense_table
+from polyida.integrate.radau.tables.python import DenseStages, PythonStages
 from polyida.integrate.radau.tables.scene import DV, SceneStages, pairs, rows
 from polyida.integrate.radau.tables.scene_factors import Solver
 from polyida.jit import part, served
@@ -183,7 +183,7 @@ def table_of(system, linear, scaling):
         if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
             return SceneForm(model, EULER), True
     if linear == "auto" and small_own(model):
-        return dense_table(model, EULER, system.levels), renews
+        return DenseStages(model, EULER, system.levels), renews
     if linear == "whole":
         return PythonForm(system, partial(WholeForm, system=system, scaling=scaling)), False
     own = linear == "auto" and not model.is_scene  # the step matrix of a user's model; that of a scene is of single precision

@@ -9,8 +9,7 @@ from polyida.integrate.radau.matrices import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
-from polyida.model.guarded import unguarded
-from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system.python import DenseTable, PythonTable, small_own
 
 
 class Stages:
@@ -177,7 +176,7 @@ class PythonStages(Stages, PythonTable):
 
 
 class DenseStages(Stages, DenseTable):
-    """The table of a small model: compiled code that calls back the model's functions."""
+    """The table of a small model; levels: as of DenseStages in radau/tables/dense.py."""
 
     def __init__(self, model, tableau, levels):
         super().__init__(model)
@@ -207,17 +206,8 @@ class DenseStages(Stages, DenseTable):
             raise SingularSystem(REASONS[ended][1])
 
 
-class CompiledStages(DenseStages, CompiledTable):
-    """The table of a small model whose functions numba compiled."""
-
-
 def table_of(model, linear, tableau, tied, kind):
     """The table of a model. linear: the setting of the integrator; kind: class of its matrices unless compiled code makes them."""
     if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
-    return dense_table(model, tableau, np.eye(1 + tied, 3))
-
-
-def dense_table(model, tableau, levels):
-    """The table of a small model; levels: as of DenseStages in radau/tables/dense.py."""
-    return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, levels)
+    return DenseStages(model, tableau, np.eye(1 + tied, 3))
