@@ -15,9 +15,9 @@ from polyida.linear import dense as compiled_lu
 from polyida.linear.dense import copy_matrix, put, zero
 from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
-from polyida.system import ADJOINT, ENTRIES
+from polyida.system import ADJOINT, ENTRIES, dense_slots
 from polyida.system import dense as small
-from polyida.system.python import PythonTable
+from polyida.system.own import PythonTable
 
 ROUNDS = 8  # solves, at most, for what eta turns with q
 
@@ -170,7 +170,7 @@ def evaluate(w, k, i):
     put(1.0, w.a[k, i], d.a)
     put(1.0, w.lam[k, i], d.lam)
     d.flags[small.ENDED] = DONE
-    small.matrices_at(d, w.K[i], w.C[i], w.M[i])
+    dense_slots.matrices_at(d, w.K[i], w.C[i], w.M[i])
     if w.mu.shape[2] and d.flags[small.ROWS_VARY]:
         bend(w, d, w.mu[k, i], w.H[i], w.T[i])
     if d.lam.shape[0] and d.flags[small.ROWS_VARY]:

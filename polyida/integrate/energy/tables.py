@@ -9,10 +9,8 @@ Forces beyond the potential act at the middle. A constraint that is at most quad
 work. The matrix leaves out the derivative of the bracket, which is of second order in dq: Newton's method converges without.
 """
 
-from functools import cache
-
 import numpy as np
-from numba import carray, typeof
+from numba import carray
 
 from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
@@ -24,16 +22,14 @@ from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import entry, part, served
+from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call, pointer
-from polyida.jit.user_functions import table_address
-from polyida.linear.dense import clear, put
+from polyida.linear.dense import clear
 from polyida.model.guarded import OF_STEPS, unguarded
-from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
-from polyida.system import dense as small
+from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system import scene as of_scene
-from polyida.system.dense import END, ENDED, INNER
-from polyida.system.python import DenseTable, PythonTable, small_own
+from polyida.system.dense import INNER
+from polyida.system.own import DenseTable, PythonTable, small_own
 from polyida.system.scene import COSINE, DV, DX, DZ, FORCES, START, VX, H, SceneTable, Solid, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
@@ -47,65 +43,6 @@ def table_of(model):
     if not small_own(model):
         return PythonOwn(model)
     return DenseOwn(model)
-
-
-@part
-def potential(work, x, d, s):
-    """V at x + s d."""
-    for i in range(work.q.shape[0]):
-        work.q[i] = x[i] + s * d[i]
-    small.evaluate(work, small.POTENTIAL, INNER, work.x)
-    return work.x[0]
-
-
-@part
-def five_states(work, at):
-    """The vectors q_0, q_1, and q, v, a of the middle at an address, (5, n)."""
-    return carray(pointer(at), (5, work.q.shape[0]))
-
-
-@part
-def own_middle(w, instant, states, lam, r, phi):
-    """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    n, x0, x1, x, d = w.q.shape[0], states[0], states[1], states[2], w.near[0]
-    small.set_state(w, instant - 1, x, states[3])
-    small.set_a_lam(w, states[4], lam)
-    small.evaluate_rows(w)
-    small.equilibrium(w, r)
-    for i in range(n):
-        d[i] = x1[i] - x0[i] if i < w.flags[small.OWN] else 0.0
-    first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
-    for s, weight in POINTS:
-        work += weight * (potential(w, x, d, s) - potential(w, x, d, -s)) / (2.0 * s)
-    if w.flags[ENDED] != DONE:
-        return w.flags[ENDED]
-    metric, size = w.near[1], 0.0
-    for i in range(n):
-        metric[i] = 0.0
-        for j in range(n):
-            metric[i] += w.M[i, j] * d[j]
-        size += d[i] * metric[i]
-    bracket = last - first - work
-    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
-        for i in range(n):
-            r[i] += bracket / size * metric[i]
-    ended = DONE
-    if phi.shape[0]:
-        small.set_state(w, instant, x1, states[3])
-        ended = small.evaluate(w, small.PHI, END, w.phi)
-        put(1.0, w.phi, phi)
-    return NOT_FINITE if ended == DONE and not (small.finite(r) and small.finite(phi)) else ended
-
-
-OWN_MIDDLE = {MIDDLE: served(own_middle, five_states, small.multipliers, small.coordinates, small.multipliers)}
-
-
-@cache
-def own_addresses():
-    """{number: address} of these functions, for every small model."""
-    kind = typeof(small.example())
-    functions = OWN_MIDDLE | small.OF_FRAMES
-    return {number: table_address(function, kind) for number, function in functions.items()}
 
 
 def discrete_derivative(potential, x0, x1, metric):
@@ -158,13 +95,14 @@ class PythonOwn(MiddleTable, PythonTable):
 class DenseOwn(MiddleTable, DenseTable):
     """The table of a user's small model. If numba compiles it and nothing is driven, the table makes v, a and lam of frames."""
 
-    names = OF_ENERGY
+    names, entries = OF_ENERGY, (MIDDLE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT)
 
     def __init__(self, model):
         super().__init__(model)
         self.complete = unguarded(model).by_numba and not model.needs.driven
-        for number, at in own_addresses().items():
-            self.functions[number] = at if number == MIDDLE or self.complete else 0
+        if self.complete:
+            self.entries = (*self.entries, ACCELERATION)
+        self.serve()
 
     def _functions(self, work):
         def potential(*_):

@@ -38,7 +38,7 @@ from polyida.linear.lu import dense, first_order_sizes
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
-from polyida.system.python import small_own
+from polyida.system.own import small_own
 
 SCALINGS = ("characteristic", "none")
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the Python callbacks in double precision

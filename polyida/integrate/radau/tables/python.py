@@ -6,10 +6,10 @@ from polyida import system as of
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.matrices import Rows
-from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
-from polyida.system.python import DenseTable, PythonTable, small_own
+from polyida.system import dense_slots
+from polyida.system.own import DenseTable, PythonTable, small_own
 
 
 class Stages:
@@ -176,14 +176,17 @@ class PythonStages(Stages, PythonTable):
 
 
 class DenseStages(Stages, DenseTable):
-    """The table of a small model; levels: as of DenseStages in radau/tables/dense.py."""
+    """The table of a small model; levels: as of Slots in system/dense.py."""
+
+    entries = (
+        of.RESIDUAL, of.PREPARE, of.BEGIN, of.REACTION, of.CONSTRAINTS, of.RATE, of.BIAS, of.PROJECT, of.ACCEPT, of.ROWS, of.REAL, of.PAIR,
+        of.INERTIA, of.ACCELERATION, of.MATRICES, of.SELECT,
+    )  # fmt: skip
 
     def __init__(self, model, tableau, levels):
+        self.stages, self.levels = tableau.stages, levels
         super().__init__(model)
-        self.stages = small.workspace(self.w, tableau.stages, levels)
-        for number, at in small.addresses().items():
-            self.functions[number] = at
-        self.workspace = self.stages.address
+        self.serve()
 
     def stand(self, t):
         """Set the time of all instants."""
@@ -191,16 +194,16 @@ class DenseStages(Stages, DenseTable):
 
     def set_lift(self, lift):
         """Set the diagonal of D^-1."""
-        self.stages.D[:] = lift
+        self.w.slots.D[:] = lift
         self.has_constants = False
 
     def make(self, slot, h, made_at, counts):
         """Compute K, C and M of a slot."""
-        w, n = self.stages, self.model.n
+        n = self.model.n
         self.evaluate_constants(float(made_at[0]), made_at[1 : 1 + n])
         self.times[0] = made_at[0]
         q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([n] * 3)))
-        ended = small.factor(w, 0, q, v, a, lam, slot)
+        ended = dense_slots.matrices(self.w, 0, q, v, a, lam, slot)
         self.raise_error()
         if ended != DONE:
             raise SingularSystem(REASONS[ended][1])

@@ -3,21 +3,23 @@
 import ctypes
 import time
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
+from numba import typeof
 from numpy import ndarray
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
-from polyida.jit.user_functions import CALLBACK
+from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model.guarded import FLOAT, MOST, OF_STEPS, Compiled, unguarded, writes
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, dense_slots
 from polyida.system import dense as small
 
 SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
 VIEWS = 4096  # arrays at addresses that are stored
+SERVED = small.SERVED | dense_slots.SERVED
 ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
 
 
@@ -180,16 +182,30 @@ class PythonTable:
 class DenseTable(PythonTable):
     """The table of a small model: compiled code that calls the model's functions.
 
-    Functions that numba compiles are called as C functions, all others as callbacks into Python. names: those that the method calls.
+    Functions that numba compiles are called as C functions, all others as callbacks into Python. names: those that the method calls; entries:
+    of the table that it asks. stages: those of its steps; levels: as of Slots in system/dense.py.
     """
 
     names = OF_STEPS
+    entries = RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT
+    stages, levels = 0, small.NO_LEVELS
 
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE, model.n - model.k
-        self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
+        flags = (
+            needs.mass_varies,
+            needs.velocity_forces,
+            needs.driven,
+            rows_vary,
+            needs.phi_q_varies,
+            0,
+            self.levels[:, 1:].any(),
+            DONE,
+            model.n - model.k,
+        )
+        w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
+        self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
         if unguarded(model).by_numba:
@@ -225,7 +241,7 @@ class DenseTable(PythonTable):
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
             "rejection_reason": self._protected(accepted) if writes(unguarded(model), "rejection_reason") else None,
-            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.c.tolist(), 1.0), inner, q, v, a, lam),
+            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
@@ -258,14 +274,18 @@ class DenseTable(PythonTable):
 
         return called
 
+    def serve(self):
+        """Fill the table's functions, once."""
+        if not self.functions[self.entries[0]]:
+            self.functions[list(self.entries)] = [address_of(number) for number in self.entries]
+
     def system(self, settings):
         return DenseMatrix(self.model, self)
 
     @contextmanager
     def at_work(self, system):
         """As PythonTable.at_work; S is in the workspace."""
-        for number, at in () if self.functions[RESIDUAL] else small.addresses().items():
-            self.functions[number] = at
+        self.serve()
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.FACTORED] = system, system.S, 0
         with self.timed():
@@ -276,7 +296,7 @@ class DenseTable(PythonTable):
         w, self.w.times[0] = self.w, t
         self.evaluate_constants(t, q)
         arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
-        ended = small.factor(w, 0, *arrays)
+        ended = dense_slots.factor(w, 0, *arrays)
         self.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)
@@ -289,6 +309,13 @@ class DenseTable(PythonTable):
                 self.w.M[...] = dense(self.model.mass(q))
             if self.model.m and not self.w.flags[small.ROWS_VARY]:
                 self.w.B[...] = dense(self.model.phi_q(t, q))
+
+
+@cache
+def address_of(number):
+    """The address of an entry, for all Dense: they have one type."""
+    example = small.workspace(1, 0, np.zeros(len(small.FUNCTIONS), np.int64), 0, (0,) * small.FLAGS)
+    return table_address(SERVED[number], typeof(example))
 
 
 class DenseMatrix(StepMatrix):
