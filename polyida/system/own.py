@@ -27,12 +27,14 @@ class PythonTable:
     """The table of any model: each entry is a callback.
 
     functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
-    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned.
+    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
+    Radau IIA, whose instants follow that of the step's beginning; B: phi_q of them where REACTION was asked last.
     """
 
     longest = 1
     instants = most = INSTANTS
-    workspace = 0
+    workspace = stages = 0
+    increments = saddle = None
 
     def __init__(self, model, incremental=False):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
@@ -124,17 +126,24 @@ class PythonTable:
     def _at(self, instant):
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
 
-    def _begin(self, instant, q, v, *_):
-        self.increments, model = None, self.model
-        if self.incremental:
-            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
-            before = self.begin if instant == 0 else self.times[instant - 1, small.END]
-            ends = (self.ends[0] if instant == 0 else before), self._at(instant)[0]
-            self.increments = [model.increments(before, self._at(instant)[1], ends, self.h, q, v)]
+    def _state(self, instant, q):
+        """(t, q) inside a step."""
+        return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _stage(self, instant):
-        """Index of an instant's increments."""
-        return 0
+        """Index of an instant's increments and B."""
+        return (instant - 1) % (self.stages + 1)
+
+    def _begin(self, instant, q, v, *_):
+        model = self.model
+        if self.incremental:
+            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
+            self.increments = [model.increments(*span, q, v) for span in self._spans(instant)]
+
+    def _spans(self, instant):
+        """(first time, last time, times beside both inside the step, length) of each part of a step that begins."""
+        before, (inner, end) = (self.begin if instant == 0 else self.times[instant - 1, small.END]), self._at(instant)
+        return [(before, end, (self.ends[0] if instant == 0 else before, inner), self.h)]
 
     def _residual(self, instant, q, v, a, lam, r, phi):
         model, (inner, end) = self.model, self._at(instant)
@@ -163,14 +172,20 @@ class PythonTable:
             return SINGULAR
         return DONE
 
-    def _rate(self, instant, q, v, rate, *_):
-        model, self.at = self.model, (self._at(instant)[0], self._array(q, self.model.n).copy())
-        self._array(rate, model.m)[:] = model.phi_q(*self.at) @ self._array(v, model.n) + model.phi_t(*self.at)
+    def _rate(self, instant, q, v, rate, known, *_):
+        model, self.rate_state = self.model, self._state(instant, q)
+        v = self._array(v, model.n).copy()
+        if known:
+            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
+        else:
+            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
+        self._array(rate, model.m)[:] = rates
 
     def _project(self, instant, rows, x, from_zero, *_):
         model, x = self.model, self._array(x, self.model.n)
-        rows = self._array(rows, model.m) - (model.phi_q(*self.at) @ x if from_zero else 0.0)
-        change = model.mass_system(*self.at).solve(np.zeros(model.n), rows)[0]
+        rows = self._array(rows, model.m) - (model.phi_q(*self.rate_state) @ x if from_zero else 0.0)
+        self.saddle = self.saddle or model.mass_system(*self.rate_state)
+        change = self.saddle.solve(np.zeros(model.n), rows)[0]
         x[:] = change if from_zero else x + change
 
     def _accept(self, instant, q, *_):
@@ -183,12 +198,12 @@ class DenseTable(PythonTable):
     """The table of a small model: compiled code that calls the model's functions.
 
     Functions that numba compiles are called as C functions, all others as callbacks into Python. names: those that the method calls; entries:
-    of the table that it asks. stages: those of its steps; levels: as of Slots in system/dense.py.
+    of the table that it asks. levels: as of Slots in system/dense.py.
     """
 
     names = OF_STEPS
     entries = RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT
-    stages, levels = 0, small.NO_LEVELS
+    levels = small.NO_LEVELS
 
     def _fill(self):
         model, needs = self.model, self.model.needs

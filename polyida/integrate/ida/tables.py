@@ -120,7 +120,7 @@ class PythonForm(PythonStages):
 
     def stand(self, t):
         """Set the time of the equations."""
-        self.at = [t, t]
+        self.times[:] = t
 
     def _bias(self, instant, q, v, a, bias, *_):
         model, at = self.model, self._state(instant, q)

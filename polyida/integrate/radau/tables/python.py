@@ -1,5 +1,7 @@
 """Tables of models whose functions or matrices are in Python: callbacks that keep an exception for the caller."""
 
+from functools import partial
+
 import numpy as np
 
 from polyida import system as of
@@ -9,6 +11,7 @@ from polyida.integrate.radau.matrices import Rows
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
 from polyida.system import dense_slots
+from polyida.system.dense import INNER
 from polyida.system.own import DenseTable, PythonTable, small_own
 
 
@@ -38,12 +41,11 @@ class PythonStages(Stages, PythonTable):
 
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
-        self.increments, self.B = None, [None] * tableau.stages
-        super().__init__(model)
+        self.stages, self.B = tableau.stages, [None] * tableau.stages
+        super().__init__(model, model.has_constraint_increments)
 
     def _entries(self):
-        entries = {of.PREPARE: self._prepare, of.BEGIN: self._begin, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
-        entries |= {of.CONSTRAINTS: self._constraints, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept}
+        entries = super()._entries() | {of.PREPARE: self._prepare, of.REACTION: self._reaction}
         entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
         return entries | {of.ROWS: self._rows, of.SELECT: self._select}
 
@@ -66,26 +68,13 @@ class PythonStages(Stages, PythonTable):
         return status, self.reason if ended == SINGULAR and self.reason else reason
 
     def _prepare(self, first, times, *_):
-        self.h, self.t, *rest = self._array(times, 3 + self.tableau.stages)
-        self.at = [float(t) for t in rest]
+        self.h, self.t, *at = self._array(times, 3 + self.stages)
+        self.times[first : first + len(at)] = np.array(at)[:, None]
 
-    def _stage(self, instant):
-        return (instant - 1) % (self.tableau.stages + 1)
-
-    def _at(self, instant):
-        return (self.at[self._stage(instant) + 1],) * 2
-
-    def _state(self, instant, q):
-        return self._at(instant)[0], self._array(q, self.model.n).copy()
-
-    def _begin(self, instant, q, v, *_):
-        self.increments, model = None, self.model
-        if model.has_constraint_increments:
-            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
-            begin = inner_side(model, self.t, -self.h)
-            steps = zip(self.at[1:], self.tableau.c * self.h)
-            self.increments = [model.increments(self.t, t, (begin, t), step, q, v) for t, step in steps]
-        self.B = [None] * self.tableau.stages
+    def _spans(self, instant):
+        begin = inner_side(self.model, self.t, -self.h)
+        ends = self.times[instant + 1 : instant + 1 + self.stages, INNER].tolist()
+        return [(self.t, t, (begin, t), step) for t, step in zip(ends, self.tableau.c * self.h)]
 
     def _reaction(self, instant, q, mu, dv, known, *_):
         model, k, dv = self.model, self._stage(instant), self._array(dv, self.model.n)
@@ -95,24 +84,8 @@ class PythonStages(Stages, PythonTable):
         self.B[k] = dense(model.phi_q(*self._state(instant, q)))
         dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
-    def _rate(self, instant, q, v, rate, known, *_):
-        model, self.rate_state = self.model, self._state(instant, q)
-        v = self._array(v, model.n).copy()
-        if known:
-            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
-        else:
-            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
-        self._array(rate, model.m)[:] = rates
-
-    def _project(self, instant, rows, x, *_):
-        model, x = self.model, self._array(x, self.model.n)
-        try:
-            self.saddle = self.saddle or model.mass_system(*self.rate_state)
-            x += self.saddle.solve(np.zeros(model.n), self._array(rows, model.m).copy())[0]
-        except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
-            self.reason = str(error)
-            return SINGULAR
-        return DONE
+    def _project(self, *arguments):
+        return self._tried(partial(super()._project, *arguments), InputError, np.linalg.LinAlgError)
 
     def _rows(self, instant, q, v, a, *_):
         needs, matrices = self.model.needs, self.factored
@@ -124,10 +97,11 @@ class PythonStages(Stages, PythonTable):
     def _made_rows(self, t, q, v, a):
         return Rows(self.model, t, q, v, self.factored.lam, self.lift if self.tied else None)
 
-    def _tried(self, act):
+    def _tried(self, act, *errors):
+        """SINGULAR for an error of these classes, or SingularSystem, whose reason is kept."""
         try:
             act()
-        except SingularSystem as error:
+        except (SingularSystem, *errors) as error:
             self.reason = str(error)
             return SINGULAR
         return DONE
