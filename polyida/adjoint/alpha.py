@@ -41,7 +41,7 @@ from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import zero
 from polyida.linear.lu import FactorCache
 from polyida.system import instant as ask
-from polyida.system.python import small_own, small_table
+from polyida.system.own import small_own, small_table
 
 # constants of compiled code
 Q, V, A, AHEAD = range(4)  # of Memory.bars; but for AHEAD, columns of `slope_addresses`

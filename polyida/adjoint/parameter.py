@@ -14,7 +14,7 @@ from polyida.joint.attachment import Attachment
 from polyida.model.differences import EVERYWHERE
 from polyida.model.guarded import unguarded
 from polyida.system import dense as small
-from polyida.system.python import small_own, small_table
+from polyida.system.own import small_own, small_table
 
 
 class AdjointMultipliers(NamedTuple):

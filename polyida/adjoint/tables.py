@@ -15,9 +15,9 @@ from polyida.linear import dense as compiled_lu
 from polyida.linear.dense import copy_matrix, put, zero
 from polyida.linear.lu import LU, dense
 from polyida.linear.saddle import ENOUGH, ExactSaddle
-from polyida.system import ADJOINT, ENTRIES
+from polyida.system import ADJOINT, ENTRIES, dense_slots
 from polyida.system import dense as small
-from polyida.system.python import PythonTable
+from polyida.system.own import PythonTable
 
 ROUNDS = 8  # solves, at most, for what eta turns with q
 
@@ -170,7 +170,7 @@ def evaluate(work, step, stage):
     put(1.0, work.a[step, stage], d.a)
     put(1.0, work.lam[step, stage], d.lam)
     d.flags[small.ENDED] = DONE
-    small.matrices_at(d, work.K[stage], work.C[stage], work.M[stage])
+    dense_slots.matrices_at(d, work.K[stage], work.C[stage], work.M[stage])
     if work.mu.shape[2] and d.flags[small.ROWS_VARY]:
         bend(work, d, work.mu[step, stage], work.H[stage], work.T[stage])
     if d.lam.shape[0] and d.flags[small.ROWS_VARY]:

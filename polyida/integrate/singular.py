@@ -13,7 +13,7 @@ from polyida.errors import StepFailure
 from polyida.integrate.state import between as state_between
 from polyida.linear.saddle import coordinate_sizes, cosine, involved, least, path_length, rows_of
 from polyida.model.guarded import Compiled, unguarded
-from polyida.system.python import small_own
+from polyida.system.own import small_own
 
 ZERO = 1e-6  # a smallest singular value that is zero
 NEAR = 1e-3  # one that a failure reports

@@ -31,7 +31,7 @@ from polyida.run.events import Happenings, prepared
 from polyida.run.modes import Modes
 from polyida.run.run import Run
 from polyida.sensor import Sensor
-from polyida.system.python import small_own
+from polyida.system.own import small_own
 from polyida.validation import flag, floats, is_number, named_keywords, one_of, require_bytes, whole
 
 if TYPE_CHECKING:

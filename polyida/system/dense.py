@@ -1,21 +1,22 @@
 """The table of a small model with dense matrices: compiled code that calls the model's functions, compiled or Python.
 
-A function of the model is called as `f(data, 0, t, q, v, a, lam, out)`, with the addresses of its arguments and of its result.
+A function of the model is called as `f(data, 0, t, q, v, a, lam, out)`, with the addresses of its arguments and of its result. Here are the
+workspace and the entries that evaluate the model; system/dense_slots.py makes its matrices and solves with them.
 """
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, typeof
+from numba import carray
 
+from polyida import system as of
+from polyida.assembly.own_laws import NOISE, POINTS
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part, served
 from polyida.jit.intrinsics import address, call, pointer
-from polyida.jit.user_functions import table_address
 from polyida.linear import dense
+from polyida.linear.lu import FACTORS
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system import ACCELERATION, ACCEPT, BEGIN, CONSTRAINTS, FACTOR, PROJECT, RATE, RESIDUAL, SOLVE
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -23,17 +24,41 @@ FUNCTIONS = (
     "mass", "force", "phi", "phi_q", "phi_t", "residual", "rejection_reason", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
     "potential",
 )  # fmt: skip
-MASS_VARIES, VELOCITY, DRIVEN, ROWS_VARY, ROWS_VARY_WITH_Q, FACTORED, ROWS_CURRENT, ENDED, OWN = range(9)  # of Dense.flags
-# ROWS_VARY: B varies with t or q; FACTORED: the factors are those of the current S and B; ROWS_CURRENT: B is that of the state;
-# ENDED: status of the calls since `set_state`; OWN: number of coordinates without those of states
+MASS_VARIES, VELOCITY, DRIVEN, ROWS_VARY, ROWS_VARY_WITH_Q, FACTORED, TIED, ENDED, OWN = range(9)  # of Dense.flags
+# ROWS_VARY: B varies with t or q; FACTORED: the factors are those of the current S and B; TIED: a derivative of phi is a row, so that `reaction`
+# comes before `residual` and keeps its B; ENDED: status of the calls since `set_state`; OWN: number of coordinates without those of states
 FLAGS = 9
 REACH = FIRST_ORDER_STEP
+NO_LEVELS = np.zeros((0, 3))
 INNER, END = range(2)  # of Dense.t: the end of the step, or, at a kink, a time beside it inside the step; and the end itself
 
 
 @pack
+class Slots(NamedTuple):
+    """Matrices of several states, and the factors of the modes of one of them; arrays of size 0 if the method has none."""
+
+    K: np.ndarray  # (slots, n, n) dr/dq
+    C: np.ndarray  # (slots, n, n) dr/dv
+    M: np.ndarray  # (slots, n, n)
+    state: np.ndarray  # (2,) CHOSEN and MADE of system/dense_slots.py
+    c: np.ndarray  # (3,) argument of SELECT: c of the real mode, real and imaginary part of that of the complex one
+    levels: np.ndarray  # (k, 3) factors of phi, phi' and phi'' in each of k blocks of m rows; of two blocks the second belongs to mu
+    D: np.ndarray  # (n,) diagonal of D^-1
+    B: np.ndarray  # (m, n) rows of the middle stage
+    H: np.ndarray  # (m, n) first derivative of B along the motion
+    N: np.ndarray  # (m, n) second derivative
+    G: np.ndarray  # (m, n) B D^-1
+    sizes: np.ndarray  # (2,) typical size of S of each mode
+    pivots: np.ndarray  # (2, N)
+    real: np.ndarray  # (N, N) factored matrix of the real mode
+    real_x: np.ndarray  # (N,) its solution
+    pair: np.ndarray  # (N, N) complex: of the complex mode
+    pair_x: np.ndarray  # (N,) complex
+
+
+@pack
 class Dense(NamedTuple):
-    """The workspace of a model with n coordinates and m constraints."""
+    """The workspace of a model with n coordinates and m constraints, for all methods."""
 
     functions: np.ndarray  # addresses of FUNCTIONS; 0 without
     data: int  # address of the values that compiled functions read as self
@@ -50,7 +75,7 @@ class Dense(NamedTuple):
     B: np.ndarray  # (m, n)
     phi_t: np.ndarray
     phi_bias: np.ndarray
-    c: np.ndarray  # (2,) c_m and c_v
+    coefficients: np.ndarray  # (2,) c_m and c_v
     S: np.ndarray  # (n, n)
     made_at: np.ndarray  # t, q, v, a, lam of S
     slope: np.ndarray  # (n, n)
@@ -60,14 +85,41 @@ class Dense(NamedTuple):
     masses: np.ndarray  # of M and B
     mass_pivots: np.ndarray
     x: np.ndarray  # (n + m,)
+    kept_rows: np.ndarray  # (stages, m, n) B of the stages of a step; 0 stages if no method asks for `reaction`
+    slots: Slots
 
 
-def workspace(n, m, functions, data, flags):
-    """A Dense of n coordinates and m constraints."""
+def workspace(n, m, functions, data, flags, stages=0, levels=NO_LEVELS):
+    """A Dense of n coordinates and m constraints, with Slots for methods of some stages; levels: as of Slots."""
     N = n + m
     shapes = (2,), n, n, n, m, (n, n), n, m, (m, n), m, m, 2, (n, n), 1 + 3 * n + m, (n, n), (4, n), (N, N)
     matrices = *map(np.zeros, shapes), np.zeros(N, np.int64), np.zeros((N, N)), np.zeros(N, np.int64), np.zeros(N)
-    return Dense(functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *matrices)
+    kept, slots = np.zeros((stages, m, n)), workspace_of_slots(n, m, FACTORS if stages else 0, levels)
+    return Dense(functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *matrices, kept, slots)
+
+
+def workspace_of_slots(n, m, count, levels):
+    """Slots of n coordinates and m constraints."""
+    size = n + len(levels) * m if count else 0
+    return Slots(
+        K=np.zeros((count, n, n)),
+        C=np.zeros((count, n, n)),
+        M=np.zeros((count, n, n)),
+        state=np.zeros(2, np.int64),
+        c=np.zeros(3),
+        levels=levels,
+        D=np.ones(n),
+        B=np.zeros((m, n)),
+        H=np.zeros((m, n)),
+        N=np.zeros((m, n)),
+        G=np.zeros((m, n)),
+        sizes=np.zeros(2),
+        pivots=np.zeros((2, size), np.int64),
+        real=np.zeros((size, size)),
+        real_x=np.zeros(size),
+        pair=np.zeros((size, size), complex),
+        pair_x=np.zeros(size, complex),
+    )
 
 
 @part
@@ -89,9 +141,15 @@ def multipliers(work, at):
 
 
 @part
-def factors(work, at):
-    """The array (2,) at an address, c_m and c_v."""
-    return carray(pointer(at), work.c.shape)
+def step_times(work, at):
+    """h, t and the times of the instants at an address."""
+    return carray(pointer(at), (3 + work.kept_rows.shape[0],))
+
+
+@part
+def five_states(work, at):
+    """The vectors q_0, q_1, and q, v, a of the middle at an address, (5, n)."""
+    return carray(pointer(at), (5, work.q.shape[0]))
 
 
 @part
@@ -122,9 +180,17 @@ def set_a_lam(work, a, lam):
 
 
 @part
-def evaluate_rows(work):
-    """Evaluate B at the state if it varies."""
-    if work.lam.shape[0] and work.flags[ROWS_VARY] and not work.flags[ROWS_CURRENT]:
+def kept_rows(work, instant):
+    """The array for B of the stage at an instant."""
+    return work.kept_rows[(instant - 1) % (work.kept_rows.shape[0] + 1)]
+
+
+@part
+def evaluate_rows(work, instant, known):
+    """Make B at the state; known: that of the last `reaction` at this instant; else it is evaluated if it varies."""
+    if known:
+        dense.copy_matrix(kept_rows(work, instant), work.B)
+    elif work.lam.shape[0] and work.flags[ROWS_VARY]:
         work.flags[FACTORED] = 0
         evaluate(work, PHI_Q, INNER, work.B)
     return work.flags[ENDED]
@@ -160,16 +226,11 @@ def equilibrium(work, r):
 
 
 @part
-def residual(work, instant, q, v, a, lam, r, phi):
-    """r at the state inside the step, phi at its end."""
-    set_state(work, instant, q, v)
-    set_a_lam(work, a, lam)
-    if phi.shape[0]:
-        evaluate(work, PHI, END, work.phi)
-        dense.put(1.0, work.phi, phi)
-        evaluate_rows(work)
-    ended = equilibrium(work, r)
-    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
+def prepare(work, first, times):
+    """Store the times of a step."""
+    for i in range(1 + work.kept_rows.shape[0]):
+        work.times[first + i, INNER] = work.times[first + i, END] = times[2 + i]
+    return DONE
 
 
 @part
@@ -179,8 +240,37 @@ def begin(work, instant):
 
 
 @part
-def constraints(work, instant, q, phi):
-    """phi at the end; the rate is unchanged."""
+def reaction(work, instant, q, mu, dv, known):
+    """dv += D^-1 B^T mu. B at q is kept for the residual there; known: B of the middle stage is used."""
+    n, m, ended, B, D = work.q.shape[0], work.lam.shape[0], DONE, work.slots.B, work.slots.D
+    if not known:
+        set_state(work, instant, q, work.v)
+        ended, B = evaluate_rows(work, instant, 0), work.B
+        dense.copy_matrix(B, kept_rows(work, instant))
+    for i in range(n):
+        total = 0.0
+        for e in range(m):
+            total += B[e, i] * mu[e]
+        dv[i] += D[i] * total
+    return ended
+
+
+@part
+def residual(work, instant, q, v, a, lam, r, phi):
+    """r at the state inside the step, phi at its end."""
+    set_state(work, instant, q, v)
+    set_a_lam(work, a, lam)
+    if phi.shape[0]:
+        evaluate(work, PHI, END, work.phi)
+        dense.put(1.0, work.phi, phi)
+        evaluate_rows(work, instant, work.flags[TIED])
+    ended = equilibrium(work, r)
+    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
+
+
+@part
+def constraints(work, instant, q, dq, dv, phi, rate):
+    """phi at the end; the rate is unchanged, and the increments are not needed."""
     if not work.lam.shape[0]:
         return DONE
     set_state(work, instant, q, work.v)
@@ -190,9 +280,18 @@ def constraints(work, instant, q, phi):
 
 
 @part
-def constraints_behind(work, instant, q, dq, dv, phi, rate):
-    """`constraints`, which needs no increments."""
-    return constraints(work, instant, q, phi)
+def rate(work, instant, q, v, rows, known):
+    """rows = phi_q v + phi_t; known: with B of the last `reaction` of this stage."""
+    set_state(work, instant, q, v)
+    evaluate_rows(work, instant, known)
+    if work.flags[DRIVEN]:
+        evaluate(work, PHI_T, INNER, work.phi_t)
+    for k in range(rows.shape[0]):
+        total = work.phi_t[k]
+        for i in range(work.q.shape[0]):
+            total += work.B[k, i] * work.v[i]
+        rows[k] = total
+    return work.flags[ENDED]
 
 
 @part
@@ -206,102 +305,6 @@ def bordered(whole, work, matrix, size):
             whole[n + k, i] = size * work.B[k, i]
     for k in range(m):
         dense.zero(whole[n + k, n:])
-
-
-@part
-def combined(work, function, out):
-    """The value of a function: M a for "mass", B^T lam for "phi_q"."""
-    if function == FORCE:
-        ended = evaluate(work, FORCE, INNER, work.g)
-        dense.put(1.0, work.g, out)
-        return ended
-    ended = evaluate(work, MASS, INNER, work.slope) if function == MASS else evaluate(work, PHI_Q, INNER, work.B)
-    for i in range(out.shape[0]):
-        total = 0.0
-        if function == MASS:
-            for j in range(work.a.shape[0]):
-                total += work.slope[i, j] * work.a[j]
-        else:
-            for k in range(work.lam.shape[0]):
-                total += work.B[k, i] * work.lam[k]
-        out[i] = total
-    return ended
-
-
-@part
-def add_difference(work, function, argument, factor):
-    """S += factor times the derivative of a function's value, by differences of fourth order (model/differences.py)."""
-    for j in range(argument.shape[0]):
-        at = argument[j]
-        step = REACH * max(1.0, abs(at))
-        for e in range(4):
-            argument[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
-            combined(work, function, work.near[e])
-        argument[j] = at
-        for i in range(work.S.shape[0]):
-            work.S[i, j] += factor * (8.0 * (work.near[0, i] - work.near[1, i]) - (work.near[2, i] - work.near[3, i])) / (12.0 * step)
-    return work.flags[ENDED]
-
-
-@part
-def add_slope(work, written, function, argument, factor):
-    """S += factor times a derivative that the model writes, or its difference."""
-    if not work.functions[written]:
-        return add_difference(work, function, argument, factor)
-    ended = evaluate(work, written, INNER, work.slope)
-    for i in range(work.S.shape[0]):
-        for j in range(work.S.shape[0]):
-            work.S[i, j] += factor * work.slope[i, j]
-    return ended
-
-
-@part
-def add_slopes(work):
-    """S as the sum of the model's terms at work.t, work.q, work.v, work.a, work.lam."""
-    if work.flags[MASS_VARIES]:
-        evaluate(work, MASS, INNER, work.M)
-    for i in range(work.S.shape[0]):
-        dense.put(work.c[0], work.M[i], work.S[i])
-    add_slope(work, FORCE_Q, FORCE, work.q, 1.0)
-    if work.flags[VELOCITY]:
-        add_slope(work, FORCE_V, FORCE, work.v, work.c[1])
-    if work.flags[MASS_VARIES]:
-        add_slope(work, MASS_A_Q, MASS, work.q, 1.0)
-    if work.flags[ROWS_VARY_WITH_Q] and work.lam.shape[0]:
-        add_slope(work, REACTION_Q, PHI_Q, work.q, 1.0)
-    return work.flags[ENDED]
-
-
-@part
-def matrices_at(work, K, C, M):
-    """Fill K = dr/dq, C = dr/dv, unless that is zero, and M at work.t, work.q, work.v, work.a, work.lam. Returns the status."""
-    if work.flags[VELOCITY]:
-        dense.clear(work.S)
-        add_slope(work, FORCE_V, FORCE, work.v, 1.0)
-        dense.copy_matrix(work.S, C)
-    if work.flags[MASS_VARIES]:
-        evaluate(work, MASS, INNER, work.M)
-    dense.copy_matrix(work.M, M)
-    work.c[0] = work.c[1] = 0.0
-    ended = evaluate(work, TANGENT, INNER, work.S) if work.functions[TANGENT] else add_slopes(work)
-    dense.copy_matrix(work.S, K)
-    return ended
-
-
-@entry
-def factor(work, instant, q, v, a, lam, factors):
-    """S at a state; `solve` factors it with B."""
-    n = work.q.shape[0]
-    set_state(work, instant, q, v)
-    set_a_lam(work, a, lam)
-    dense.put(1.0, factors, work.c)
-    work.made_at[0] = work.t[INNER]
-    dense.put(1.0, work.q, work.made_at[1:])
-    dense.put(1.0, work.v, work.made_at[1 + n :])
-    dense.put(1.0, work.a, work.made_at[1 + 2 * n :])
-    dense.put(1.0, work.lam, work.made_at[1 + 3 * n :])
-    work.flags[FACTORED] = 0
-    return evaluate(work, TANGENT, INNER, work.S) if work.functions[TANGENT] else add_slopes(work)
 
 
 @part
@@ -332,38 +335,6 @@ def solve_masses(work):
         return SINGULAR
     solve_bordered(work, work.masses, work.mass_pivots, size)
     return DONE
-
-
-@part
-def solve(work, instant, q, lam, r, phi, dq, dlam):
-    """dq and dlam of one Newton correction."""
-    n, size = work.q.shape[0], typical(work.S)
-    if not work.flags[FACTORED]:
-        bordered(work.lu, work, work.S, size)
-        if not dense.factor(work.lu, work.pivots):
-            return SINGULAR
-        work.flags[FACTORED] = 1
-    dense.put(-1.0, r, work.x)
-    dense.put(-1.0, phi, work.x[n:])
-    solve_bordered(work, work.lu, work.pivots, size)
-    dense.put(1.0, work.x[:n], dq)
-    dense.put(1.0, work.x[n:], dlam)
-    return DONE
-
-
-@part
-def rate(work, instant, q, v, rows):
-    """rows = phi_q v + phi_t."""
-    set_state(work, instant, q, v)
-    evaluate_rows(work)
-    if work.flags[DRIVEN]:
-        evaluate(work, PHI_T, INNER, work.phi_t)
-    for k in range(rows.shape[0]):
-        total = work.phi_t[k]
-        for i in range(work.q.shape[0]):
-            total += work.B[k, i] * work.v[i]
-        rows[k] = total
-    return work.flags[ENDED]
 
 
 @part
@@ -405,7 +376,7 @@ def reach(work):
 
 
 @part
-def bias(work):
+def fill_bias(work):
     """work.phi_bias at work.t, work.q, work.v: the model's, or, without drives, differences of fourth order of `phi_q v` along v. Changes work.B."""
     n, m = work.q.shape[0], work.lam.shape[0]
     if work.functions[PHI_BIAS]:
@@ -428,6 +399,19 @@ def bias(work):
 
 
 @part
+def bias(work, instant, q, v, a, out):
+    """The second derivative of phi, with B of the last `reaction`."""
+    set_state(work, instant, q, v)
+    ended = fill_bias(work)
+    evaluate_rows(work, instant, 1)
+    for k in range(out.shape[0]):
+        out[k] = work.phi_bias[k]
+        for i in range(work.q.shape[0]):
+            out[k] += work.B[k, i] * a[i]
+    return ended
+
+
+@part
 def acceleration(work, instant, q, v, a, lam):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     n, m = work.q.shape[0], work.lam.shape[0]
@@ -436,8 +420,8 @@ def acceleration(work, instant, q, v, a, lam):
         evaluate(work, MASS, INNER, work.M)
     evaluate(work, FORCE, INNER, work.g)
     if m:
-        bias(work)
-    if evaluate_rows(work) != DONE:
+        fill_bias(work)
+    if evaluate_rows(work, instant, 0) != DONE:
         return work.flags[ENDED]
     dense.put(-1.0, work.g, work.x)
     dense.put(-1.0, work.phi_bias, work.x[n:])
@@ -446,6 +430,48 @@ def acceleration(work, instant, q, v, a, lam):
     dense.put(1.0, work.x[:n], a)
     dense.put(1.0, work.x[n:], lam)
     return DONE
+
+
+@part
+def potential(work, x, d, s):
+    """V at x + s d."""
+    for i in range(work.q.shape[0]):
+        work.q[i] = x[i] + s * d[i]
+    evaluate(work, POTENTIAL, INNER, work.x)
+    return work.x[0]
+
+
+@part
+def middle(work, instant, states, lam, r, phi):
+    """r at the middle of a step, whose instant is before that of its end, and phi at the end (integrate/energy/tables.py)."""
+    n, x0, x1, x, d = work.q.shape[0], states[0], states[1], states[2], work.near[0]
+    set_state(work, instant - 1, x, states[3])
+    set_a_lam(work, states[4], lam)
+    evaluate_rows(work, instant - 1, 0)
+    equilibrium(work, r)
+    for i in range(n):
+        d[i] = x1[i] - x0[i] if i < work.flags[OWN] else 0.0
+    first, last, integral = potential(work, x0, d, 0.0), potential(work, x1, d, 0.0), 0.0
+    for s, weight in POINTS:
+        integral += weight * (potential(work, x, d, s) - potential(work, x, d, -s)) / (2.0 * s)
+    if work.flags[ENDED] != DONE:
+        return work.flags[ENDED]
+    metric, size = work.near[1], 0.0
+    for i in range(n):
+        metric[i] = 0.0
+        for j in range(n):
+            metric[i] += work.M[i, j] * d[j]
+        size += d[i] * metric[i]
+    bracket = last - first - integral
+    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
+        for i in range(n):
+            r[i] += bracket / size * metric[i]
+    ended = DONE
+    if phi.shape[0]:
+        set_state(work, instant, x1, states[3])
+        ended = evaluate(work, PHI, END, work.phi)
+        dense.put(1.0, work.phi, phi)
+    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
 
 
 @entry
@@ -464,10 +490,10 @@ def values(work, states, results):
         if phi.shape[0]:
             dense.put(1.0, work.phi, phi[k])
         if ended == DONE and rates.shape[0]:
-            ended = rate(work, 0, q[k], v[k], rates[k])
+            ended = rate(work, 0, q[k], v[k], rates[k], 0)
         if ended == DONE and biases.shape[0]:
             set_state(work, 0, q[k], v[k])
-            ended = bias(work)
+            ended = fill_bias(work)
             dense.put(1.0, work.phi_bias, biases[k])
         if ended != DONE:
             return ended
@@ -475,25 +501,15 @@ def values(work, states, results):
 
 
 SERVED = {
-    RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
-    BEGIN: served(begin),
-    CONSTRAINTS: served(constraints_behind, coordinates, None, None, multipliers, None),
-    FACTOR: served(factor, coordinates, coordinates, coordinates, multipliers, factors),
-    SOLVE: served(solve, None, None, coordinates, multipliers, coordinates, multipliers),
-    RATE: served(rate, coordinates, coordinates, multipliers),
-    PROJECT: served(project, multipliers, coordinates, None),
-    ACCEPT: served(accept, coordinates),
+    of.PREPARE: served(prepare, step_times),
+    of.BEGIN: served(begin),
+    of.RESIDUAL: served(residual, coordinates, coordinates, coordinates, multipliers, coordinates, multipliers),
+    of.CONSTRAINTS: served(constraints, coordinates, None, None, multipliers, None),
+    of.RATE: served(rate, coordinates, coordinates, multipliers, None),
+    of.BIAS: served(bias, coordinates, coordinates, coordinates, multipliers),
+    of.REACTION: served(reaction, coordinates, multipliers, coordinates, None),
+    of.PROJECT: served(project, multipliers, coordinates, None),
+    of.ACCEPT: served(accept, coordinates),
+    of.ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers),
+    of.MIDDLE: served(middle, five_states, multipliers, coordinates, multipliers),
 }
-OF_FRAMES = {ACCELERATION: served(acceleration, coordinates, coordinates, coordinates, multipliers)}
-
-
-@cache
-def example():
-    """A Dense; all of them have one type."""
-    return workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS)
-
-
-@cache
-def addresses():
-    """{number: address} of the entries, for all Dense."""
-    return {number: table_address(function, typeof(example())) for number, function in SERVED.items()}

@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida import compiled
 from polyida.model.guarded import guard
-from polyida.system.python import small_table
+from polyida.system.own import small_table
 
 
 def slope_of(angle):

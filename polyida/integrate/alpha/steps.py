@@ -15,7 +15,7 @@ from polyida.integrate.start import start_values, started
 from polyida.integrate.state import State, States, Stretch, first_of
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.system import INSTANTS
-from polyida.system.python import PythonTable, small_table
+from polyida.system.own import PythonTable, small_table
 
 ADAPTIVE = 128  # steps of a stretch if h may change
 NEAR = 0.03  # of the model's extent: from the start of a step that goes farther Newton's method may find another motion

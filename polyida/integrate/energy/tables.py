@@ -9,10 +9,8 @@ Forces beyond the potential act at the middle. A constraint that is at most quad
 work. The matrix leaves out the derivative of the bracket, which is of second order in dq: Newton's method converges without.
 """
 
-from functools import cache
-
 import numpy as np
-from numba import carray, typeof
+from numba import carray
 
 from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
@@ -26,13 +24,11 @@ from polyida.element.operator import Material
 from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import address, call, pointer
-from polyida.jit.user_functions import table_address
-from polyida.linear.dense import clear, put
+from polyida.linear.dense import clear
 from polyida.model.guarded import OF_STEPS, unguarded
-from polyida.system import ACCELERATION, ACCEPT, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
-from polyida.system import dense as small
-from polyida.system.dense import END, ENDED, INNER
-from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
+from polyida.system.dense import END, INNER
+from polyida.system.own import DenseTable, PythonTable, small_own
 from polyida.system.scene import DV, DX, START, VX, OneFactorScene, entries, idle, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
@@ -45,66 +41,7 @@ def table_of(model):
         return EnergyTable(model) if model.compiled else PythonScene(model)
     if not small_own(model):
         return PythonOwn(model)
-    return (CompiledOwn if unguarded(model).by_numba else DenseOwn)(model)
-
-
-@part
-def potential(work, start, direction, share):
-    """V at start + share direction."""
-    for i in range(work.q.shape[0]):
-        work.q[i] = start[i] + share * direction[i]
-    small.evaluate(work, small.POTENTIAL, INNER, work.x)
-    return work.x[0]
-
-
-@part
-def five_states(work, at):
-    """The vectors q_0, q_1, and q, v, a of the middle at an address, (5, n)."""
-    return carray(pointer(at), (5, work.q.shape[0]))
-
-
-@part
-def own_middle(model, instant, states, lam, r, phi):
-    """r at the middle of a step, whose instant is before that of its end, and phi at the end."""
-    n, x0, x1, x, d = model.q.shape[0], states[0], states[1], states[2], model.near[0]
-    small.set_state(model, instant - 1, x, states[3])
-    small.set_a_lam(model, states[4], lam)
-    small.evaluate_rows(model)
-    small.equilibrium(model, r)
-    for i in range(n):
-        d[i] = x1[i] - x0[i] if i < model.flags[small.OWN] else 0.0
-    first, last, work = potential(model, x0, d, 0.0), potential(model, x1, d, 0.0), 0.0
-    for s, weight in POINTS:
-        work += weight * (potential(model, x, d, s) - potential(model, x, d, -s)) / (2.0 * s)
-    if model.flags[ENDED] != DONE:
-        return model.flags[ENDED]
-    metric, size = model.near[1], 0.0
-    for i in range(n):
-        metric[i] = 0.0
-        for j in range(n):
-            metric[i] += model.M[i, j] * d[j]
-        size += d[i] * metric[i]
-    bracket = last - first - work
-    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
-        for i in range(n):
-            r[i] += bracket / size * metric[i]
-    ended = DONE
-    if phi.shape[0]:
-        small.set_state(model, instant, x1, states[3])
-        ended = small.evaluate(model, small.PHI, END, model.phi)
-        put(1.0, model.phi, phi)
-    return NOT_FINITE if ended == DONE and not (small.finite(r) and small.finite(phi)) else ended
-
-
-OWN_MIDDLE = {MIDDLE: served(own_middle, five_states, small.multipliers, small.coordinates, small.multipliers)}
-
-
-@cache
-def own_addresses():
-    """{number: address} of these functions, for every small model."""
-    kind = typeof(small.example())
-    functions = OWN_MIDDLE | small.OF_FRAMES
-    return {number: table_address(function, kind) for number, function in functions.items()}
+    return DenseOwn(model)
 
 
 def discrete_derivative(potential, x0, x1, metric):
@@ -155,29 +92,22 @@ class PythonOwn(MiddleTable, PythonTable):
 
 
 class DenseOwn(MiddleTable, DenseTable):
-    """The table of a user's small model in Python."""
+    """The table of a user's small model. If numba compiles it and nothing is driven, the table makes v, a and lam of frames."""
+
+    names, entries = OF_ENERGY, (MIDDLE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT)
 
     def __init__(self, model):
         super().__init__(model)
-        self.functions[MIDDLE] = own_addresses()[MIDDLE]
+        self.complete = unguarded(model).by_numba and not model.needs.driven
+        if self.complete:
+            self.entries = (*self.entries, ACCELERATION)
+        self.serve()
 
     def _functions(self, work):
         def potential(*_):
             work.x[0] = self.model.potential(work.q.copy())
 
         return super()._functions(work) | {"potential": self._protected(potential)}
-
-
-class CompiledOwn(MiddleTable, CompiledTable):
-    """The table of a user's small model that numba compiles; it makes v, a and lam of frames if nothing is driven."""
-
-    names = OF_ENERGY
-
-    def __init__(self, model):
-        super().__init__(model)
-        self.complete = not model.needs.driven
-        for number, at in own_addresses().items():
-            self.functions[number] = at if number == MIDDLE or self.complete else 0
 
 
 @part

@@ -27,13 +27,13 @@ from polyida.integrate.ida.forms import INSTANT
 from polyida.integrate.radau import matrices
 from polyida.integrate.radau.matrices import Matrices, WholeModes
 from polyida.integrate.radau.tableau import Mode, Tableau
-from polyida.integrate.radau.tables.python import PythonStages, dense_table
+from polyida.integrate.radau.tables.python import DenseStages, PythonStages
 from polyida.integrate.radau.tables.scene import SceneStages
 from polyida.linear.lu import dense, first_order_sizes
 from polyida.linear.saddle import MANY
 from polyida.model.differences import bend, reach_along
 from polyida.system import BIAS
-from polyida.system.python import small_own
+from polyida.system.own import small_own
 from polyida.system.scene import entries
 from polyida.system.scene_factors import Factor
 
@@ -117,7 +117,7 @@ class PythonForm(PythonStages):
 
     def stand(self, t):
         """Set the time of the equations."""
-        self.at = [t, t]
+        self.times[:] = t
 
     def _bias(self, instant, q, v, a, bias, *_):
         model, at = self.model, self._state(instant, q)
@@ -167,7 +167,7 @@ def table_of(system, linear, scaling):
         if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
             return SceneForm(model, EULER), True
     if linear == "auto" and small_own(model):
-        return dense_table(model, EULER, system.levels), renews
+        return DenseStages(model, EULER, system.levels), renews
     if linear == "whole":
         return PythonForm(system, partial(WholeForm, system=system, scaling=scaling)), False
     own = linear == "auto" and not model.is_scene  # the step matrix of a user's model; that of a scene is of single precision

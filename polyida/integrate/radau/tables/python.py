@@ -1,16 +1,18 @@
 """Tables of models whose functions or matrices are in Python: callbacks that keep an exception for the caller."""
 
+from functools import partial
+
 import numpy as np
 
 from polyida import system as of
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.matrices import Rows
-from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
-from polyida.model.guarded import unguarded
-from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system import dense_slots
+from polyida.system.dense import INNER
+from polyida.system.own import DenseTable, PythonTable, small_own
 
 
 class Stages:
@@ -39,12 +41,11 @@ class PythonStages(Stages, PythonTable):
 
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
-        self.increments, self.B = None, [None] * tableau.stages
-        super().__init__(model)
+        self.stages, self.B = tableau.stages, [None] * tableau.stages
+        super().__init__(model, model.has_constraint_increments)
 
     def _entries(self):
-        entries = {of.PREPARE: self._prepare, of.BEGIN: self._begin, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
-        entries |= {of.CONSTRAINTS: self._constraints, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept}
+        entries = super()._entries() | {of.PREPARE: self._prepare, of.REACTION: self._reaction}
         entries |= {of.REAL: self._real, of.PAIR: self._pair, of.INERTIA: self._inertia, of.ACCELERATION: self._acceleration}
         return entries | {of.ROWS: self._rows, of.SELECT: self._select}
 
@@ -67,26 +68,13 @@ class PythonStages(Stages, PythonTable):
         return status, self.reason if ended == SINGULAR and self.reason else reason
 
     def _prepare(self, first, times, *_):
-        self.h, self.t, *rest = self._array(times, 3 + self.tableau.stages)
-        self.at = [float(t) for t in rest]
+        self.h, self.t, *at = self._array(times, 3 + self.stages)
+        self.times[first : first + len(at)] = np.array(at)[:, None]
 
-    def _stage(self, instant):
-        return (instant - 1) % (self.tableau.stages + 1)
-
-    def _at(self, instant):
-        return (self.at[self._stage(instant) + 1],) * 2
-
-    def _state(self, instant, q):
-        return self._at(instant)[0], self._array(q, self.model.n).copy()
-
-    def _begin(self, instant, q, v, *_):
-        self.increments, model = None, self.model
-        if model.has_constraint_increments:
-            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
-            begin = inner_side(model, self.t, -self.h)
-            steps = zip(self.at[1:], self.tableau.c * self.h)
-            self.increments = [model.increments(self.t, t, (begin, t), step, q, v) for t, step in steps]
-        self.B = [None] * self.tableau.stages
+    def _spans(self, instant):
+        begin = inner_side(self.model, self.t, -self.h)
+        ends = self.times[instant + 1 : instant + 1 + self.stages, INNER].tolist()
+        return [(self.t, t, (begin, t), step) for t, step in zip(ends, self.tableau.c * self.h)]
 
     def _reaction(self, instant, q, mu, dv, known, *_):
         model, k, dv = self.model, self._stage(instant), self._array(dv, self.model.n)
@@ -96,24 +84,8 @@ class PythonStages(Stages, PythonTable):
         self.B[k] = dense(model.phi_q(*self._state(instant, q)))
         dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
-    def _rate(self, instant, q, v, rate, known, *_):
-        model, self.rate_state = self.model, self._state(instant, q)
-        v = self._array(v, model.n).copy()
-        if known:
-            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
-        else:
-            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
-        self._array(rate, model.m)[:] = rates
-
-    def _project(self, instant, rows, x, *_):
-        model, x = self.model, self._array(x, self.model.n)
-        try:
-            self.saddle = self.saddle or model.mass_system(*self.rate_state)
-            x += self.saddle.solve(np.zeros(model.n), self._array(rows, model.m).copy())[0]
-        except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
-            self.reason = str(error)
-            return SINGULAR
-        return DONE
+    def _project(self, *arguments):
+        return self._tried(partial(super()._project, *arguments), InputError, np.linalg.LinAlgError)
 
     def _rows(self, instant, q, v, a, *_):
         needs, matrices = self.model.needs, self.factored
@@ -125,10 +97,11 @@ class PythonStages(Stages, PythonTable):
     def _made_rows(self, t, q, v, a):
         return Rows(self.model, t, q, v, self.factored.lam, self.lift if self.tied else None)
 
-    def _tried(self, act):
+    def _tried(self, act, *errors):
+        """SINGULAR for an error of these classes, or SingularSystem, whose reason is kept."""
         try:
             act()
-        except SingularSystem as error:
+        except (SingularSystem, *errors) as error:
             self.reason = str(error)
             return SINGULAR
         return DONE
@@ -177,14 +150,17 @@ class PythonStages(Stages, PythonTable):
 
 
 class DenseStages(Stages, DenseTable):
-    """The table of a small model: compiled code that calls back the model's functions."""
+    """The table of a small model; levels: as of Slots in system/dense.py."""
+
+    entries = (
+        of.RESIDUAL, of.PREPARE, of.BEGIN, of.REACTION, of.CONSTRAINTS, of.RATE, of.BIAS, of.PROJECT, of.ACCEPT, of.ROWS, of.REAL, of.PAIR,
+        of.INERTIA, of.ACCELERATION, of.MATRICES, of.SELECT,
+    )  # fmt: skip
 
     def __init__(self, model, tableau, levels):
+        self.stages, self.levels = tableau.stages, levels
         super().__init__(model)
-        self.stages = small.workspace(self.w, tableau.stages, levels)
-        for number, at in small.addresses().items():
-            self.functions[number] = at
-        self.workspace = self.stages.address
+        self.serve()
 
     def stand(self, t):
         """Set the time of all instants."""
@@ -192,32 +168,23 @@ class DenseStages(Stages, DenseTable):
 
     def set_lift(self, lift):
         """Set the diagonal of D^-1."""
-        self.stages.D[:] = lift
+        self.w.slots.D[:] = lift
         self.has_constants = False
 
     def make(self, slot, h, made_at, counts):
         """Compute K, C and M of a slot."""
-        w, n = self.stages, self.model.n
+        n = self.model.n
         self.evaluate_constants(float(made_at[0]), made_at[1 : 1 + n])
         self.times[0] = made_at[0]
         q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([n] * 3)))
-        ended = small.factor(w, 0, q, v, a, lam, slot)
+        ended = dense_slots.matrices(self.w, 0, q, v, a, lam, slot)
         self.raise_error()
         if ended != DONE:
             raise SingularSystem(REASONS[ended][1])
-
-
-class CompiledStages(DenseStages, CompiledTable):
-    """The table of a small model whose functions numba compiled."""
 
 
 def table_of(model, linear, tableau, tied, kind):
     """The table of a model. linear: the setting of the integrator; kind: class of its matrices unless compiled code makes them."""
     if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
-    return dense_table(model, tableau, np.eye(1 + tied, 3))
-
-
-def dense_table(model, tableau, levels):
-    """The table of a small model; levels: as of DenseStages in radau/tables/dense.py."""
-    return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, levels)
+    return DenseStages(model, tableau, np.eye(1 + tied, 3))

@@ -3,21 +3,23 @@
 import ctypes
 import time
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
+from numba import typeof
 from numpy import ndarray
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
-from polyida.jit.user_functions import CALLBACK
+from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
 from polyida.model.guarded import FLOAT, MOST, OF_STEPS, Compiled, unguarded, writes
-from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, dense_slots
 from polyida.system import dense as small
 
 SHORT, LONG = 5e-3, 20e-3  # s: wanted CPU time of a stretch
 VIEWS = 4096  # arrays at addresses that are stored
+SERVED = small.SERVED | dense_slots.SERVED
 ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # called without reading its arguments: conversion of these takes 0.7 us a call
 
 
@@ -25,12 +27,14 @@ class PythonTable:
     """The table of any model: each entry is a callback.
 
     functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
-    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned.
+    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
+    Radau IIA, whose instants follow that of the step's beginning; B: phi_q of them where REACTION was asked last.
     """
 
     longest = 1
     instants = most = INSTANTS
-    workspace = 0
+    workspace = stages = 0
+    increments = saddle = None
 
     def __init__(self, model, incremental=False):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
@@ -122,17 +126,24 @@ class PythonTable:
     def _at(self, instant):
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
 
-    def _begin(self, instant, q, v, *_):
-        self.increments, model = None, self.model
-        if self.incremental:
-            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
-            before = self.begin if instant == 0 else self.times[instant - 1, small.END]
-            ends = (self.ends[0] if instant == 0 else before), self._at(instant)[0]
-            self.increments = [model.increments(before, self._at(instant)[1], ends, self.h, q, v)]
+    def _state(self, instant, q):
+        """(t, q) inside a step."""
+        return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _stage(self, instant):
-        """Index of an instant's increments."""
-        return 0
+        """Index of an instant's increments and B."""
+        return (instant - 1) % (self.stages + 1)
+
+    def _begin(self, instant, q, v, *_):
+        model = self.model
+        if self.incremental:
+            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
+            self.increments = [model.increments(*span, q, v) for span in self._spans(instant)]
+
+    def _spans(self, instant):
+        """(first time, last time, times beside both inside the step, length) of each part of a step that begins."""
+        before, (inner, end) = (self.begin if instant == 0 else self.times[instant - 1, small.END]), self._at(instant)
+        return [(before, end, (self.ends[0] if instant == 0 else before, inner), self.h)]
 
     def _residual(self, instant, q, v, a, lam, r, phi):
         model, (inner, end) = self.model, self._at(instant)
@@ -161,14 +172,20 @@ class PythonTable:
             return SINGULAR
         return DONE
 
-    def _rate(self, instant, q, v, rate, *_):
-        model, self.at = self.model, (self._at(instant)[0], self._array(q, self.model.n).copy())
-        self._array(rate, model.m)[:] = model.phi_q(*self.at) @ self._array(v, model.n) + model.phi_t(*self.at)
+    def _rate(self, instant, q, v, rate, known, *_):
+        model, self.rate_state = self.model, self._state(instant, q)
+        v = self._array(v, model.n).copy()
+        if known:
+            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
+        else:
+            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
+        self._array(rate, model.m)[:] = rates
 
     def _project(self, instant, rows, x, from_zero, *_):
         model, x = self.model, self._array(x, self.model.n)
-        rows = self._array(rows, model.m) - (model.phi_q(*self.at) @ x if from_zero else 0.0)
-        change = model.mass_system(*self.at).solve(np.zeros(model.n), rows)[0]
+        rows = self._array(rows, model.m) - (model.phi_q(*self.rate_state) @ x if from_zero else 0.0)
+        self.saddle = self.saddle or model.mass_system(*self.rate_state)
+        change = self.saddle.solve(np.zeros(model.n), rows)[0]
         x[:] = change if from_zero else x + change
 
     def _accept(self, instant, q, *_):
@@ -178,16 +195,47 @@ class PythonTable:
 
 
 class DenseTable(PythonTable):
-    """The table of a small model: compiled code that calls the model's functions back."""
+    """The table of a small model: compiled code that calls the model's functions.
+
+    Functions that numba compiles are called as C functions, all others as callbacks into Python. names: those that the method calls; entries:
+    of the table that it asks. levels: as of Slots in system/dense.py.
+    """
+
+    names = OF_STEPS
+    entries: tuple[int, ...] = RESIDUAL, BEGIN, CONSTRAINTS, FACTOR, SOLVE, RATE, PROJECT, ACCEPT
+    levels = small.NO_LEVELS
 
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, rows_vary, needs.phi_q_varies, 0, 0, DONE, model.n - model.k
-        self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
+        flags = (
+            needs.mass_varies,
+            needs.velocity_forces,
+            needs.driven,
+            rows_vary,
+            needs.phi_q_varies,
+            0,
+            self.levels[:, 1:].any(),
+            DONE,
+            model.n - model.k,
+        )
+        w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
+        self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
-        self.workspace, self.factored, self.has_constants = w.address, None, False
+        if unguarded(model).by_numba:
+            self._take_compiled(functions)
+        self.workspace, self.factored, self.has_constants = self.w.address, None, False
+
+    def _take_compiled(self, functions):
+        """Replace callbacks by the model's compiled functions; derivatives that it does not write become compiled differences."""
+        self.longest, self.compiled = INSTANTS, Compiled(self.model, self.names)
+        functions[[small.TANGENT, small.FORCE_V]] = 0
+        if not self.model.needs.driven:
+            functions[small.PHI_BIAS] = 0
+        for name, at in self.compiled.addresses.items():
+            functions[small.FUNCTIONS.index(name)] = at
+        self.w = self.w._replace(data=self.compiled.data)
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
@@ -208,7 +256,7 @@ class DenseTable(PythonTable):
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
             "rejection_reason": self._protected(accepted) if writes(unguarded(model), "rejection_reason") else None,
-            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.c.tolist(), 1.0), inner, q, v, a, lam),
+            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
@@ -241,14 +289,18 @@ class DenseTable(PythonTable):
 
         return called
 
+    def serve(self):
+        """Fill the table's functions, once."""
+        if not self.functions[self.entries[0]]:
+            self.functions[list(self.entries)] = [address_of(number) for number in self.entries]
+
     def system(self, settings):
         return DenseMatrix(self.model, self)
 
     @contextmanager
     def at_work(self, system):
         """As PythonTable.at_work; S is in the workspace."""
-        for number, at in () if self.functions[RESIDUAL] else small.addresses().items():
-            self.functions[number] = at
+        self.serve()
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.FACTORED] = system, system.S, 0
         with self.timed():
@@ -259,7 +311,7 @@ class DenseTable(PythonTable):
         w, self.w.times[0] = self.w, t
         self.evaluate_constants(t, q)
         arrays = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
-        ended = small.factor(w, 0, *arrays)
+        ended = dense_slots.factor(w, 0, *arrays)
         self.raise_error()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)
@@ -272,6 +324,13 @@ class DenseTable(PythonTable):
                 self.w.M[...] = dense(self.model.mass(q))
             if self.model.m and not self.w.flags[small.ROWS_VARY]:
                 self.w.B[...] = dense(self.model.phi_q(t, q))
+
+
+@cache
+def address_of(number):
+    """The address of an entry, for all Dense: they have one type."""
+    example = small.workspace(1, 0, np.zeros(len(small.FUNCTIONS), np.int64), 0, (0,) * small.FLAGS)
+    return table_address(SERVED[number], typeof(example))
 
 
 class DenseMatrix(StepMatrix):
@@ -293,24 +352,6 @@ class DenseMatrix(StepMatrix):
         self.S, self.made_at, self.table.factored = w.S.copy(), w.made_at.copy(), self
 
 
-class CompiledTable(DenseTable):
-    """The table of a small model with compiled functions. Functions that it does not write are Python's, or differences."""
-
-    longest = INSTANTS
-    names = OF_STEPS
-
-    def _fill(self):
-        super()._fill()
-        self.compiled, functions = Compiled(self.model, self.names), self.w.functions
-        functions[[small.TANGENT, small.FORCE_V]] = 0
-        if not self.model.needs.driven:
-            functions[small.PHI_BIAS] = 0
-        for name, at in self.compiled.addresses.items():
-            functions[small.FUNCTIONS.index(name)] = at
-        self.w = self.w._replace(data=self.compiled.data)
-        self.workspace = self.w.address
-
-
 def small_own(model):
     """True for a user's small model that leaves its linear systems to the package."""
     own = unguarded(model)
@@ -322,4 +363,4 @@ def small_table(model, incremental=False):
     """The table of a model that is solved with dense matrices; None for other models."""
     if not small_own(model):
         return None
-    return (CompiledTable if unguarded(model).by_numba else DenseTable)(model, incremental)
+    return DenseTable(model, incremental)
