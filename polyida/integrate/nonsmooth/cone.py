@@ -5,10 +5,15 @@ contact:   p = max(0, p - rho u)
 friction:  p = clip(p - rho u, -c(p), c(p)),   c(p) = c_0 + mu |l_0 + L p|,   rho = 1/G_ii
 slip:      p = -sign c(p), if the direction of slip is known
 ```
-Semismooth Newton on these equations (Alart, Curnier 1991), an active-set method. If sets repeat, Newton begins again with all rows at rest, then
-from the solution with the present bounds of friction, a convex quadratic problem whose sets change one row at a time (Nocedal, Wright, Numerical
-Optimization (2006), section 16.5), then from projected Gauss-Seidel sweeps. Where G is singular, as with redundant contacts, pressures are
-those of least norm among the solutions near the start.
+with the constant c_0 and the coefficient mu of friction, and its pressing entries l_0 + L p. `solve_cone` tries in this order:
+
+1. `newton`: semismooth Newton on these equations (Alart, Curnier 1991), an active-set method, from the given start.
+2. If its sets repeat, the same from the pressures with which all rows are at rest, G p + b = 0.
+3. The same from the solution with the present bounds of friction, `solve_box_lcp`: a convex quadratic problem whose sets change one row at a time
+   (Nocedal, Wright, Numerical Optimization (2006), section 16.5).
+4. The same from projected Gauss-Seidel sweeps, `sweep`, a few times.
+
+Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
 """
 
 from typing import NamedTuple
@@ -20,7 +25,9 @@ from polyida.linear.dense import put, solve_small
 
 CONTACT, FRICTION = 0, 1
 OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rate > 0
-NEWTON, SWEEPS, ROUNDS = 30, 400, 4
+NEWTON = 30  # most iterations of Newton's method from one start
+SWEEPS = 400  # of Gauss-Seidel in one round
+ROUNDS = 4  # starts of Newton's method beyond the first two
 EXACT = 1e-13  # of the largest pressure: error of p
 GOOD = 1e-8  # the same that is accepted if no iteration is better
 LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
@@ -30,9 +37,10 @@ CHANGES = 20  # for each row, of the sets of the problem with given bounds
 
 @pack
 class Cone(NamedTuple):
-    """Rows with laws. kind: CONTACT or FRICTION. c, mu: of friction. start: first pressing entry of each row. l, L: |l + L p| of the entries.
+    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries.
 
-    sign: 0, or the sign of the rate of a row that slips.
+    kind (k,): CONTACT or FRICTION. c, mu (k,): of friction. sign (k,): 0, or the sign of the rate of a row that slips. start (k + 1,): first
+    pressing entry of each row. l (entries,), L (entries, k): of the pressing entries.
     """
 
     kind: np.ndarray
@@ -45,36 +53,36 @@ class Cone(NamedTuple):
 
 
 @part
-def bound(x, p, i, slope):
-    """c(p) of friction row i; fills its slope (k,)."""
+def friction_bound(cone, p, i, slope):
+    """The bound c(p) of friction row i; fills its slope dc/dp (k,)."""
     slope[:] = 0.0
     square = 0.0
-    for e in range(x.start[i], x.start[i + 1]):
-        value = x.l[e]
+    for e in range(cone.start[i], cone.start[i + 1]):
+        value = cone.l[e]
         for j in range(p.shape[0]):
-            value += x.L[e, j] * p[j]
+            value += cone.L[e, j] * p[j]
         square += value * value
         for j in range(p.shape[0]):
-            slope[j] += value * x.L[e, j]
+            slope[j] += value * cone.L[e, j]
     norm = np.sqrt(square)
     for j in range(p.shape[0]):
-        slope[j] *= x.mu[i] / norm if norm > 0.0 else 0.0
-    return x.c[i] + x.mu[i] * norm
+        slope[j] *= cone.mu[i] / norm if norm > 0.0 else 0.0
+    return cone.c[i] + cone.mu[i] * norm
 
 
 @part
-def status_of(x, p, u, rho, i, limit):
-    """The status of row i."""
-    at = p[i] - rho * u
-    if x.kind[i] == CONTACT:
-        return CLOSED if at > 0.0 else OPEN
-    if x.sign[i] != 0.0:
-        return SLIPS_UP if x.sign[i] > 0.0 else SLIPS_DOWN
-    return SLIPS_DOWN if at > limit else SLIPS_UP if at < -limit else STICKS
+def row_status(cone, p, u, rho, i, limit):
+    """The status of row i with the rate u; limit: its bound of friction."""
+    trial = p[i] - rho * u
+    if cone.kind[i] == CONTACT:
+        return CLOSED if trial > 0.0 else OPEN
+    if cone.sign[i] != 0.0:
+        return SLIPS_UP if cone.sign[i] > 0.0 else SLIPS_DOWN
+    return SLIPS_DOWN if trial > limit else SLIPS_UP if trial < -limit else STICKS
 
 
 @part
-def rate_of(G, b, p, i):
+def row_rate(G, b, p, i):
     """(rate of row i, the largest of its terms)."""
     u, scale = b[i], abs(b[i])
     for j in range(p.shape[0]):
@@ -84,16 +92,19 @@ def rate_of(G, b, p, i):
 
 
 @part
-def newton(G, b, x, p, status, matrix, right, slope):
-    """Iterations until p no longer changes; p and status are then the best ones. Returns (the largest error of p over the largest p, iterations)."""
-    k, least, kept, kept_status = p.shape[0], np.inf, p.copy(), status.copy()
+def newton(G, b, cone, p, status, matrix, right, slope):
+    """Iterate until p no longer changes; p and status are then the best ones. Returns (the largest error of p over the largest p, iterations).
+
+    matrix (k, k), right, slope (k,): workspace. Each row of the matrix is the slope of the equation that holds with the row's present status.
+    """
+    k, least, best_p, best_status = p.shape[0], np.inf, p.copy(), status.copy()
     for iteration in range(NEWTON):
         error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
-            u, scale = rate_of(G, b, p, i)
+            u, scale = row_rate(G, b, p, i)
             rho = 1.0 / G[i, i]
-            limit = bound(x, p, i, slope) if x.kind[i] == FRICTION else 0.0
-            now = status_of(x, p, u, rho, i, limit)
+            limit = friction_bound(cone, p, i, slope) if cone.kind[i] == FRICTION else 0.0
+            now = row_status(cone, p, u, rho, i, limit)
             same = same and now == status[i]
             status[i] = now
             if now in (CLOSED, STICKS):
@@ -106,11 +117,11 @@ def newton(G, b, x, p, status, matrix, right, slope):
                 matrix[i, i] = 1.0
                 right[i] = -p[i]
             else:
-                way = 1.0 if now == SLIPS_UP else -1.0  # p = -way c(p)
+                direction = 1.0 if now == SLIPS_UP else -1.0  # p = -direction c(p)
                 for j in range(k):
-                    matrix[i, j] = way * slope[j]
+                    matrix[i, j] = direction * slope[j]
                 matrix[i, i] += 1.0
-                right[i] = -p[i] - way * limit
+                right[i] = -p[i] - direction * limit
             error, size = max(error, abs(right[i])), max(size, abs(p[i]), limit if now >= SLIPS_UP else rho * scale)
             finite = finite and np.isfinite(right[i])
         if not finite:
@@ -120,20 +131,24 @@ def newton(G, b, x, p, status, matrix, right, slope):
             return error, iteration
         if error < least:
             least = error
-            put(1.0, p, kept)
-            kept_status[:] = status
+            put(1.0, p, best_p)
+            best_status[:] = status
         if not solve_small(matrix, right):
             break
         for i in range(k):
             p[i] += right[i]
-    put(1.0, kept, p)
-    status[:] = kept_status
+    put(1.0, best_p, p)
+    status[:] = best_status
     return least, NEWTON
 
 
 @part
-def press(G, b, low, high, p, matrix, right):
-    """Change p to the solution with given bounds: G p + b is 0 between them, not negative at the low one, not positive at the high one."""
+def solve_box_lcp(G, b, low, high, p, matrix, right):
+    """Change p to the solution with given bounds: G p + b is 0 between them, not negative at the low one, not positive at the high one.
+
+    A step goes to the solution of the free rows, or as far as the first bound on the way, whose row is then fixed (`blocked`). At a solution of
+    the free rows the fixed row with the wrongest rate becomes free (`released`). Ends also, without a solution, if a matrix is singular.
+    """
     k, full = p.shape[0], False
     free = np.zeros(k, np.bool_)
     for i in range(k):
@@ -142,7 +157,7 @@ def press(G, b, low, high, p, matrix, right):
     for _ in range(CHANGES * (k + 1)):
         error, size, worst, released = 0.0, 0.0, 0.0, -1
         for i in range(k):
-            u, scale = rate_of(G, b, p, i)
+            u, scale = row_rate(G, b, p, i)
             right[i] = -u / G[i, i]
             size = max(size, abs(p[i]), scale / G[i, i])
             if free[i]:
@@ -164,9 +179,9 @@ def press(G, b, low, high, p, matrix, right):
             return
         share, blocked = 1.0, -1
         for i in range(k):
-            bound_of_way = low[i] if right[i] < 0.0 else high[i]
-            if right[i] != 0.0 and (bound_of_way - p[i]) / right[i] < share:
-                share, blocked = (bound_of_way - p[i]) / right[i], i
+            ahead = low[i] if right[i] < 0.0 else high[i]
+            if right[i] != 0.0 and (ahead - p[i]) / right[i] < share:
+                share, blocked = (ahead - p[i]) / right[i], i
         for i in range(k):
             p[i] += share * right[i]
         full = blocked < 0
@@ -175,24 +190,24 @@ def press(G, b, low, high, p, matrix, right):
 
 
 @part
-def sweep(G, b, x, p, slope):
+def sweep(G, b, cone, p, slope):
     """One projected Gauss-Seidel sweep."""
     k = p.shape[0]
     for i in range(k):
-        u, _ = rate_of(G, b, p, i)
-        at = p[i] - u / G[i, i]
-        if x.kind[i] == CONTACT:
-            p[i] = max(0.0, at)
+        u, _ = row_rate(G, b, p, i)
+        trial = p[i] - u / G[i, i]
+        if cone.kind[i] == CONTACT:
+            p[i] = max(0.0, trial)
         else:
-            limit = bound(x, p, i, slope)
-            if x.sign[i] != 0.0:
-                p[i] = -x.sign[i] * limit
+            limit = friction_bound(cone, p, i, slope)
+            if cone.sign[i] != 0.0:
+                p[i] = -cone.sign[i] * limit
             else:
-                p[i] = min(max(at, -limit), limit)
+                p[i] = min(max(trial, -limit), limit)
 
 
 @entry
-def solve_cone(G, b, x, p, status):
+def solve_cone(G, b, cone, p, status):
     """Change p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
 
     G_ii become positive.
@@ -201,7 +216,7 @@ def solve_cone(G, b, x, p, status):
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
     for i in range(k):
         G[i, i] = max(abs(G[i, i]), LEAST)
-    error, count = newton(G, b, x, p, status, matrix, right, slope)
+    error, count = newton(G, b, cone, p, status, matrix, right, slope)
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):
             right[i] = -b[i]
@@ -210,7 +225,7 @@ def solve_cone(G, b, x, p, status):
         if solve_small(matrix, right):
             put(1.0, right, p)
             total += count
-            error, count = newton(G, b, x, p, status, matrix, right, slope)
+            error, count = newton(G, b, cone, p, status, matrix, right, slope)
     for turn in range(ROUNDS):
         total += count
         if error <= GOOD:
@@ -220,12 +235,12 @@ def solve_cone(G, b, x, p, status):
         if turn == 0:
             low, high = np.zeros(k), np.full(k, np.inf)
             for i in range(k):
-                if x.kind[i] == FRICTION:
-                    limit = bound(x, p, i, slope)
-                    low[i], high[i] = (-limit, limit) if x.sign[i] == 0.0 else (-x.sign[i] * limit, -x.sign[i] * limit)
-            press(G, b, low, high, p, matrix, right)
+                if cone.kind[i] == FRICTION:
+                    limit = friction_bound(cone, p, i, slope)
+                    low[i], high[i] = (-limit, limit) if cone.sign[i] == 0.0 else (-cone.sign[i] * limit, -cone.sign[i] * limit)
+            solve_box_lcp(G, b, low, high, p, matrix, right)
         else:
             for _ in range(SWEEPS):
-                sweep(G, b, x, p, slope)
-        error, count = newton(G, b, x, p, status, matrix, right, slope)
+                sweep(G, b, cone, p, slope)
+        error, count = newton(G, b, cone, p, status, matrix, right, slope)
     return total + count if error <= GOOD else -1
