@@ -225,21 +225,19 @@ class Unknowns(NamedTuple):
     p: np.ndarray
 
 
-class Rates(NamedTuple):
-    """In a step: c_m, the factor of M in S; v_q = dv/dq, 1/s; a_q = da/dq, 1/s^2."""
+class StepEquations(NamedTuple):
+    """What Newton's method solves in a step.
 
+    residual: r of (model, q, v, a, lam of all rows). c_m: the factor of M in S; v_q = dv/dq, 1/s; a_q = da/dq, 1/s^2. back (k,), or 0: rates
+    after impacts are at least -back. scale: of the friction's constant.
+    """
+
+    residual: Any
     c_m: float
     v_q: float
     a_q: float
-
-
-class Laws(NamedTuple):
-    """Laws of a step: the Group of the active rows, `back` (over v_q) and `scale` of _newton, and the rate below which friction sticks."""
-
-    group: Any
-    back: Any
-    still: float
-    scale: float
+    back: Any = 0.0
+    scale: float = 1.0
 
 
 class _Steps:
@@ -270,56 +268,54 @@ class _Steps:
         """The State after a step of h to t."""
         return (self._moreau if self.impulsive else self._alpha)(state, t, h)
 
-    def _factor(self, h, rates, *at):
+    def _factor(self, h, step, *at):
         """Factor `S = c_m M + v_q C + K` of the equations for steps of h; at: t, q, v, a, lam."""
         self.system = self.system or self.base.step_matrix()
-        self.system.factor(*at, rates.c_m, rates.v_q)
+        self.system.factor(*at, step.c_m, step.v_q)
         self.counts.add(factors=1, system=self.system)
-        self.factored_for = h, rates.c_m, rates.v_q
-        self.tolerances = self.settings.newton_tolerance(rates.a_q * h * h)
+        self.factored_for = h, step.c_m, step.v_q
+        self.tolerances = self.settings.newton_tolerance(step.a_q * h * h)
         self.columns.forget()
 
-    def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
-        """The Unknowns with r = 0 and the laws at the rates of the end, p of all rows with laws. Raises StepFailure.
+    def _newton(self, t, h, start, active, step, size):
+        """The Unknowns with r = 0 and the laws at the rates of the end, p of all rows with laws, by the StepEquations. Raises StepFailure.
 
-        start: the first guess, with a of the step's start. residual: of (model, q, v, a, lam of all rows). back: rates after impacts are at
-        least -back. scale: of the friction's constant.
+        start: the first guess, with a of the step's start. active: rows with laws that can carry a force. size: of the model, m.
         """
         contacts, model = self.contacts, self.model.facing(start.q)
         if self.shares is None or model.needs.mass_varies:
             self.shares = weights(model, start.q)
-        group = contacts.group(active)
-        laws = Laws(group, back[group.rows] / rates.v_q if np.any(back) else 0.0, contacts.still(start.v), scale)
+        group, still = contacts.group(active), contacts.still(start.v)
         q, v, a, lam, p = start._replace(p=start.p[group.rows])
-        factored = self.factored_for == (h, rates.c_m, rates.v_q)
+        factored = self.factored_for == (h, step.c_m, step.v_q)
         last, count, contraction = 0.0, 0, 1.0  # |dq| of the iteration before, iterations with this factor
         for _ in range(self.settings.max_iterations):
             if not factored:
-                self._factor(h, rates, t, q, v, a, lam)
+                self._factor(h, step, t, q, v, a, lam)
                 factored, last, count = True, 0.0, 0
             if count > 2 and contraction > SLOW:
                 self.columns.forget()
-            r, rate = residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
-            dq, dlam, p = self._correction(t, model, Unknowns(q, v, a, lam, p), rates, r, rate, laws)
-            q, v, a, lam = q + dq, v + rates.v_q * dq, a + rates.a_q * dq, lam + dlam
+            r, rate = step.residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
+            dq, dlam, p = self._correction(t, model, Unknowns(q, v, a, lam, p), step, group, r, rate, still)
+            q, v, a, lam = q + dq, v + step.v_q * dq, a + step.a_q * dq, lam + dlam
             moved, count = self._norm(dq), count + 1
             if not np.isfinite(moved):
                 why = "Newton's method diverges, take smaller steps" if last else "the residual is not finite"
                 raise StepFailure("not finite", self.model.not_finite or why, t)
             contraction = moved / last if last else 1.0
             left = moved * contraction / (1.0 - contraction) if contraction < 1.0 else np.inf
-            if moved <= EXACT * size or left <= self._allowed(start.a, a) / rates.a_q:
+            if moved <= EXACT * size or left <= self._allowed(start.a, a) / step.a_q:
                 self.columns.served(count, len(group.rows))
                 return Unknowns(q, v, a, lam, contacts.spread(group, p))
             factored, last = count < MANY, moved
         raise StepFailure("newton", f"Newton's method does not converge in {self.settings.max_iterations} iterations", t)
 
-    def _correction(self, t, model, at, rates, r, rate, laws):
+    def _correction(self, t, model, at, step, group, r, rate, still):
         """(dq, dlam, p of the active rows) of an iteration: the equations' correction, then the cone problem. Raises StepFailure."""
-        contacts, group = self.contacts, laws.group
+        contacts = self.contacts
         B = contacts.slopes(t, at.q, group.rows, model)
         try:
-            dq, dlam = self.system.saddle(t, at.q, at.lam, r, rate[contacts.equations] / rates.v_q)
+            dq, dlam = self.system.saddle(t, at.q, at.lam, r, rate[contacts.equations] / step.v_q)
             X, Y, G, new = self.columns.of(group.rows, B, self.system, t, at.q, at.lam)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
@@ -327,10 +323,11 @@ class _Steps:
         self.counts.add(residuals=1, iterations=1)
         if not len(B):
             return dq, dlam, at.p
-        now = rate[group.of_model] / rates.v_q + laws.back + B @ dq
-        slip, mobility = contacts.slip(group, rate, laws.still), contacts.mobility(B) / rates.c_m
+        back = step.back[group.rows] / step.v_q if np.any(step.back) else 0.0
+        now = rate[group.of_model] / step.v_q + back + B @ dq
+        slip, mobility = contacts.slip(group, rate, still), contacts.mobility(B) / step.c_m
         problem = Problem(G, now - G @ at.p, at.p, at.lam + dlam - Y @ at.p, Y, mobility, slip)
-        p, _ = contacts.solve(t, group, problem, laws.scale)
+        p, _ = contacts.solve(t, group, problem, step.scale)
         change = p - at.p
         return dq + X @ change, dlam + Y @ change, p
 
@@ -377,14 +374,14 @@ class _Steps:
         q = state.q + h * state.v + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
         v = state.v + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
         start = Unknowns(q, v, state.a, state.lam[contacts.equations], np.where(active, state.memory["p"], 0.0))
-        rates, residual = Rates(a_q, v_q, a_q), lambda model, *at: model.residual(t, *at)
+        step = StepEquations(lambda model, *at: model.residual(t, *at), a_q, v_q, a_q)
         try:
-            return self._newton(t, h, start, active, rates, residual, size)
+            return self._newton(t, h, start, active, step, size)
         except StepFailure as failure:
             if failure.status not in ("contact", "newton") or not active.any():
                 raise
         # friction has no force, as behind a point of Painleve's: contact acts by its impulse alone, to first order
-        return self._newton(t, h, start._replace(p=np.zeros(len(active))), np.zeros(len(active), bool), rates, residual, size)
+        return self._newton(t, h, start._replace(p=np.zeros(len(active))), np.zeros(len(active), bool), step, size)
 
     def _moreau(self, state, t, h):
         """The State after a step of MoreauJean; _newton has the equation over h theta, so with lam and p over theta."""
@@ -398,7 +395,8 @@ class _Steps:
         residual = lambda model, q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
         p = np.where(active, -state.lam[contacts.rows] / theta, 0.0)
         start = Unknowns(q0 + h * v0, v0, np.zeros(model.n), state.lam[contacts.equations] / theta, p)
-        q, v, a, lam, p = self._newton(t, h, start, active, Rates(v_q * v_q, v_q, v_q / h), residual, size, back, 1.0 / theta)
+        step = StepEquations(residual, v_q * v_q, v_q, v_q / h, back, 1.0 / theta)
+        q, v, a, lam, p = self._newton(t, h, start, active, step, size)
         p, approaching = theta * p, closed & (before < -contacts.still(v0))
         after, last = model.phi_rate(t, q, v)[contacts.rows], h * state.lam[contacts.rows]
         impacts = _impacts(contacts, approaching, h * p, before, after, last)
