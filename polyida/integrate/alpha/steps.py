@@ -54,8 +54,7 @@ class Steps:
         self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
         self.system = self.spare = self.factored_for = None  # the factor in use, and one that the next factor may overwrite
         self.method = self.resize = self.recorder = None
-        self.weighed = False
-        self.factors, self.rows = FactorCache(), _no_rows
+        self.weighed, self.factors, self.rows = False, FactorCache(), _no_rows
         self.longest, self.pause = INSTANTS, 0
 
     def begin(self, state, h, same_factor=False):

@@ -224,11 +224,9 @@ class Contacts:
         on_laws = on_laws[(on_laws >= 0).all(axis=1)]
         on_equations = self.on_equations[number[self.on_equations[:, 0]] >= 0]
         pressed = np.concatenate([on_laws[:, 0], number[on_equations[:, 0]]])
-        order = np.argsort(pressed, kind="stable")
-        start = np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
+        order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
         L = np.concatenate([np.eye(len(rows))[on_laws[:, 1]], np.zeros((len(on_equations), len(rows)))])[order]
-        kind = np.where(self.contact[rows], CONTACT, FRICTION)
-        entries = np.flatnonzero(order >= len(on_laws))
+        kind, entries = np.where(self.contact[rows], CONTACT, FRICTION), np.flatnonzero(order >= len(on_laws))
         cone = Cone(kind, np.zeros(len(rows)), self.mu[rows], np.zeros(len(rows)), start, np.zeros(len(order)), L)
         return Group(rows, self.rows[rows], kind == FRICTION, cone, entries, on_equations[order[entries] - len(on_laws), 1])
 
@@ -294,8 +292,7 @@ class Contacts:
         """
         model, group = self.model, self.group(self.active(closed))
         rows = group.rows
-        force = model.force(t, q, v)
-        bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
+        force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
         a, lam = self.base.mass_system(t, q).solve(force, bias[self.equations])
         if not len(rows):
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
@@ -386,13 +383,10 @@ class Contacts:
         if not slipped.any():
             return None
 
-        def accelerations(t, q, v, a):
-            """Those of the rows that slipped."""
-            return self.slopes(t, q, slipped) @ a + self.model.phi_bias(t, q, v)[self.rows][slipped]
-
-        before = before[slipped]
-        ahead = accelerations(state.t, state.q, state.v, state.a)
-        behind = accelerations(t, q, v, self.accelerations(t, q, v, closed, p)[0])
+        # accelerations of the rows that slipped, before and behind the reversal
+        rows_of = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + self.model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
+        before, ahead = before[slipped], rows_of(state.t, state.q, state.v, state.a)
+        behind = rows_of(t, q, v, self.accelerations(t, q, v, closed, p)[0])
         with np.errstate(divide="ignore"):
             left = (t - state.t) + before / ahead  # time that is left behind the reversal
         goes_on = (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)

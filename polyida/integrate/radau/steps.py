@@ -114,25 +114,12 @@ class Steps:
         """The numbers of the method for the compiled loop."""
         settings, model, sizes = self.settings, self.model, self.sizes
         rtol, atol = (settings.relative(sizes), settings.absolute(sizes)) if settings.adaptive else (0.0, 0.0)
-        return step.Method(
-            tied=self.tied,
-            by_increments=bool(model.has_constraint_increments),
-            moves_v=self.moves_v,
-            estimates_error=self.estimates_error,
-            has_guess=False,
-            max_iterations=settings.max_iterations,
-            low=float(self.limits[0]),
-            high=float(self.limits[1]),
-            renewal=self.table.renewal,
-            extent=float(model.extent or 1.0),
-            least=ROUND_OFF * float(sizes[0]),
-            tolerance=float(settings.tolerance or 0.0),
-            share=min(loop.SHARE, rtol**loop.ERROR_POWER) if settings.adaptive else 0.0,
-            rtol=rtol,
-            atol=atol,
-            length=float(sizes[0]),
-            velocity_rows=model.velocity_rows,
-        )
+        form = {"tied": self.tied, "by_increments": bool(model.has_constraint_increments), "moves_v": self.moves_v, "has_guess": False}
+        errors = {"estimates_error": self.estimates_error, "rtol": rtol, "atol": atol, "length": float(sizes[0])}
+        newton = {"tolerance": float(settings.tolerance or 0.0), "max_iterations": settings.max_iterations, "renewal": self.table.renewal}
+        newton["share"] = min(loop.SHARE, rtol**loop.ERROR_POWER) if settings.adaptive else 0.0
+        of_model = {"extent": float(model.extent or 1.0), "least": ROUND_OFF * float(sizes[0]), "velocity_rows": model.velocity_rows}
+        return step.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
 
     def step(self, state, h, t):
         """The State at t after one step of h. Raises StepFailure."""
@@ -183,19 +170,13 @@ class Steps:
                 )
             self.state, before = None, replace(self.counts)
             if accepted:
-                data = StretchData(
-                    record=log,
-                    begin=begin,
-                    misses_before=misses,
-                    c=self.tableau.c,
-                    factor_states=self.factor_states,
-                    by_increments=bool(model.has_constraint_increments),
-                    memory=self.run_memory | ({"radau_shares": self.shares.copy()} if model.needs.mass_varies else {}),
-                    position_memory=partial(position_memory, taken),
-                    motion=None if table.functions[ACCELERATION] else (model, self.clamp),
-                    counts_at=partial(self.counts_at, before, log.counts),
-                    states=WeakValueDictionary(),
-                )
+                shares = {"radau_shares": self.shares.copy()} if model.needs.mass_varies else {}
+                before_it = {"begin": begin, "misses_before": misses, "factor_states": self.factor_states}
+                of_run = {"c": self.tableau.c, "by_increments": bool(model.has_constraint_increments), "memory": self.run_memory | shares}
+                later = {"position_memory": partial(position_memory, taken), "states": WeakValueDictionary()}
+                later["motion"] = None if table.functions[ACCELERATION] else (model, self.clamp)
+                later["counts_at"] = partial(self.counts_at, before, log.counts)
+                data = StretchData(record=log, **before_it, **of_run, **later)
                 states = StretchStates(data, range(accepted))
                 self.state = state = states.last
                 yield states
