@@ -7,6 +7,10 @@ A cell is the longest step, sampled at nine points or more. An input is too fast
 range in the next few cells, or if a motor turns by more than TURN: phi cannot distinguish angles that differ by a full turn, and Newton's
 method fails beyond half a turn. Such a cell is divided into eight, and so on, down to 8^-DEPTH. Sampling finds what lasts as long as the
 distance of the samples; profiles of the package declare their shortest duration and need no sampling.
+
+Order of the text: the run between kinks (`edges`, `pieces`), steps within a piece (`stop_times`, `number_of_steps`), times beside kinks, equal steps
+(`Grid`), and then the sampling: `_between_kinks` takes the inputs to sample and the cells that are too fast from `_fast_parts`, which divides
+them by `_divided`.
 """
 
 from bisect import bisect_left
@@ -25,11 +29,14 @@ PULSE = 4  # least number of steps of a piece behind a kink whose inputs are not
 INSIDE = (0.29, 0.5, 0.62)  # where these are sampled: a full sine is zero in the middle
 CONSTANT = 1e-3  # rad, or of the scene's size: a motor or path that moves by less than STRAIGHT of it is constant
 STRAIGHT = 1e-6  # relative distance from a straight line that is round-off
-PARTS, DEPTH = 8, 4
-CURVED, NOISE = 0.3, 1e-6
+PARTS = 8  # parts of a cell that is too fast, and least number of its samples
+DEPTH = 4  # divisions of a cell, at most
+CURVED = 0.3  # of an input's range: deviation from its chord beyond which a cell is too fast
+NOISE = 1e-6  # of an input's largest value: a smaller range is round-off
 TURN = 1.5  # rad in a step
 CONTINUOUS = 1e-6  # relative to the angle and 1 rad: a smaller jump at a kink is round-off
-AHEAD, CHUNK = 5, 256  # cells that a deviation is compared with; cells that are sampled together
+AHEAD = 5  # cells over which the range is taken that a deviation is compared with
+CHUNK = 256  # cells that are sampled together
 SAMPLES = 4096  # least number in a run whose integrator chooses its steps, of cells an eighth of the run
 
 
@@ -40,7 +47,8 @@ def round_off(t0, t_end):
 
 def edges(model, t0, t_end):
     """Yield t0, the model's kinks and samples, t_end, without those that are within round-off of an end, or samples of a kink or each other."""
-    near, kinks, last = round_off(t0, t_end), model.kinks(t0, t_end), t0
+    near, kinks = round_off(t0, t_end), model.kinks(t0, t_end)
+    last = t0
     yield t0
     for t, is_sample in merge(((t, False) for t in kinks), ((t, True) for t in model.samples(t0, t_end))):
         if is_sample:
@@ -67,7 +75,7 @@ def pieces(model, t0, t_end, h, samples=PARTS, now=-np.inf):
     samples: in a cell. now: pieces that end before this time are left out. Raises StepFailure at a jump of a motor.
     """
     for begin, end in pairwise(edges(model, t0, t_end)):
-        for first, last, most in _parts(model, begin, end, h, samples, now) if end > now else ():
+        for first, last, most in _between_kinks(model, begin, end, h, samples, now) if end > now else ():
             if last > now:
                 yield max(first, now), last, most
 
@@ -76,7 +84,7 @@ def stop_times(model, state, begin, end, h, samples):
     """Times in a piece between two kinks, the last its end, at which an integrator that chooses its steps must stop."""
     count = number_of_steps(model, state, begin, end, end - begin)
     yield from (begin + (end - begin) * k / count for k in range(1, count))
-    for first, last, most in _parts(model, begin, end, h, samples) if count == 1 else ():
+    for first, last, most in _between_kinks(model, begin, end, h, samples) if count == 1 else ():
         parts = max(1, int(np.ceil((last - first) / most * (1 - 1e-9))))
         yield from (first + (last - first) * k / parts for k in range(1, parts))
         if last < end:
@@ -174,7 +182,7 @@ class Input(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A time interval whose steps are at most `most`; jump: message of a motor that no step can follow, or empty."""
+    """A time interval whose steps are at most `most`, s; jump: message of a motor that no step can follow, or empty."""
 
     begin: float
     end: float
@@ -199,19 +207,15 @@ def unseen(model, h):
 
 
 def _all_inputs(model):
+    """The Inputs of the model: all its profiles."""
     units = {k: "m" for k in model.path_profiles} | {k: "rad" for k in model.motor_profiles}
     return [Input(name, profile, units.get(k, "")) for k, (name, profile) in enumerate(model.named_profiles)]
 
 
-def _parts(model, begin, end, h, samples, now=-np.inf):
+def _between_kinks(model, begin, end, h, samples, now=-np.inf):
     """Yield (begin, end, largest step) of the time between two kinks. Raises StepFailure at a jump that is not over by `now`."""
     inputs = [x for x in _all_inputs(model) if x.unit or (not x.profile.formula and (x.profile.shortest or 0.0) < 4 * h)]
-    jump, near = "", 4 * np.spacing(abs(end))
-    if inputs and model.kinks(end - near, end + near):
-        for x in inputs:
-            sides = x.profile.over(np.array([end - near, end + near])) if x.unit else np.zeros(2)
-            if not jump and abs(sides[1] - sides[0]) > CONTINUOUS * (1 + abs(sides[1])):
-                jump = _jump(x, sides, end)
+    jump = _jump_at(model, inputs, end)
     if jump:
         end = max(begin, end - h)
     if end - begin <= h:  # `number_of_steps` samples the loads of a piece as short as that
@@ -230,6 +234,17 @@ def _parts(model, begin, end, h, samples, now=-np.inf):
         raise StepFailure("jump", jump, end)
 
 
+def _jump_at(model, inputs, t):
+    """Message of the first motor or path that jumps at a kink at t, or empty."""
+    near = 4 * np.spacing(abs(t))
+    if inputs and model.kinks(t - near, t + near):
+        for x in inputs:
+            sides = x.profile.over(np.array([t - near, t + near])) if x.unit else np.zeros(2)
+            if abs(sides[1] - sides[0]) > CONTINUOUS * (1 + abs(sides[1])):
+                return _jump_message(x, sides, t)
+    return ""
+
+
 def _fast_parts(inputs, begin, end, h, samples, now):
     """Yield in order the Parts of cells that are too fast for one step; cells end at multiples of h. Chunks that end before `now` are left out."""
     first, last = int(np.floor(begin / h + 1e-6)), int(np.ceil(end / h - 1e-6))
@@ -237,7 +252,8 @@ def _fast_parts(inputs, begin, end, h, samples, now):
     for k in range(first + passed * CHUNK, last, CHUNK):
         stop = min(k + CHUNK, last)
         ends = h * np.arange(k, min(stop + AHEAD, last) + 1)
-        ends[0], ends[-1] = max(ends[0], begin) if k > first else begin, min(ends[-1], end) if stop < last else end
+        ends[0] = max(ends[0], begin) if k > first else begin
+        ends[-1] = min(ends[-1], end) if stop < last else end
         near = max(1e-9 * h, 4 * np.spacing(max(abs(begin), abs(end))))
         inside = begin + near, end - near
         values = [x.profile.over(_sample_times(ends, samples, inside)) for x in inputs]
@@ -280,11 +296,12 @@ def _divided(inputs, ranges, begin, end, samples, inside, depth):
         if too_fast and depth > 1:
             yield from _divided(inputs, ranges, ends[i], ends[i + 1], samples, inside, depth - 1)
         else:
-            jumps = [_jump(inputs[k], values[k][i], ends[i + 1]) for k in too_fast if inputs[k].unit]
+            jumps = [_jump_message(inputs[k], values[k][i], ends[i + 1]) for k in too_fast if inputs[k].unit]
             yield Part(ends[i], ends[i + 1], ends[i + 1] - ends[i], "; ".join(jumps))
 
 
-def _jump(x, values, t):
+def _jump_message(x, values, t):
+    """Message of a motor or path with these values about the time t."""
     what, advice = "angle of motor" if x.unit == "rad" else "way of", "give it a move that takes time, like profile.quintic"
     return f"the {what} {x.name!r} jumps by {np.ptp(values):.3g} {x.unit} at t = {t:.6g} s: {advice}; the run stops"
 

@@ -3,8 +3,15 @@
 If phi_q loses rank, a mechanism can branch and the further motion follows from round-off. With the rows of phi_q scaled to length one, a state is
 singular if their smallest singular value s is zero. Between two states s was zero if s_0 + s_1 is not more than the distance that the rows moved
 (no singular value changes by more than the matrix) and their space is reversed: `det(B_0 B_1^T) < 0`. In a step in which a body turns far, rows
-are reversed too, and regular all the time: so this must hold for one half of the step, one half of this, and so on. For nearly every state of a scene compiled code proves that it is neither (assembly/independence.py); only the others are examined here.
+are reversed too, and regular all the time: so this must hold for one half of the step, one half of this, and so on.
+
+`Watch.look` takes accepted states in this order: which of them to examine (`_to_examine`), the rows and s of each (`_examined`), whether s
+was zero since the state examined before (`_require_no_passage`, `_require_no_passage_within` for parts of a step), and when the next one is due
+(`_time_to_wait`). For nearly every state of a scene compiled code proves that s is not zero there and was not before
+(assembly/independence.py); only the others are examined here.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,24 +35,35 @@ class SingularPosition(StepFailure):
     """The constraints of a state, or between two states, were not independent."""
 
 
+class Examined(NamedTuple):
+    """The rows of phi_q at a time, scaled to length one, and their smallest singular value."""
+
+    t: float
+    rows: np.ndarray
+    least: float
+
+
 class Watch:
     """Begins at a state; `look` examines the next ones. For models whose phi_q varies.
 
     A model that is no scene is examined again before the rows, at their present speed, have moved a quarter of the distance to a singular
     position.
+
+    state, h: the last state that was taken, and its step; steps: number of states taken. every: one in so many states is examined. known: the
+    Examined of the last state that was; due: time before which none is; speed: rate at which s^2 falls. proof: of regular states, or None.
     """
 
     def __init__(self, model, state):
-        self.model, self.steps, self.state, self.h, self.speed = model, 0, state, 0.0, 0.0
-        self.every, self.proof = model.looks_apart, None
+        self.model, self.state, self.h, self.speed = model, state, 0.0, 0.0
+        self.steps, self.every, self.proof = 0, model.looks_apart, None
         if self.every == 1 and model.is_scene:
             self.proof = UnitRows(model, state)
         elif self.every == 1 and small_own(model) and unguarded(model).by_numba:
             self.proof = UnitRows(model, state, Compiled(model, ("phi_q",)))
         self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
-        self.t = self.due = state.t
+        self.due = state.t
         if not (self.proof and self.proof.begin(state)):
-            self.rows, self.least = self._examined(state)
+            self.known = self._examined(state)
 
     def look(self, stretch):
         """Examine the next accepted states: (number of regular ones, the StepFailure if the next one is singular or behind a singular position)."""
@@ -55,11 +73,11 @@ class Watch:
             for k in self._to_examine(stretch):
                 state = stretch.state(k)
                 self.state, self.h = state, state.t - (stretch.t[k - 1] if k else before)
-                rows, size = self._examined(state)
+                now = self._examined(state)
                 if self.every == 1:
-                    self._require_no_passage(stretch.state(k - 1) if k else begin, rows, size)
-                self.speed = self._speed_of_least(size)
-                self.t, self.rows, self.least = state.t, rows, size
+                    self._require_no_passage(stretch.state(k - 1) if k else begin, now)
+                self.speed = self._speed_of_least(now.least)
+                self.known = now
         except SingularPosition as failure:
             return k, failure
         self.steps, self.state = self.steps + len(stretch), stretch.last
@@ -77,71 +95,83 @@ class Watch:
 
     def _recall(self, t):
         """Set the state that was examined last to the last one before t that the proof refers to."""
-        self.t, q = self.proof.before(t)
-        self.rows = rows_of(self.model.phi_q(self.t, q), self.sizes)
-        self.least = least(self.rows)
+        t, q = self.proof.before(t)
+        rows = self._rows(t, q)
+        self.known = Examined(t, rows, least(rows))
+
+    def _rows(self, t, q):
+        """phi_q with rows scaled to length one."""
+        return rows_of(self.model.phi_q(t, q), self.sizes)
 
     def _speed_of_least(self, size):
         """Mean rate, 1/s, at which s^2 has fallen to size^2 since the last examination; s is the smallest singular value of the unit rows.
 
         s^2 falls in proportion to time before a singular position at which the motion ends.
         """
-        since = self.state.t - self.t
-        return (self.least**2 - size**2) / since if since else self.speed
+        since = self.state.t - self.known.t
+        return (self.known.least**2 - size**2) / since if since else self.speed
 
     def _examined(self, state):
-        rows = rows_of(self.model.phi_q(state.t, state.q), self.sizes)
+        """The Examined of a state. Raises SingularPosition."""
+        rows = self._rows(state.t, state.q)
         size = least(rows)
         if size <= ZERO:
             raise self._failure(rows, state.t)
-        return rows, size
+        return Examined(state.t, rows, size)
 
-    def _require_no_passage(self, previous, rows, size):
-        state, t = self.state, self.state.t
-        known, end, since, way = (self.t, self.rows, self.least), (t, rows, size), t - self.t, path_length(self.rows, rows)
-        if _reversed(known, end, way):
-            begin = (previous.t, *self._examined(previous))
-            self._require_no_passage_within(None, None, known, begin, 0)
-            self._require_no_passage_within(previous, state, begin, end, BISECTIONS)
-        if self.proof:
-            return
-        speed, ahead = way / since if since else 0.0, AHEAD * self.h
+    def _require_no_passage(self, previous, now):
+        """Raise SingularPosition if s was zero between the state examined before and the present one; previous: the State before it."""
+        moved = path_length(self.known.rows, now.rows)
+        if _reversed(self.known, now, moved):
+            begin = self._examined(previous)
+            self._require_no_passage_within(None, None, self.known, begin, 0)
+            self._require_no_passage_within(previous, self.state, begin, now, BISECTIONS)
+        if not self.proof:
+            self.due = now.t + self._time_to_wait(now, moved)
+
+    def _time_to_wait(self, now, moved):
+        """Time from the present state until the next one must be examined, s; moved: how far the rows moved since the last examination."""
+        state, since, ahead = self.state, now.t - self.known.t, AHEAD * self.h
+        speed = moved / since if since else 0.0
         if ahead:  # the speed at the last state: since the last examination the rows may have come back to where they were
             q = state.q + ahead * state.v
-            speed = max(speed, path_length(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes)) / ahead)
-        self.due = t + min(2.0 * since, MOST * self.h, 0.25 * size / max(speed, 1e-300))
+            speed = max(speed, path_length(now.rows, self._rows(state.t + ahead, q)) / ahead)
+        return min(2.0 * since, MOST * self.h, 0.25 * now.least / max(speed, 1e-300))
 
     def _require_no_passage_within(self, before, after, begin, end, depth):
-        """Bisect a step between two States. begin, end: (t, rows, least) at the ends of a part of it."""
-        (t0, rows, size), (t1, later, other) = begin, end
-        if not _reversed(begin, end, path_length(rows, later)):
+        """Raise SingularPosition if s was zero between `begin` and `end`, Examined within the step between two States, which is halved.
+
+        depth: number of halvings that are left.
+        """
+        if not _reversed(begin, end, path_length(begin.rows, end.rows)):
             return
         if depth == 0:
-            raise self._failure(later if other < size else rows, t0 + (t1 - t0) * size / (size + other))
-        state = state_between(before, after, 0.5 * (t0 + t1))
+            t = begin.t + (end.t - begin.t) * begin.least / (begin.least + end.least)
+            raise self._failure(end.rows if end.least < begin.least else begin.rows, t)
+        state = state_between(before, after, 0.5 * (begin.t + end.t))
         if np.abs(self.model.phi(state.t, state.q)).max() > OFF * (self.model.extent or 1.0):
             return  # the polynomial of a step in which bodies turn far may pass through zero, where their directions have no length
-        middle = (state.t, *self._examined(state))
-        for ends in ((begin, middle), (middle, end)):
-            self._require_no_passage_within(before, after, *ends, depth - 1)
+        middle = self._examined(state)
+        self._require_no_passage_within(before, after, begin, middle, depth - 1)
+        self._require_no_passage_within(before, after, middle, end, depth - 1)
 
     def suspicion(self, t):
         """Text beside a failure at t if phi_q was about to lose rank, else empty."""
         if self.proof:
             self._recall(self.state.t)
-        rows = rows_of(self.model.phi_q(self.state.t, self.state.q), self.sizes)
+        rows = self._rows(self.state.t, self.state.q)
         size, time = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
         if size < NEAR or size**2 < time * self._speed_of_least(size):
             return f"; the constraints {involved(self.model, rows)} are near a singular position"
         return ""
 
     def _failure(self, rows, t):
+        """The SingularPosition at t, which names the constraints of these rows that depend on each other."""
         names = involved(self.model, rows)
         reason = f"a singular position: there the constraints {names} are not independent of each other and the motion can branch"
         return SingularPosition("singular", reason, t)
 
 
-def _reversed(begin, end, way):
-    """True if the rows of two (t, rows, least) may have lost rank between them; way: how far they have moved."""
-    (_, rows, size), (_, later, other) = begin, end
-    return size + other <= way and cosine(rows, later) < REVERSED
+def _reversed(begin, end, moved):
+    """True if the rows of two Examined may have lost rank between them; moved: how far they have moved."""
+    return begin.least + end.least <= moved and cosine(begin.rows, end.rows) < REVERSED

@@ -279,10 +279,8 @@ def on_position(model, t, q):
             return q
         q, before = q + correction, moved
     worst = int(np.argmax(np.abs(phi)))
-    raise InputError(
-        f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
-        "no configuration near q0 satisfies all of them"
-    )
+    stays = f"{model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}"
+    raise InputError(f"the constraints are inconsistent: {stays}; no configuration near q0 satisfies all of them")
 
 
 def started(settings, model, state, h, system=None):

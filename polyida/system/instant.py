@@ -146,7 +146,7 @@ def solve_real(model, instant, r, closing, lam, dq, multipliers):
 
 @part
 def solve_pair(model, instant, r, closing, lam, dq, multipliers):
-    """The same of the complex mode."""
+    """The correction of the complex mode; closing: phi and phi' as rows, lam: that of the middle stage."""
     functions, workspace = model
     return call(functions[table.PAIR], workspace, instant, address(r), address(closing), address(lam), address(dq), address(multipliers), 0)
 
@@ -178,14 +178,5 @@ def select(model, slot, numbers):
 def adjoint(model, step, right, below, bar, w, multipliers, products):
     """Solve the adjoint of a step: fill w and multipliers, and products with the tables' matrices transposed times w (adjoint/tables.py)."""
     functions, workspace = model
-    return call(
-        functions[table.ADJOINT],
-        workspace,
-        step,
-        address(right),
-        address(below),
-        address(bar),
-        address(w),
-        address(multipliers),
-        address(products),
-    )
+    entry = functions[table.ADJOINT]
+    return call(entry, workspace, step, address(right), address(below), address(bar), address(w), address(multipliers), address(products))

@@ -75,10 +75,8 @@ class Coefficients:
         if not (np.isfinite(astuple(self)).all() and self.beta > 0 and self.alpha_m < 1 and self.alpha_f < 1):
             raise InputError(f"GeneralizedAlpha: {self} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
         if not self.at_infinity < 1 - 1e-6:
-            raise InputError(
-                f"GeneralizedAlpha: {self} has the spectral radius {self.at_infinity:.3g} at infinite frequency; on index 3 it "
-                "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
-            )
+            rule = "on index 3 it must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
+            raise InputError(f"GeneralizedAlpha: {self} has the spectral radius {self.at_infinity:.3g} at infinite frequency; {rule}")
 
 
 @named_keywords
@@ -178,6 +176,7 @@ class GeneralizedAlpha(Integrator):
         rtol_ok, atol_ok = (x is None or (is_number(x) and 0 <= x < 1) for x in (self.rtol, self.atol))
         atol_ok = atol_ok and (not rtol_ok or self.rtol is self.atol is None or bool(self.rtol or self.atol))
         fixed = self.h is not None and self.rtol is self.atol is None
+        extrapolate_ok = is_flag(self.extrapolate) and (fixed or not self.extrapolate)
         four = "four numbers, alpha_m, alpha_f, beta, gamma, or None"
         self._require_settings(
             ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
@@ -191,11 +190,7 @@ class GeneralizedAlpha(Integrator):
             ("member", self.member is None or (numbers is not None and numbers.shape == (4,)), four),
             ("rtol", rtol_ok, "a number in [0, 1) or None"),
             ("atol", atol_ok, "a length below 1 m or None, and not zero beside rtol = 0"),
-            (
-                "extrapolate",
-                is_flag(self.extrapolate) and (fixed or not self.extrapolate),
-                "True or False, and False if steps are adaptive",
-            ),
+            ("extrapolate", extrapolate_ok, "True or False, and False if steps are adaptive"),
             ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
             ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
@@ -204,9 +199,8 @@ class GeneralizedAlpha(Integrator):
             object.__setattr__(self, "member", tuple(numbers.tolist()))
             self.coefficients.require_damping()
             if self.h is None and not self.coefficients.has_error_estimate:
-                raise InputError(
-                    f"GeneralizedAlpha: h = None must be a step in s for the member {self.member}, whose local error is unknown"
-                )
+                unknown = f"for the member {self.member}, whose local error is unknown"
+                raise InputError(f"GeneralizedAlpha: h = None must be a step in s {unknown}")
         if self.adaptive and self.h is not None:
             object.__setattr__(self, "rtol", float(self.rtol or 0.0))
             object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))

@@ -1,4 +1,15 @@
-"""Steps of generalized-alpha on one model: stretches of the compiled loop, factors, fixed and adaptive steps of a smooth piece."""
+"""Steps of generalized-alpha on one model: stretches of the compiled loop, factors, fixed and adaptive steps of a smooth piece.
+
+`Steps` calls the compiled loop (alpha/step.py). `begin` sets the state and h; then each `stretch` of states takes these steps:
+
+1. `_prepare`: times, arrays of the frames, and what the model's table computes before, for as many steps as it takes at once.
+2. `_factor_here`: the step matrix at the predicted end of the next step, if there is none.
+3. `_steps`: the compiled loop, until these steps are done, h is to change, or it needs a factor that it cannot make.
+4. `_refactor_or_fail`: a new factor for a step that failed with an old one. With a new one `_full_newton` makes a matrix in each iteration;
+   if that fails too, StepFailure.
+
+`fixed_steps` halves a step that fails, `adaptive_steps` changes h by the local error; both begin with the steps of a state at rest.
+"""
 
 import math
 from dataclasses import replace
@@ -38,11 +49,13 @@ class Steps:
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
-        self.table = table_of(settings, model, settings.incremental_phi and model.has_constraint_increments, True)
+        self.incremental = settings.incremental_phi and model.has_constraint_increments
+        self.table = table_of(settings, model, self.incremental, True)
         self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
-        self.system = self.spare = self.resize = self.recorder = self.factored_for = self.method = None
-        self.weighed = False
-        self.factors, self.longest, self.pause, self.rows = FactorCache(), INSTANTS, 0, _no_rows
+        self.system = self.spare = self.factored_for = None  # the factor in use, and one that the next factor may overwrite
+        self.method = self.resize = self.recorder = None
+        self.weighed, self.factors, self.rows = False, FactorCache(), _no_rows
+        self.longest, self.pause = INSTANTS, 0
 
     def begin(self, state, h, same_factor=False):
         """Go on with steps of h from a state that `started` returned, with the present factor or one for this h.
@@ -52,40 +65,53 @@ class Steps:
         """
         self._limit_stretch(state.memory)
         self.pause = state.memory.get("pause", self.pause)
-        s, c, y, model, control = self.settings, self.settings.coefficients, self.memory, self.model, self.control
+        model, control, start = self.model, self.control, self.memory
         if not (same_factor and self.method and self.method.h == h):
-            to_a, to_v = c.rates(h)
-            least, most, share = s.newton_tolerance(to_a * h * h)
-            numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
-            held_to = (abs(c.error) * h * h, *control.allowed(h), control.before) if control else np.zeros(5).tolist()
-            incremental = s.incremental_phi and model.has_constraint_increments
-            self.method = step.Method(*numbers, incremental, s.max_iterations, *held_to, model.velocity_rows, self.unknowns)
+            self.method = self._method_of(state, h)
             self.numbers = _numbers(self.method)
-        y.q[:], y.v[:], y.a[:], y.a_alg[:] = state.q, state.v, state.a, state.memory["a_alg"]
-        y.change[:] = y.earlier[:] = 0.0
+        start.q[:], start.v[:], start.a[:], start.a_alg[:] = state.q, state.v, state.a, state.memory["a_alg"]
+        start.change[:] = start.earlier[:] = 0.0
         if control and control.before and not at_kink(model, state.t):  # for the error of the first step
-            y.change[:] = state.memory.get("change", 0.0)
-        y.lam[:], (y.phi[:], y.rate[:]) = state.lam, start_values(model, state)
+            start.change[:] = state.memory.get("change", 0.0)
+        start.lam[:] = state.lam
+        start.phi[:], start.rate[:] = start_values(model, state)
         if model.needs.mass_varies or not self.weighed:
             self._weigh(weights(model, state.q))
-        y.marks[:] = 0.0
-        self.resize, self.ended, self.last, self.first, self.count, self.waiting = None, None, None, 0, 0, []
+        start.marks[:] = 0.0
+        self.resize = self.ended = self.last = None
+        self.first = self.count = 0  # of the prepared steps those taken, and all
+        self.waiting = []
         if not same_factor:
             self._set_system(self.factors.get(h))
         if self.recorder is not None:
             self.recorder.begun(state, h)
 
+    def _method_of(self, state, h):
+        """The numbers of the method for steps of h."""
+        settings, c, control = self.settings, self.settings.coefficients, self.control
+        to_a, to_v = c.rates(h)
+        least, most, share = settings.newton_tolerance(to_a * h * h)
+        rtol, atol, grow = control.allowed(h) if control else (0.0, 0.0, 0.0)
+        family = {"alpha_m": c.alpha_m, "alpha_f": c.alpha_f, "beta": c.beta, "gamma": c.gamma, "to_a": to_a, "to_v": to_v}
+        newton = {"least": least, "most": most, "share": self.caution * share, "max_iterations": settings.max_iterations}
+        errors = {"control": abs(c.error) * h * h if control else 0.0, "rtol": rtol, "atol": atol, "grow": grow}
+        errors["before"] = control.before if control else 0.0
+        model = {"extent": extent(self.model, state.q), "velocity_rows": self.model.velocity_rows, "unknowns": self.unknowns}
+        return step.Method(h=h, incremental=self.incremental, **family, **newton, **errors, **model)
+
     def _limit_stretch(self, memory):
+        """Take the length of the next stretch of a model with switches from a state's memory."""
         if self.model.switching:
             self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 
     def _weigh(self, masses):
-        y, self.weighed = self.memory, True
-        y.masses[:] = y.places[:] = masses
-        y.shares[:] = 1.0 / len(masses) if self.model.uniform_units else masses
+        """Set the weights of the mean squares: of the local error, of |q|, and of Newton's method."""
+        start, self.weighed = self.memory, True
+        start.masses[:] = start.places[:] = masses
+        start.shares[:] = 1.0 / len(masses) if self.model.uniform_units else masses
         if self.unknowns < self.model.n:
-            y.shares[:] /= y.shares[: self.unknowns].sum()
-        y.places[self.model.hidden] = 0.0
+            start.shares[:] /= start.shares[: self.unknowns].sum()
+        start.places[self.model.hidden] = 0.0
 
     def _set_system(self, system):
         """Use a factor, of which Newton's contraction is not known."""
@@ -144,14 +170,15 @@ class Steps:
             self._limit_stretch(self.last.memory)
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
         most = int(max(1, min(most, self.longest, self.table.longest)))
-        to_pause, h, n, m = self.pause - self.counts.steps, self.method.h, self.model.n, self.model.m
+        to_pause = self.pause - self.counts.steps
+        h, n, m = self.method.h, self.model.n, self.model.m
         self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))
         self.first, self.count = 0, len(times) - 1
         self.frames = self.rows(self.count) or allocate([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
         self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
 
     def _stretch(self, grid, done):
-        """The same, as far as one call of the compiled loop goes."""
+        """The states of the next steps that one call of the compiled loop takes; None if h is to change first. Raises StepFailure."""
         if self.ended:
             self._refactor_or_fail(*self.ended)
         if self.first == self.count:
@@ -187,9 +214,10 @@ class Steps:
 
     def _steps(self, method, first, end, frames):
         """Take the steps from `first` to before `end` with the present factor: (steps, how it ended, last |dq|)."""
-        counts, c, frames = np.zeros(3, np.int64), self.numbers, tuple(frame[first:end] for frame in frames)
+        counts, numbers = np.zeros(3, np.int64), self.numbers
+        frames = tuple(frame[first:end] for frame in frames)
         with self.table.at_work(self.system) as (functions, workspace):
-            result = step.take_steps(functions, workspace, first, method, c, self.stabilised, self.memory, self.trial, counts, frames)
+            result = step.take_steps(functions, workspace, first, method, numbers, self.stabilised, self.memory, self.trial, counts, frames)
         self.counts.add(*counts)
         if counts[2]:
             self.system.read()
@@ -197,6 +225,7 @@ class Steps:
         return result
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
+        """Ask for a new factor behind a step to t that ended with an old one. Raises StepFailure if it was new (fresh)."""
         self.ended = None
         self.table.raise_error()
         if not fresh and ended not in (HALF_TURN, SINGULAR):
@@ -208,29 +237,32 @@ class Steps:
 
     def _full_newton(self, first, frames):
         """One step with a matrix made anew in every iteration, from the places at its start if it does not go far: no jump of a has distorted them."""
-        y, method = self.memory, self.method._replace(max_iterations=1)
-        y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
-        step.predict(method._replace(unknowns=self.model.n), y, self.trial)
-        x, back = self.trial, y.q - self.trial.q
+        start, trial, marks = self.memory, self.trial, self.memory.marks
+        method = self.method._replace(max_iterations=1)
+        marks[step.MOVED] = marks[step.AHEAD] = marks[step.BEHIND] = 0.0
+        step.predict(method._replace(unknowns=self.model.n), start, trial)
+        back = start.q - trial.q
         back[self.model.hidden] = 0.0
         if np.abs(back).max() <= NEAR * method.extent:
-            for values, rate in ((x.q, 1.0), (x.moved, 1.0), (x.v, method.to_v), (x.a, method.to_a)):
+            for values, rate in ((trial.q, 1.0), (trial.moved, 1.0), (trial.v, method.to_v), (trial.a, method.to_a)):
                 values += rate * back
-            x.slip[:], y.marks[step.MOVED] = 0.0, np.nan
+            trial.slip[:] = 0.0
+            marks[step.MOVED] = np.nan
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
             self.table.raise_error()
             if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
-            y.marks[step.MOVED] = moved
-        y.marks[step.MOVED] = 0.0
+            marks[step.MOVED] = moved
+        marks[step.MOVED] = 0.0
         return steps, ended, moved
 
     def _factor_here(self, first):
+        """A new factor at the trial state of step `first`."""
         t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.lam.copy()
-        p = self.method
-        self._factor(t, lambda system: self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v), p.h)
+        method = self.method
+        self._factor(t, lambda system: self.table.factor(system, t, q, v, a, lam, method.to_a, method.to_v), method.h)
 
     def _factor(self, t, make, h):
         """A new factor for steps of h by make(system), which returns the number of residuals it took, or None."""
@@ -255,20 +287,21 @@ class Steps:
 
     def state(self, t):
         """The last accepted state with the memory from which a run goes on."""
-        y = self.memory
-        return State(float(t), y.q.copy(), y.v.copy(), y.a.copy(), y.lam.copy(), self._memory(None), restart=False)
+        last = self.memory
+        return State(float(t), last.q.copy(), last.v.copy(), last.a.copy(), last.lam.copy(), self._memory(None), restart=False)
 
     def _memory(self, grid):
-        y, p = self.memory, self.method
+        """What a run needs to go on from the last accepted state; grid: as a memory has it, or None."""
+        last, method = self.memory, self.method
         made_at = np.zeros(0) if self.system is None else self.system.made_at
-        memory = {"a_alg": y.a_alg.copy(), "change": y.change.copy(), "earlier": y.earlier.copy()}
+        memory = {"a_alg": last.a_alg.copy(), "change": last.change.copy(), "earlier": last.earlier.copy()}
         memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
-        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made_at, "extent": p.extent}
-        memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, p.h) else {}
+        memory |= {"h": method.h, "marks": last.marks.copy(), "factored_at": made_at, "extent": method.extent}
+        memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, method.h) else {}
         if self.model.needs.mass_varies:
-            memory["weights"] = y.masses.copy()
-        if p.incremental:
-            memory |= {"phi": y.phi.copy(), "rate": y.rate.copy()}
+            memory["weights"] = last.masses.copy()
+        if method.incremental:
+            memory |= {"phi": last.phi.copy(), "rate": last.rate.copy()}
         return memory if grid is None else memory | {"grid": grid}
 
 
@@ -283,14 +316,16 @@ def table_of(settings, model, incremental, condensed=False):
     return SceneTable(model, (settings.form == "stabilised" and model.m > 0) or model.velocity_rows.size > 0, incremental, condensed)
 
 
-def _numbers(p):
-    """Numbers of a step: dq''/dq, dv/dq, h, then factors.
+def _numbers(method):
+    """Numbers of a step (10,), for the model: dq''/dq, dv/dq, h, and factors of the q'' and a_alg at its beginning.
 
-    They are those of q'' and a_alg at its beginning in v, q - h v and a_alg at its end if q'' is zero there, and that of q'' in a_alg.
+    Those of both in v, and in q - h v, and in a_alg at its end if q'' is zero there; last that of q'' at its end in a_alg.
     """
-    of_a, of_alg, of_end = np.array([p.alpha_f, -p.alpha_m, 1.0 - p.alpha_f]) / (1 - p.alpha_m)
-    v = p.h * p.gamma * of_a, p.h * (1 - p.gamma + p.gamma * of_alg)
-    return np.array([p.to_a, p.to_v, p.h, *v, p.h**2 * p.beta * of_a, p.h**2 * (0.5 - p.beta + p.beta * of_alg), of_a, of_alg, of_end])
+    h, beta, gamma = method.h, method.beta, method.gamma
+    of_a, of_alg, of_end = np.array([method.alpha_f, -method.alpha_m, 1.0 - method.alpha_f]) / (1 - method.alpha_m)
+    in_v = [h * gamma * of_a, h * (1 - gamma + gamma * of_alg)]
+    in_q = [h**2 * beta * of_a, h**2 * (0.5 - beta + beta * of_alg)]
+    return np.array([method.to_a, method.to_v, h] + in_v + in_q + [of_a, of_alg, of_end])
 
 
 def _no_rows(count):
@@ -299,7 +334,8 @@ def _no_rows(count):
 
 def fixed_steps(engine, state, begin, end, count):
     """Yield stretches of the states at the ends of `count` equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
-    settings, model, counts, grid = engine.settings, engine.model, engine.counts, grid_of(state, begin, end, count)
+    settings, model, counts = engine.settings, engine.model, engine.counts
+    grid = grid_of(state, begin, end, count)
     for state in states_at_rest(model, state, grid, counts):
         grid = grid._replace(done=grid.done + 1)
         state.memory["grid"] = grid.after(grid.done)
@@ -310,13 +346,7 @@ def fixed_steps(engine, state, begin, end, count):
         failures = []
         if level == 0:
             try:
-                near, same_h = (1e-12 * max(abs(state.t), abs(grid.end)), math.isclose(state.memory.get("h", 0.0), grid.h, rel_tol=SAME_H))
-                goes_on = "factored_at" in state.memory and same_h and not model.kinks(state.t - near, state.t + near)
-                if goes_on:
-                    engine.restore_factor(state.memory)
-                engine.begin(started(settings, model, state, grid.h, engine.system if goes_on else None), grid.h, goes_on)
-                if goes_on:
-                    engine.recall(state.memory)
+                _begin_grid(engine, state, grid)
                 while done < grid.count:
                     stretch = engine.stretch(grid, done)
                     state, done = stretch.last, done + len(stretch)
@@ -326,21 +356,41 @@ def fixed_steps(engine, state, begin, end, count):
             except StepFailure as failure:
                 failures.append(failure)
                 counts.rejected += 1
-        for level in range(max(1, level), settings.max_halvings + 1):
-            parts = Grid(grid.time(done), grid.time(done + 1), 2**level)
-            try:
-                engine.begin(started(settings, model, _cut(state, level), parts.h), parts.h)
-                state = engine.last_of(parts)
-                break
-            except StepFailure as failure:
-                failures.append(failure)
-                counts.rejected += 1
-        else:
-            raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
+        state, level = _step_in_parts(engine, state, grid, done, level, failures)
         done, level = done + 1, level - 1
         counts.steps += 1
         state = _cut(state, level, grid=grid.after(done))
         yield Stretch.of(state)
+
+
+def _begin_grid(engine, state, grid):
+    """Begin steps of a grid; from a state behind a step of the same h with the factor and the memory of Newton's method that it had."""
+    model, memory = engine.model, state.memory
+    near = 1e-12 * max(abs(state.t), abs(grid.end))
+    same_h = math.isclose(memory.get("h", 0.0), grid.h, rel_tol=SAME_H)
+    goes_on = "factored_at" in memory and same_h and not model.kinks(state.t - near, state.t + near)
+    if goes_on:
+        engine.restore_factor(memory)
+    engine.begin(started(engine.settings, model, state, grid.h, engine.system if goes_on else None), grid.h, goes_on)
+    if goes_on:
+        engine.recall(memory)
+
+
+def _step_in_parts(engine, state, grid, done, level, failures):
+    """(the State after the next step of a grid, taken in 2^level parts, the level), the first level that succeeds. Raises StepFailure.
+
+    level: that of the step before, from which the levels begin; failures: of this step so far.
+    """
+    settings = engine.settings
+    for level in range(max(1, level), settings.max_halvings + 1):
+        parts = Grid(grid.time(done), grid.time(done + 1), 2**level)
+        try:
+            engine.begin(started(settings, engine.model, _cut(state, level), parts.h), parts.h)
+            return engine.last_of(parts), level
+        except StepFailure as failure:
+            failures.append(failure)
+            engine.counts.rejected += 1
+    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
 
 
 def _cut(state, level, **memory):

@@ -104,9 +104,8 @@ class EnergyMomentum(Integrator):
             move = np.delete(2.0 * own.phi_q(0.0, q) @ d, own.velocity_rows)  # the force of a velocity row does no work in any case
             gain = np.delete(own.phi(0.0, q + d) - own.phi(0.0, q - d), own.velocity_rows)
             if move.size and not _equal(gain, move):
-                raise InputError(
-                    f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{other}"
-                )
+                wanted = "which its constraints must be to do no work"
+                raise InputError(f"{part}: its phi(t, q) is not quadratic in q, at most, {wanted}{other}")
             if unguarded(own).by_numba:
                 Compiled(own, OF_ENERGY)
         own = guard(model)

@@ -110,14 +110,11 @@ class IDA(Integrator):
             object.__setattr__(self, "atol", tuple(entries.tolist()))
         entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
         not_negative = "must be a finite number, not negative"
+        rtol_ok = self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1)
         for name, good, expected in (
             ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
-            (
-                "rtol",
-                self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1),
-                f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1",
-            ),
+            ("rtol", rtol_ok, f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1"),
             ("max_order", self.max_order is None or is_whole(self.max_order, 1, 5), "must be 1, 2, 3, 4 or 5"),
             ("max_num_steps", is_whole(self.max_num_steps), "must be a positive whole number"),
             ("max_step", is_number(self.max_step) and self.max_step >= 0, not_negative),
@@ -172,10 +169,8 @@ class IDA(Integrator):
         """Raise InputError if the distance of adjacent floating-point times near t_end does not resolve the model's motion."""
         length, speed = typical_sizes(model, state, t_end - state.t)
         if math.ulp(t_end) > length / speed:
-            raise InputError(
-                f"IDA: t_end = {t_end:g} s is too far: times there are {math.ulp(t_end):.2g} s apart, and "
-                f"the model moves within {length / speed:.2g} s"
-            )
+            apart = f"times there are {math.ulp(t_end):.2g} s apart, and the model moves within {length / speed:.2g} s"
+            raise InputError(f"IDA: t_end = {t_end:g} s is too far: {apart}")
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted States after `state` (consistent), one for each internal step, the last at t_end. Raises StepFailure.
@@ -203,7 +198,11 @@ def _check(name, value, good, expected):
 
 
 class _Run:
-    """One run of IDA: the solver of the binding with its callbacks, and the counts. looked_into: True if states within steps are asked for."""
+    """One run of IDA: the solver of the binding with its callbacks, and the counts.
+
+    looked_into: True if states within steps are asked for. standing: number of steps in a row within the round-off of t. attempts: times that the
+    present step was tried, each at another end, the last at `tried`. stop: the time that IDA does not pass.
+    """
 
     def __init__(self, settings, model, sizes, counts, looked_into):
         from sksundae.ida import IDA as Solver

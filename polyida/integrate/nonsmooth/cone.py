@@ -5,10 +5,15 @@ contact:   p = max(0, p - rho u)
 friction:  p = clip(p - rho u, -c(p), c(p)),   c(p) = c_0 + mu |l_0 + L p|,   rho = 1/G_ii
 slip:      p = -sign c(p), if the direction of slip is known
 ```
-Semismooth Newton on these equations (Alart, Curnier 1991), an active-set method. If sets repeat, Newton begins again with all rows at rest, then
-from the solution with the present bounds of friction, a convex quadratic problem whose sets change one row at a time (Nocedal, Wright, Numerical
-Optimization (2006), section 16.5), then from projected Gauss-Seidel sweeps. Where G is singular, as with redundant contacts, pressures are
-those of least norm among the solutions near the start.
+with the constant c_0 and the coefficient mu of friction, and its pressing entries l_0 + L p. `solve_cone` tries in this order:
+
+1. `newton`: semismooth Newton on these equations (Alart, Curnier 1991), an active-set method, from the given start.
+2. If its sets repeat, the same from the pressures with which all rows are at rest, G p + b = 0.
+3. The same from the solution with the present bounds of friction, `solve_box_lcp`: a convex quadratic problem whose sets change one row at a time
+   (Nocedal, Wright, Numerical Optimization (2006), section 16.5).
+4. The same from projected Gauss-Seidel sweeps, `sweep`, a few times.
+
+Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
 """
 
 from typing import NamedTuple
@@ -20,7 +25,9 @@ from polyida.linear.dense import put, solve_small
 
 CONTACT, FRICTION = 0, 1
 OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rate > 0
-NEWTON, SWEEPS, ROUNDS = 30, 400, 4
+NEWTON = 30  # most iterations of Newton's method from one start
+SWEEPS = 400  # of Gauss-Seidel in one round
+ROUNDS = 4  # starts of Newton's method beyond the first two
 EXACT = 1e-13  # of the largest pressure: error of p
 GOOD = 1e-8  # the same that is accepted if no iteration is better
 LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
@@ -30,9 +37,10 @@ CHANGES = 20  # for each row, of the sets of the problem with given bounds
 
 @pack
 class Cone(NamedTuple):
-    """Rows with laws. kind: CONTACT or FRICTION. c, mu: of friction. start: first pressing entry of each row. l, L: |l + L p| of the entries.
+    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries.
 
-    sign: 0, or the sign of the rate of a row that slips.
+    kind (k,): CONTACT or FRICTION. c, mu (k,): of friction. sign (k,): 0, or the sign of the rate of a row that slips. start (k + 1,): first
+    pressing entry of each row. l (entries,), L (entries, k): of the pressing entries.
     """
 
     kind: np.ndarray
@@ -45,55 +53,58 @@ class Cone(NamedTuple):
 
 
 @part
-def bound(rows, forces, row, slope):
-    """The bound c(p) = c + mu |l + L p| of the force of a friction row; fills its slope (k,)."""
+def friction_bound(cone, forces, i, slope):
+    """The bound c(p) of friction row i at the forces p; fills its slope dc/dp (k,)."""
     slope[:] = 0.0
     square = 0.0
-    for e in range(rows.start[row], rows.start[row + 1]):
-        value = rows.l[e]
+    for e in range(cone.start[i], cone.start[i + 1]):
+        value = cone.l[e]
         for j in range(forces.shape[0]):
-            value += rows.L[e, j] * forces[j]
+            value += cone.L[e, j] * forces[j]
         square += value * value
         for j in range(forces.shape[0]):
-            slope[j] += value * rows.L[e, j]
+            slope[j] += value * cone.L[e, j]
     norm = np.sqrt(square)
     for j in range(forces.shape[0]):
-        slope[j] *= rows.mu[row] / norm if norm > 0.0 else 0.0
-    return rows.c[row] + rows.mu[row] * norm
+        slope[j] *= cone.mu[i] / norm if norm > 0.0 else 0.0
+    return cone.c[i] + cone.mu[i] * norm
 
 
 @part
-def status_of(rows, forces, rate, rho, row, limit):
-    """The status of a row: closed, open, sticking or slipping, from its force less rho times its rate."""
-    at = forces[row] - rho * rate
-    if rows.kind[row] == CONTACT:
-        return CLOSED if at > 0.0 else OPEN
-    if rows.sign[row] != 0.0:
-        return SLIPS_UP if rows.sign[row] > 0.0 else SLIPS_DOWN
-    return SLIPS_DOWN if at > limit else SLIPS_UP if at < -limit else STICKS
+def row_status(cone, forces, u, rho, i, limit):
+    """The status of row i with the rate u; limit: its bound of friction."""
+    trial = forces[i] - rho * u
+    if cone.kind[i] == CONTACT:
+        return CLOSED if trial > 0.0 else OPEN
+    if cone.sign[i] != 0.0:
+        return SLIPS_UP if cone.sign[i] > 0.0 else SLIPS_DOWN
+    return SLIPS_DOWN if trial > limit else SLIPS_UP if trial < -limit else STICKS
 
 
 @part
-def rate_of(delassus, free_rates, forces, row):
-    """(rate (G p + b)_row, G `delassus`, the largest of its terms)."""
-    u, scale = free_rates[row], abs(free_rates[row])
+def row_rate(delassus, free_rates, forces, i):
+    """(rate of row i, the largest of its terms)."""
+    u, scale = free_rates[i], abs(free_rates[i])
     for j in range(forces.shape[0]):
-        u += delassus[row, j] * forces[j]
-        scale = max(scale, abs(delassus[row, j] * forces[j]))
+        u += delassus[i, j] * forces[j]
+        scale = max(scale, abs(delassus[i, j] * forces[j]))
     return u, scale
 
 
 @part
-def newton(delassus, free_rates, rows, forces, status, matrix, right, slope):
-    """Newton's method until the forces no longer change; forces and status are then the best ones. Returns (largest error over the largest force, iterations)."""
-    k, least, kept, kept_status = forces.shape[0], np.inf, forces.copy(), status.copy()
+def newton(delassus, free_rates, cone, forces, status, matrix, right, slope):
+    """Iterate until the forces p no longer change; they and status are then the best ones. Returns (largest error over largest force, iterations).
+
+    matrix (k, k), right, slope (k,): workspace. Each row of the matrix is the slope of the equation that holds with the row's present status.
+    """
+    k, least, best_forces, best_status = forces.shape[0], np.inf, forces.copy(), status.copy()
     for iteration in range(NEWTON):
         error, size, same, finite = 0.0, 0.0, iteration > 0, True
         for i in range(k):
-            u, scale = rate_of(delassus, free_rates, forces, i)
+            u, scale = row_rate(delassus, free_rates, forces, i)
             rho = 1.0 / delassus[i, i]
-            limit = bound(rows, forces, i, slope) if rows.kind[i] == FRICTION else 0.0
-            now = status_of(rows, forces, u, rho, i, limit)
+            limit = friction_bound(cone, forces, i, slope) if cone.kind[i] == FRICTION else 0.0
+            now = row_status(cone, forces, u, rho, i, limit)
             same = same and now == status[i]
             status[i] = now
             if now in (CLOSED, STICKS):
@@ -106,11 +117,11 @@ def newton(delassus, free_rates, rows, forces, status, matrix, right, slope):
                 matrix[i, i] = 1.0
                 right[i] = -forces[i]
             else:
-                way = 1.0 if now == SLIPS_UP else -1.0  # p = -way c(p)
+                direction = 1.0 if now == SLIPS_UP else -1.0  # p = -direction c(p)
                 for j in range(k):
-                    matrix[i, j] = way * slope[j]
+                    matrix[i, j] = direction * slope[j]
                 matrix[i, i] += 1.0
-                right[i] = -forces[i] - way * limit
+                right[i] = -forces[i] - direction * limit
             error, size = max(error, abs(right[i])), max(size, abs(forces[i]), limit if now >= SLIPS_UP else rho * scale)
             finite = finite and np.isfinite(right[i])
         if not finite:
@@ -120,20 +131,24 @@ def newton(delassus, free_rates, rows, forces, status, matrix, right, slope):
             return error, iteration
         if error < least:
             least = error
-            put(1.0, forces, kept)
-            kept_status[:] = status
+            put(1.0, forces, best_forces)
+            best_status[:] = status
         if not solve_small(matrix, right):
             break
         for i in range(k):
             forces[i] += right[i]
-    put(1.0, kept, forces)
-    status[:] = kept_status
+    put(1.0, best_forces, forces)
+    status[:] = best_status
     return least, NEWTON
 
 
 @part
 def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
-    """Change the forces p to the solution with given bounds: G p + b, G `delassus`, is 0 between them, not negative at the low one, not positive at the high one."""
+    """Change the forces p to the solution with given bounds. Rates G p + b are 0 between them, not negative at the low one, not positive at the high one.
+
+    A step goes to the solution of the free rows, or as far as the first bound on the way, whose row is then fixed (`blocked`). At a solution of
+    the free rows the fixed row with the wrongest rate becomes free (`released`). Ends also, without a solution, if a matrix is singular.
+    """
     k, full = forces.shape[0], False
     free = np.zeros(k, np.bool_)
     for i in range(k):
@@ -142,7 +157,7 @@ def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
     for _ in range(CHANGES * (k + 1)):
         error, size, worst, released = 0.0, 0.0, 0.0, -1
         for i in range(k):
-            u, scale = rate_of(delassus, free_rates, forces, i)
+            u, scale = row_rate(delassus, free_rates, forces, i)
             right[i] = -u / delassus[i, i]
             size = max(size, abs(forces[i]), scale / delassus[i, i])
             if free[i]:
@@ -164,9 +179,9 @@ def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
             return
         share, blocked = 1.0, -1
         for i in range(k):
-            bound_of_way = low[i] if right[i] < 0.0 else high[i]
-            if right[i] != 0.0 and (bound_of_way - forces[i]) / right[i] < share:
-                share, blocked = (bound_of_way - forces[i]) / right[i], i
+            ahead = low[i] if right[i] < 0.0 else high[i]
+            if right[i] != 0.0 and (ahead - forces[i]) / right[i] < share:
+                share, blocked = (ahead - forces[i]) / right[i], i
         for i in range(k):
             forces[i] += share * right[i]
         full = blocked < 0
@@ -175,33 +190,33 @@ def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
 
 
 @part
-def sweep(delassus, free_rates, rows, forces, slope):
+def sweep(delassus, free_rates, cone, forces, slope):
     """One projected Gauss-Seidel sweep."""
     k = forces.shape[0]
     for i in range(k):
-        u, _ = rate_of(delassus, free_rates, forces, i)
-        at = forces[i] - u / delassus[i, i]
-        if rows.kind[i] == CONTACT:
-            forces[i] = max(0.0, at)
+        u, _ = row_rate(delassus, free_rates, forces, i)
+        trial = forces[i] - u / delassus[i, i]
+        if cone.kind[i] == CONTACT:
+            forces[i] = max(0.0, trial)
         else:
-            limit = bound(rows, forces, i, slope)
-            if rows.sign[i] != 0.0:
-                forces[i] = -rows.sign[i] * limit
+            limit = friction_bound(cone, forces, i, slope)
+            if cone.sign[i] != 0.0:
+                forces[i] = -cone.sign[i] * limit
             else:
-                forces[i] = min(max(at, -limit), limit)
+                forces[i] = min(max(trial, -limit), limit)
 
 
 @entry
-def solve_cone(delassus, free_rates, rows, forces, status):
-    """Change the forces p (k,) of the rows from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
+def solve_cone(delassus, free_rates, cone, forces, status):
+    """Change the forces p (k,) from a start to the solution, and fill status (k,). Returns the number of Newton iterations, or -1 without a solution.
 
-    G_ii become positive.
+    delassus (k, k): G, whose diagonal becomes positive; free_rates (k,): b.
     """
     k = forces.shape[0]
     matrix, right, slope, total = np.empty((k, k)), np.empty(k), np.empty(k), 0
     for i in range(k):
         delassus[i, i] = max(abs(delassus[i, i]), LEAST)
-    error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
+    error, count = newton(delassus, free_rates, cone, forces, status, matrix, right, slope)
     if not error <= GOOD:  # from the forces of rows that all stick, as of a rod that jams
         for i in range(k):
             right[i] = -free_rates[i]
@@ -210,7 +225,7 @@ def solve_cone(delassus, free_rates, rows, forces, status):
         if solve_small(matrix, right):
             put(1.0, right, forces)
             total += count
-            error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
+            error, count = newton(delassus, free_rates, cone, forces, status, matrix, right, slope)
     for turn in range(ROUNDS):
         total += count
         if error <= GOOD:
@@ -220,12 +235,12 @@ def solve_cone(delassus, free_rates, rows, forces, status):
         if turn == 0:
             low, high = np.zeros(k), np.full(k, np.inf)
             for i in range(k):
-                if rows.kind[i] == FRICTION:
-                    limit = bound(rows, forces, i, slope)
-                    low[i], high[i] = (-limit, limit) if rows.sign[i] == 0.0 else (-rows.sign[i] * limit, -rows.sign[i] * limit)
+                if cone.kind[i] == FRICTION:
+                    limit = friction_bound(cone, forces, i, slope)
+                    low[i], high[i] = (-limit, limit) if cone.sign[i] == 0.0 else (-cone.sign[i] * limit, -cone.sign[i] * limit)
             solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right)
         else:
             for _ in range(SWEEPS):
-                sweep(delassus, free_rates, rows, forces, slope)
-        error, count = newton(delassus, free_rates, rows, forces, status, matrix, right, slope)
+                sweep(delassus, free_rates, cone, forces, slope)
+        error, count = newton(delassus, free_rates, cone, forces, status, matrix, right, slope)
     return total + count if error <= GOOD else -1

@@ -1,7 +1,13 @@
 """Rows with laws of a model at a state: forces, accelerations, impacts and positions that satisfy the laws, each by a cone problem.
 
-Rows without a law are equations of `base`, a model of its own; its bordered systems give the columns `X = S^-1 B^T` of the rows with laws, and
-the change Y of the equations' multipliers. Rates are u = G p + b with `G = B X`, p = -lam.
+Rows without a law are equations of `base`, a model of its own. The rows with laws (contact, friction) have the slopes B. Pressures p = -lam
+of theirs change the solution of the equations, with the matrix S = M or the step matrix, by
+
+    dq = X p,  dlam = Y p,   [[S, B_e^T], [B_e, 0]] (X, Y) = (B^T, 0),   B_e: slopes of the equations
+
+so that the rates of the rows with laws are `u = G p + b`, `G = B X`, b those at p = 0. Each question is answered in this order: the rows that
+can carry a force (`active`, `group`), their slopes (`slopes`), X, Y and G (`mass_columns`), and the cone problem for p (`solve`). The questions:
+`accelerations` (forces at a state), `impact` (velocities behind an impact), `place` (positions without penetration).
 """
 
 from typing import NamedTuple
@@ -41,33 +47,59 @@ class Group(NamedTuple):
     equations: np.ndarray
 
 
+class Problem(NamedTuple):
+    """The cone problem of the k rows of a group: p with `u = G p + b` that satisfies the laws.
+
+    start: where Newton's method begins. lam: multipliers of the equations at p = 0, Y (equations, k): their change with p. mobility: a typical
+    G_ii without equations. slip: sign of the rate of each row, 0 if it sticks or is a contact.
+    """
+
+    G: np.ndarray
+    b: np.ndarray
+    start: np.ndarray
+    lam: np.ndarray
+    Y: np.ndarray
+    mobility: np.ndarray
+    slip: np.ndarray
+
+    def part(self, which):
+        """The problem of the rows of a mask, with p = 0 in the others."""
+        G = self.G[np.ix_(which, which)]
+        return Problem(G, self.b[which], self.start[which], self.lam, self.Y[:, which], self.mobility[which], self.slip[which])
+
+
 class Contacts:
-    """The rows with laws of a model. rows: their numbers; equations: those of the other rows; base: the model with these alone."""
+    """The rows with laws of a model. rows: their numbers; equations: those of the other rows; base: the model with these alone.
+
+    on_laws, on_equations (., 2): pairs of a row of friction and a row that presses it, among the rows with laws and among the equations.
+    Vectors (k,) are of all rows with laws, in this order, unless a group is named. Results that are asked for again at the same state are kept.
+    """
 
     def __init__(self, model):
-        self.model, laws = model, model.row_laws
+        laws = model.row_laws
+        self.model = model
         self.rows = np.array([law.row for law in laws], np.int64)
         self.equations = np.setdiff1d(np.arange(model.m), self.rows)
         self.base = model.with_rows(self.equations)
         self.names = [law.name for law in laws]
         self.contact = np.array([law.is_contact for law in laws], bool)
         self.restitution = np.array([law.restitution or 0.0 for law in laws])
-        self.mu, self.constant = (np.array([getattr(law, key) for law in laws], float) for key in ("mu", "constant"))
+        self.mu = np.array([law.mu for law in laws], float)
+        self.constant = np.array([law.constant for law in laws], float)
         self._slopes, self._columns, self._groups = {}, {}, {}
-        self._rates, self._active, self._mobility, self._still = (None, None, None, None), (None, None), (None, None), (None, None)
+        self._rates = (None, None, None, None)
+        self._active = self._mobility = self._still = (None, None)
         self.turning = model.needs.phi_q_varies or model.needs.driven
         self.speed = max(float(np.sqrt(model.free_fall * (model.extent or 1.0))), 1e-6)
         masses = np.abs(model.mass(np.zeros(model.n)).diagonal())
         self.inertia = float(masses.max()) or 1.0
-        place = {int(row): k for k, row in enumerate(self.rows)}
-        of_equations = {int(row): k for k, row in enumerate(self.equations)}
+        self.on_laws, self.on_equations = self._pressed_by(self.rows), self._pressed_by(self.equations)
 
-        def pairs(numbers):
-            """(row of friction, what presses it), (., 2)."""
-            found = [(k, numbers[row]) for k, law in enumerate(laws) for row in law.on if row in numbers]
-            return np.array(found, np.int64).reshape(-1, 2)
-
-        self.on_laws, self.on_equations = pairs(place), pairs(of_equations)
+    def _pressed_by(self, rows):
+        """Pairs (., 2) of the number of a row of friction among those with laws, and of one that presses it among `rows`."""
+        numbers = {int(row): k for k, row in enumerate(rows)}
+        found = [(k, numbers[row]) for k, law in enumerate(self.model.row_laws) for row in law.on if row in numbers]
+        return np.array(found, np.int64).reshape(-1, 2)
 
     def active(self, closed):
         """True for the rows that can carry a force: closed contacts, and friction whose pressing contacts are closed."""
@@ -96,7 +128,7 @@ class Contacts:
         return B
 
     def _slopes_at(self, t, q, which, model):
-        """The same, computed."""
+        """phi_q of the rows with laws that `which` selects, (k, n), dense; the entries are picked from a scene's CSR matrix."""
         if model.is_scene and model.small:
             return model.small_phi_q(t, q)[self.rows[which]]
         rows = self.rows[which]
@@ -124,13 +156,14 @@ class Contacts:
 
     def mass_columns(self, t, q, B):
         """`columns` by the masses, and G = B X. Those of the last rows B of `slopes` are kept, as on a line of the ground."""
-        of_rows, *found = self._columns.get(id(B), (None,))
-        if of_rows is not B or self.base.needs.mass_varies:
+        known_B, X, Y, G = self._columns.get(id(B), (None, None, None, None))
+        if known_B is not B or self.base.needs.mass_varies:
             if len(self._columns) >= KEPT:
                 self._columns.clear()
-            found = *(columns := self.columns(self.base.mass_system(t, q).solve, B)), B @ columns[0]
-            self._columns[id(B)] = B, *found
-        return found
+            X, Y = self.columns(self.base.mass_system(t, q).solve, B)
+            G = B @ X
+            self._columns[id(B)] = B, X, Y, G
+        return X, Y, G
 
     def rates(self, t, q, v):
         """phi_rate of all rows of the model; that of the last state is kept."""
@@ -146,33 +179,33 @@ class Contacts:
         _, Y, G = self.mass_columns(t, q, B)
         return G, self.mobility(B), Y
 
-    def solve(self, t, group, G, b, p, lam, Y, mobility, slip, scale=1.0, slips=False):
-        """(p, status) of the rows of a group, all arguments of these.
+    def solve(self, t, group, problem, scale=1.0, slips=False):
+        """(p, status) of the rows of a group, by its Problem. Raises StepFailure.
 
-        p: a start. lam: multipliers of the equations at p = 0. mobility: a typical G_ii without equations. slip: 0 or the sign of the rate.
-        scale: of the friction's constant. slips: True if rows with a slip go on to slip. Raises StepFailure.
+        scale: of the friction's constant. slips: True if rows with a slip go on to slip.
         """
-        fixed = G.diagonal() <= FIXED * mobility  # the equations hold these: they carry no force, but friction if they slip
+        slip = problem.slip
+        fixed = problem.G.diagonal() <= FIXED * problem.mobility  # the equations hold these: they carry no force, but friction if they slip
         if fixed.any():
-            free, result, status = ~fixed | (slip != 0.0), np.zeros(len(b)), np.zeros(len(b), np.int64)
+            free = ~fixed | (slip != 0.0)
             if not free.all():
                 chosen = np.zeros(len(self.rows), bool)
                 chosen[group.rows[free]] = True
-                part = (G[np.ix_(free, free)], b[free], p[free], lam, Y[:, free], mobility[free], slip[free])
-                result[free], status[free] = self.solve(t, self.group(chosen), *part, scale, slips)
-                return result, status
+                p, status = np.zeros(len(free)), np.zeros(len(free), np.int64)
+                p[free], status[free] = self.solve(t, self.group(chosen), problem.part(free), scale, slips)
+                return p, status
             slip = slip if slips else np.where(fixed, slip, 0.0)
         elif not slips:
             slip = 0.0
         rows, cone = group.rows, group.cone
         cone.c[:], cone.sign[:] = scale * self.constant[rows], slip
         if len(group.entries):
-            cone.l[group.entries], cone.L[group.entries] = lam[group.equations], Y[group.equations]
-        result, status = np.array(p, float), np.zeros(len(rows), np.int64)
-        if len(rows) and solve_cone(np.array(G), np.ascontiguousarray(b), cone, result, status) < 0:
+            cone.l[group.entries], cone.L[group.entries] = problem.lam[group.equations], problem.Y[group.equations]
+        p, status = np.array(problem.start, float), np.zeros(len(rows), np.int64)
+        if len(rows) and solve_cone(np.array(problem.G), np.ascontiguousarray(problem.b), cone, p, status) < 0:
             names = ", ".join(dict.fromkeys(self.names[i] for i in rows))
             raise StepFailure("contact", f"no forces satisfy the laws of contact and friction of {names}", t)
-        return result, status
+        return p, status
 
     def group(self, chosen):
         """The Group of a mask of rows with laws; the last ones are kept."""
@@ -180,17 +213,22 @@ class Contacts:
         if key not in self._groups:
             if len(self._groups) >= KEPT:
                 self._groups.clear()
-            rows, number = np.flatnonzero(chosen), np.full(len(self.rows), -1)
-            number[rows] = np.arange(len(rows))
-            on, held = number[self.on_laws], self.on_equations[number[self.on_equations[:, 0]] >= 0]
-            on = on[(on >= 0).all(axis=1)]
-            pressed = np.concatenate([on[:, 0], number[held[:, 0]]])
-            order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
-            L = np.concatenate([np.eye(len(rows))[on[:, 1]], np.zeros((len(held), len(rows)))])[order]
-            kind, entries = np.where(self.contact[rows], CONTACT, FRICTION), np.flatnonzero(order >= len(on))
-            cone = Cone(kind, np.zeros(len(rows)), self.mu[rows], np.zeros(len(rows)), start, np.zeros(len(order)), L)
-            self._groups[key] = Group(rows, self.rows[rows], kind == FRICTION, cone, entries, held[order[entries] - len(on), 1])
+            self._groups[key] = self._new_group(np.flatnonzero(chosen))
         return self._groups[key]
+
+    def _new_group(self, rows):
+        """The Group of rows with laws: its friction has an entry for each row or equation that presses it, ordered by rows of friction."""
+        number = np.full(len(self.rows), -1)  # in the group
+        number[rows] = np.arange(len(rows))
+        on_laws = number[self.on_laws]
+        on_laws = on_laws[(on_laws >= 0).all(axis=1)]
+        on_equations = self.on_equations[number[self.on_equations[:, 0]] >= 0]
+        pressed = np.concatenate([on_laws[:, 0], number[on_equations[:, 0]]])
+        order, start = np.argsort(pressed, kind="stable"), np.append(0, np.cumsum(np.bincount(pressed, minlength=len(rows))))
+        L = np.concatenate([np.eye(len(rows))[on_laws[:, 1]], np.zeros((len(on_equations), len(rows)))])[order]
+        kind, entries = np.where(self.contact[rows], CONTACT, FRICTION), np.flatnonzero(order >= len(on_laws))
+        cone = Cone(kind, np.zeros(len(rows)), self.mu[rows], np.zeros(len(rows)), start, np.zeros(len(order)), L)
+        return Group(rows, self.rows[rows], kind == FRICTION, cone, entries, on_equations[order[entries] - len(on_laws), 1])
 
     def spread(self, group, values):
         """Values of the rows of a group at all rows with laws, 0 at the others."""
@@ -199,27 +237,31 @@ class Contacts:
         return result
 
     def all(self, lam, p, group=None):
-        """lam of all rows of the model, from p of all rows with laws, or of those of a group."""
+        """lam (m,) of all rows of the model, from lam of the equations, and p of all rows with laws or of those of a group."""
         result = np.zeros(self.model.m)
-        result[self.equations], result[self.rows if group is None else group.of_model] = lam, -p
+        result[self.equations] = lam
+        result[self.rows if group is None else group.of_model] = -p
         return result
 
     def at_rest(self, t, q, v):
         """True for the contacts that are closed and neither open nor approach; one that approaches is hit."""
-        size = self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
-        return self.contact & (self.gaps(t, q) <= TOUCH * size) & (np.abs(self.rates(t, q, v)[self.rows]) <= self.still(v))
+        return self.contact & (self.gaps(t, q) <= TOUCH * self._size(q)) & (np.abs(self.rates(t, q, v)[self.rows]) <= self.still(v))
 
     def begin(self, state):
         """The start of a run from a consistent State of the equations: forces of the contacts that are closed and at rest, memory of `closed`.
 
         Raises InputError for contacts that are penetrated.
         """
-        model, (t, q, v) = self.model, (state.t, state.q, state.v)
-        gaps, size = self.gaps(t, q), self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
-        if gaps.min(initial=0.0) < -OPENED * size:
-            name = model.constraint_name(int(self.rows[np.argmin(gaps)]))
+        t, q, v = state.t, state.q, state.v
+        gaps = self.gaps(t, q)
+        if gaps.min(initial=0.0) < -OPENED * self._size(q):
+            name = self.model.constraint_name(int(self.rows[np.argmin(gaps)]))
             raise InputError(f"the start: {name} is penetrated by {-gaps.min():.3g}; move the bodies apart, or let scene.assemble() do it")
         return self.with_forces(t, q, v, self.at_rest(t, q, v))
+
+    def _size(self, q):
+        """Length that a gap is compared with: the scene's extent, or |q| of an own model, at least 1."""
+        return self.model.extent or max(1.0, float(np.abs(q).max(initial=0.0)))
 
     def with_forces(self, t, q, v, closed):
         """The State with consistent accelerations, and memory of `closed`.
@@ -249,27 +291,29 @@ class Contacts:
         their accelerations are round-off, too, that of the second derivative of a motor's angle by differences for example.
         """
         model, group = self.model, self.group(self.active(closed))
-        force, bias, rows = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0), group.rows
-        mass = self.base.mass_system(t, q)
-        a, lam = mass.solve(force, bias[self.equations])
+        rows = group.rows
+        force, bias = model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0)
+        a, lam = self.base.mass_system(t, q).solve(force, bias[self.equations])
         if not len(rows):
             return a, lam, np.zeros(len(self.rows)), np.zeros(len(self.rows), np.int64)
         slip = self.slip(group, self.rates(t, q, v), self.still(v))
         if status is not None:
             slip[status[rows] == STICKS] = 0.0
         slip = np.where(slip == 0.0, np.broadcast_to(begins, len(self.rows))[rows], slip)
-        at_rest = np.isin(rows, dwells)
-        slip[at_rest] = 0.0
-        B, start = self.slopes(t, q, rows), np.zeros(len(rows)) if p is None else p[rows]
-        (X, Y, G), now = self.mass_columns(t, q, B), B @ a + bias[group.of_model]
+        dwelling = np.isin(rows, dwells)
+        slip[dwelling] = 0.0
+        B = self.slopes(t, q, rows)
+        X, Y, G = self.mass_columns(t, q, B)
+        now = B @ a + bias[group.of_model]  # accelerations of the rows without forces
         size = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
-        passes = group.friction & (np.abs(now) > MOVES * size) & ~at_rest  # a dead point, where friction cannot hold the row
+        passes = group.friction & (np.abs(now) > MOVES * size) & ~dwelling  # a dead point, where friction cannot hold the row
         mobility = np.where(passes, -np.inf, self.mobility(B))
-        p, status = self.solve(t, group, G, now, start, lam, Y, mobility, slip, slips=True)
+        start = np.zeros(len(rows)) if p is None else p[rows]
+        p, status = self.solve(t, group, Problem(G, now, start, lam, Y, mobility, slip), slips=True)
         return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
-        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact, or a step's end; a contact that rebounds is OPEN.
+        """(v, P of the rows with laws, change of the equations' impulses, status) after an impact or at a step's end; what rebounds is OPEN.
 
         v: velocities with the impulses h p and h lam. before: rates of the rows with laws before the impact. closed: the contacts at which
         velocities must open. h: 0 for an impact at an instant. wanted: rates at which friction would stick. plastic: True for contacts without
@@ -285,35 +329,44 @@ class Contacts:
         rows = group.rows
         if not len(rows):
             return v, np.zeros(len(self.rows)), np.zeros(len(self.equations)), np.zeros(len(self.rows), np.int64)
-        B, p, before = self.slopes(t, q, rows), p[rows], before[rows]
-        (X, Y, G), slip, rate = self.mass_columns(t, q, B), self.slip(group, rate, self.still(v)), rate[group.of_model]
-        free, back = rate - h * (G @ p), self.restitution[rows] * np.minimum(before, 0.0)
-        if bounces := back.any():
-            back = back if plastic is None else np.where(plastic[rows], 0.0, back)
-            back = np.where(np.abs(back) < np.abs(free - before), 0.0, back) if h else back
-            bounces = back.any()
+        p, before = p[rows], before[rows]
+        B = self.slopes(t, q, rows)
+        X, Y, G = self.mass_columns(t, q, B)
+        slip, rate = self.slip(group, rate, self.still(v)), rate[group.of_model]
+        free = rate - h * (G @ p)  # without the impulses of the rows
+        back = self._rebounds(rows, before, free, h, plastic)
+        bounces = back.any()
         shift = 0.0 if wanted is None else -wanted[rows]
-        start, size = h * p, self.mobility(B)
+        start, mobility = h * p, self.mobility(B)
 
         def rebound(share):
             """(P, status, change, work of it) of the active rows with this share of the restitution."""
-            P, status = self.solve(t, group, G, free + share * back + shift, start, h * (lam - Y @ p), Y, size, slip, h)
+            problem = Problem(G, free + share * back + shift, start, h * (lam - Y @ p), Y, mobility, slip)
+            P, status = self.solve(t, group, problem, h)
             change = P - start
             return P, status, change, 0.5 * (before + rate + G @ change) @ change
 
         P, status, change, work = rebound(1.0)
         if bounces and work > GAINED * float(np.abs(before * change).sum()):
-            bounds = 0.0, 1.0
-            for _ in range(HALVINGS if rebound(0.0)[3] < 0.0 else 0):
-                middle = 0.5 * sum(bounds)
-                bounds = (middle, bounds[1]) if rebound(middle)[3] <= 0.0 else (bounds[0], middle)
             # in a step the work is known to the order of h only, and energy must not grow: the square leaves a margin for that
-            kept = bounds[0] ** 2 if h else bounds[0]
-            P, status, change, _ = rebound(kept)
-            back = kept * back
+            share = _largest_without_gain(rebound) ** (2 if h else 1)
+            P, status, change, _ = rebound(share)
+            back = share * back
         if bounces:
             status[back != 0.0] = OPEN
         return v + X @ change, self.spread(group, P), Y @ change, self.spread(group, status)
+
+    def _rebounds(self, rows, before, free, h, plastic):
+        """Rates of rows behind an impact by the law of restitution, times -1; before, free: their rates before it, and without impulses.
+
+        0 for contacts that are plastic, and in a step for those whose rate its forces change by more than they would rebound.
+        """
+        back = self.restitution[rows] * np.minimum(before, 0.0)
+        if not back.any():
+            return back
+        if plastic is not None:
+            back = np.where(plastic[rows], 0.0, back)
+        return np.where(np.abs(back) < np.abs(free - before), 0.0, back) if h else back
 
     def remaining(self, t, q, v, touching, status):
         """(rates of the rows with laws, contacts that stay closed) behind an impact; the rate of those that carry a force is round-off."""
@@ -326,13 +379,15 @@ class Contacts:
         The force jumps within the step: a rate that begins at `before` is zero where it meets zero, and grows with its new acceleration. The
         impulse of friction that leads to it is between those of both forces. None if there are none.
         """
-        model, rate = self.model, self.rates(t, q, v)[self.rows]
+        rate = self.rates(t, q, v)[self.rows]
         slipped = ~self.contact & self.active(closed) & (np.abs(before) > self.still(v)) & (rate * before <= 0.0)
         if not slipped.any():
             return None
-        change = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
-        ahead, before = change(state.t, state.q, state.v, state.a), before[slipped]
-        behind = change(t, q, v, self.accelerations(t, q, v, closed, p)[0])
+
+        # accelerations of the rows that slipped, before and behind the reversal
+        rows_of = lambda t, q, v, a: self.slopes(t, q, slipped) @ a + self.model.phi_bias(t, q, v)[self.rows][slipped]  # noqa: E731
+        before, ahead = before[slipped], rows_of(state.t, state.q, state.v, state.a)
+        behind = rows_of(t, q, v, self.accelerations(t, q, v, closed, p)[0])
         with np.errstate(divide="ignore"):
             left = (t - state.t) + before / ahead  # time that is left behind the reversal
         goes_on = (ahead * before < 0.0) & (left > 0.0) & (behind * before < 0.0)
@@ -351,19 +406,6 @@ class Contacts:
             self._still = v, 1e-10 * max(float(np.abs(v).max(initial=0.0)), self.speed)
         return self._still[1]
 
-    def _pushes(self, t, rows, G, b, pressed):
-        """p of contacts with `G p + b = 0` if pressed, of least norm, else `0 <= p`, `G p + b >= 0`, their product 0."""
-        p, free = np.zeros(len(b)), ~pressed
-        inverse = np.linalg.pinv(G[np.ix_(pressed, pressed)], rcond=1e-11, hermitian=True)
-        onto = G[np.ix_(free, pressed)] @ inverse
-        if free.any():
-            rest, right, chosen = G[np.ix_(free, free)] - onto @ G[np.ix_(pressed, free)], b[free] - onto @ b[pressed], np.array(rows)
-            chosen[rows] = free
-            size, none = DEPENDENT / FIXED * G.diagonal()[free], np.zeros(len(self.equations))
-            p[free] = self.solve(t, self.group(chosen), rest, right, p[free], none, np.outer(none, right), size, np.zeros(len(right)))[0]
-        p[pressed] = -inverse @ (b[pressed] + G[np.ix_(pressed, free)] @ p[free])
-        return p
-
     def place(self, t, q, pressed, size):
         """(q, contacts that touch): q moved in the metric of M, so that the equations and the pressed contacts hold and no gap is negative.
 
@@ -377,11 +419,39 @@ class Contacts:
             wrong = np.abs(phi[self.equations]).max(initial=0.0), np.abs(gaps[pressed]).max(initial=0.0), -gaps.min(initial=0.0)
             if max(wrong) <= ROUND_OFF * size:
                 return q, pushed | (gaps <= TOUCH * size)
-            mass, B = self.base.mass_system(t, q), self.slopes(t, q, touching)
-            shift = mass.solve(np.zeros(model.n), phi[self.equations])[0] if len(self.equations) else np.zeros(model.n)
+            zero = np.zeros(model.n)
+            shift = self.base.mass_system(t, q).solve(zero, phi[self.equations])[0] if len(self.equations) else zero
             if touching.any():
+                B = self.slopes(t, q, touching)
                 X, _, G = self.mass_columns(t, q, B)
                 push = self._pushes(t, touching, G, gaps[touching] + B @ shift, pressed[touching])
-                shift, pushed[touching] = shift + X @ push, pushed[touching] | (push > 0.0)
+                shift = shift + X @ push
+                pushed[touching] |= push > 0.0
             q = q + shift
         return q, pushed | (self.contact & (self.gaps(t, q) <= TOUCH * size))
+
+    def _pushes(self, t, touching, G, b, pressed):
+        """p of the contacts that touch: with `G p + b = 0` if pressed, of least norm, else `0 <= p`, `G p + b >= 0`, their product 0."""
+        p, free = np.zeros(len(b)), ~pressed
+        inverse = np.linalg.pinv(G[np.ix_(pressed, pressed)], rcond=1e-11, hermitian=True)
+        onto = G[np.ix_(free, pressed)] @ inverse
+        if free.any():  # the pressed ones are eliminated
+            G_free = G[np.ix_(free, free)] - onto @ G[np.ix_(pressed, free)]
+            b_free = b[free] - onto @ b[pressed]
+            chosen = np.array(touching)
+            chosen[touching] = free
+            lam = np.zeros(len(self.equations))  # contacts need none: their laws have no bounds
+            mobility = DEPENDENT / FIXED * G.diagonal()[free]
+            problem = Problem(G_free, b_free, p[free], lam, np.outer(lam, b_free), mobility, np.zeros(len(b_free)))
+            p[free] = self.solve(t, self.group(chosen), problem)[0]
+        p[pressed] = -inverse @ (b[pressed] + G[np.ix_(pressed, free)] @ p[free])
+        return p
+
+
+def _largest_without_gain(rebound):
+    """The largest share of the restitution, by bisection, with which an impact, `rebound(share)`, adds no energy."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS if rebound(low)[3] < 0.0 else 0):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if rebound(middle)[3] <= 0.0 else (low, middle)
+    return low

@@ -7,7 +7,11 @@ A step of `NonsmoothAlpha` has three stages (in spirit Capobianco, Harsch, Eugst
 2. Positions: the equations and the pressed contacts are closed, and penetration is removed, in the metric of M.
 3. Velocities: impulses of impacts for all contacts that are closed now, with restitution, and friction; P is the total of a step.
 
-Where a contact closes or opens, or friction begins or ends to slip, the next step begins with consistent accelerations.
+Where a contact closes or opens, or friction begins or ends to slip, the next step begins with consistent accelerations. `_Steps._alpha` has the
+three stages in this order; `_newton` solves the first, and the step of `MoreauJean`:
+
+    S dq + B_e^T dlam + B^T dp = -r,   B_e dq = -(rate of the equations)/v_q,   v_q = dv/dq in a step, S = c_m M + v_q C + K
+    rates of the active rows with laws, over v_q: u = rate/v_q + B dq, with p in the cone of the laws of contact and friction
 
 A step of `MoreauJean` has impulses only: `M (v_1 - v_0) + h g_theta + phi_q^T P = 0`, laws at the velocities of its end for the contacts that are
 closed at a predicted position. It is of first order, and positions drift.
@@ -15,14 +19,14 @@ closed at a predicted position. It is of first order, and positions drift.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from polyida.errors import StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
-from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts
+from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts, Problem
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.linear.lu import SingularSystem
@@ -30,7 +34,8 @@ from polyida.model import Model
 from polyida.model.differences import beside
 from polyida.validation import is_number, is_whole, named_keywords
 
-SLOW, MANY = 0.3, 6  # contraction of Newton's method beyond which columns are made again, iterations beyond which S is factored again
+SLOW = 0.3  # contraction of Newton's method beyond which columns are made again
+MANY = 6  # iterations beyond which S is factored again
 PRICE = 5  # solves that an iteration costs
 TURNED = 0.05  # change of the rows with laws beyond which their columns are made again
 JUMPED = 1e-2  # of the force of friction in the step before: a larger change is that of an impact
@@ -117,7 +122,7 @@ class NonsmoothAlpha(TimeStepping):
         return Coefficients.chung_hulbert(self.rho_inf)
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
-        """As of GeneralizedAlpha."""
+        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''; scale: h^2 q'' over q."""
         return GeneralizedAlpha(h=self.h, rho_inf=self.rho_inf, tolerance=self.tolerance).newton_tolerance(scale)
 
 
@@ -160,7 +165,7 @@ class MoreauJean(TimeStepping):
         self._require("theta", is_number(self.theta) and 0.5 <= self.theta <= 1.0, "in [0.5, 1]")
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
-        """As of GeneralizedAlpha."""
+        """(least, most, share) as NonsmoothAlpha has them: Newton may leave the tolerance times the change of q in a step."""
         return float(self.tolerance), float(self.tolerance), 0.0
 
 
@@ -168,6 +173,9 @@ class Columns:
     """Columns (X, Y) of the rows with laws by the factor of S, as Newton's method only needs them nearly: kept from one step to the next.
 
     They are made again where rows turn, where the method is slow, and where its iterations beyond the least cost more than new ones.
+
+    known: {row: (slope, X, Y)} of single rows. together: (rows as bytes, slopes, X^T, Y^T) of the rows asked for last; product: (B, B X) of the
+    same. least: fewest iterations of a step; wasted: those beyond it since the columns were made.
     """
 
     def __init__(self, contacts):
@@ -176,11 +184,13 @@ class Columns:
 
     def forget(self):
         """Make all columns again."""
-        self.known, self.together, self.product, self.least, self.wasted = {}, (b"",), (None, None), np.inf, 0
+        self.known, self.together, self.product = {}, (b"",), (None, None)
+        self.least, self.wasted = np.inf, 0
 
     def of(self, active, B, system, *at):
         """(X (n, k), Y (equations, k), G = B X) of the active rows with the slopes B, and the number of new ones. at: t, q, lam of the equations."""
-        key, count, solve = active.tobytes(), 0, lambda r, phi: system.saddle(*at, r, phi)
+        key, count = active.tobytes(), 0
+        solve = lambda r, phi: system.saddle(*at, r, phi)  # noqa: E731
         if not len(B):
             return *self.contacts.columns(solve, B), np.zeros((0, 0)), 0
         if self.together[0] != key:
@@ -205,12 +215,39 @@ class Columns:
             self.forget()
 
 
+class Unknowns(NamedTuple):
+    """Unknowns of Newton's method at a step's end: q, v, a (n,), lam of the equations, and p of rows with laws."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    p: np.ndarray
+
+
+class StepEquations(NamedTuple):
+    """What Newton's method solves in a step.
+
+    residual: r of (model, q, v, a, lam of all rows). c_m: the factor of M in S; v_q = dv/dq, 1/s; a_q = da/dq, 1/s^2. back (k,), or 0: rates
+    after impacts are at least -back. scale: of the friction's constant.
+    """
+
+    residual: Any
+    c_m: float
+    v_q: float
+    a_q: float
+    back: Any = 0.0
+    scale: float = 1.0
+
+
 class _Steps:
     """Steps of one method on one model. S is factored again if h changes or Newton's method is slow."""
 
     def __init__(self, settings, model, counts):
-        self.settings, self.model, self.counts, self.contacts = settings, model, counts, Contacts(model)
-        self.base, self.system, self.factored_for, self.shares = self.contacts.base, None, None, None
+        self.settings, self.model, self.counts = settings, model, counts
+        self.contacts = Contacts(model)
+        self.base = self.contacts.base
+        self.system = self.factored_for = self.shares = None
         self.columns = Columns(self.contacts)
         self.impulsive = isinstance(settings, MoreauJean)
 
@@ -219,125 +256,154 @@ class _Steps:
 
         v: the velocities behind the sample.
         """
-        contacts, q, closed = self.contacts, state.q, np.asarray(state.memory["closed"], bool)
-        if at_kink(self.model, state.t):
-            t, before, none = beside(state.t, 1.0), contacts.rates(state.t, q, v)[contacts.rows], np.zeros(self.model.m)
-            v = contacts.impact(t, q, v, before, closed, none[contacts.rows], none[contacts.equations], 0.0)[0]
-            return contacts.with_forces(t, q, v, closed)
-        return contacts.with_forces(state.t, q, v, closed)
+        contacts, t, q = self.contacts, state.t, state.q
+        closed = np.asarray(state.memory["closed"], bool)
+        if at_kink(self.model, t):
+            before = contacts.rates(t, q, v)[contacts.rows]
+            t = beside(t, 1.0)
+            v = contacts.impact(t, q, v, before, closed, np.zeros(len(contacts.rows)), np.zeros(len(contacts.equations)), 0.0)[0]
+        return contacts.with_forces(t, q, v, closed)
 
     def step(self, state, t, h):
         """The State after a step of h to t."""
         return (self._moreau if self.impulsive else self._alpha)(state, t, h)
 
-    def _factor(self, h, c, *at):
+    def _factor(self, h, step, *at):
+        """Factor `S = c_m M + v_q C + K` of the equations for steps of h; at: t, q, v, a, lam."""
         self.system = self.system or self.base.step_matrix()
-        self.system.factor(*at, *c)
+        self.system.factor(*at, step.c_m, step.v_q)
         self.counts.add(factors=1, system=self.system)
-        self.factored_for = h, c
+        self.factored_for = h, step.c_m, step.v_q
+        self.tolerances = self.settings.newton_tolerance(step.a_q * h * h)
         self.columns.forget()
 
-    def _newton(self, t, h, start, active, rates, residual, size, back=0.0, scale=1.0):
-        """(q, v, a, lam, p) with r = 0 and the laws at the rates of the end.
+    def _newton(self, t, h, start, active, step, size):
+        """The Unknowns with r = 0 and the laws at the rates of the end, p of all rows with laws, by the StepEquations. Raises StepFailure.
 
-        start: the first guess, with a of the step's start. rates: (c_m, dv/dq, da/dq). residual: of (model, q, v, a, lam of all rows). back:
-        rates after impacts are at least -back. scale: of the friction's constant.
+        start: the first guess, with a of the step's start. active: rows with laws that can carry a force. size: of the model, m.
         """
-        (q, v, a, lam, p), (c_m, to_v, to_a) = start, rates
-        contacts, model, before = self.contacts, self.model.facing(q), a
+        contacts, model = self.contacts, self.model.facing(start.q)
         if self.shares is None or model.needs.mass_varies:
-            self.shares = weights(model, q)
-        fresh, last, shares, count, fall = self.factored_for != (h, (c_m, to_v)), 0.0, self.shares, 0, 1.0
-        still, group = contacts.still(v), contacts.group(active)
-        p, back = p[group.rows], back[group.rows] / to_v if np.any(back) else 0.0
-        norm = lambda x: float(np.sqrt(shares @ (x * x)))  # noqa: E731
+            self.shares = weights(model, start.q)
+        group, still = contacts.group(active), contacts.still(start.v)
+        q, v, a, lam, p = start._replace(p=start.p[group.rows])
+        factored = self.factored_for == (h, step.c_m, step.v_q)
+        last, count, contraction = 0.0, 0, 1.0  # |dq| of the iteration before, iterations with this factor
         for _ in range(self.settings.max_iterations):
-            if fresh:
-                self._factor(h, (c_m, to_v), t, q, v, a, lam)
-                self.tolerances = self.settings.newton_tolerance(to_a * h * h)
-                fresh, last, count = False, 0.0, 0
-            r, rate = residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
-            B = contacts.slopes(t, q, group.rows, model)
-            try:
-                dq, dlam = self.system.saddle(t, q, lam, r, rate[contacts.equations] / to_v)
-                if count > 2 and fall > SLOW:
-                    self.columns.forget()
-                X, Y, G, new = self.columns.of(group.rows, B, self.system, t, q, lam)
-                self.counts.solves += new
-            except SingularSystem as error:
-                raise StepFailure("singular", str(error), t) from None
-            self.counts.add(residuals=1, iterations=1)
-            if len(B):
-                now, free, slip = rate[group.of_model] / to_v + back + B @ dq, contacts.mobility(B) / c_m, contacts.slip(group, rate, still)
-                old, (p, _) = p, contacts.solve(t, group, G, now - G @ p, p, lam + dlam - Y @ p, Y, free, slip, scale)
-                dq, dlam = dq + X @ (p - old), dlam + Y @ (p - old)
-            q, v, a, lam = q + dq, v + to_v * dq, a + to_a * dq, lam + dlam
-            moved, count = norm(dq), count + 1
+            if not factored:
+                self._factor(h, step, t, q, v, a, lam)
+                factored, last, count = True, 0.0, 0
+            if count > 2 and contraction > SLOW:
+                self.columns.forget()
+            r, rate = step.residual(model, q, v, a, contacts.all(lam, p, group)), model.phi_rate(t, q, v)
+            dq, dlam, p = self._correction(t, model, Unknowns(q, v, a, lam, p), step, group, r, rate, still)
+            q, v, a, lam = q + dq, v + step.v_q * dq, a + step.a_q * dq, lam + dlam
+            moved, count = self._norm(dq), count + 1
             if not np.isfinite(moved):
                 why = "Newton's method diverges, take smaller steps" if last else "the residual is not finite"
                 raise StepFailure("not finite", self.model.not_finite or why, t)
-            fall = moved / last if last else 1.0
-            (least, most, share), accel = self.tolerances, max(norm(before), norm(a))
-            allowed = min(max(least * accel, share * norm(a - before)), most * accel) / to_a
-            if moved <= EXACT * size or (fall < 1.0 and moved * fall / (1.0 - fall) <= allowed):
-                self.columns.served(count, len(B))
-                return q, v, a, lam, contacts.spread(group, p)
-            fresh = count >= MANY
-            last = moved
+            contraction = moved / last if last else 1.0
+            left = moved * contraction / (1.0 - contraction) if contraction < 1.0 else np.inf
+            if moved <= EXACT * size or left <= self._allowed(start.a, a) / step.a_q:
+                self.columns.served(count, len(group.rows))
+                return Unknowns(q, v, a, lam, contacts.spread(group, p))
+            factored, last = count < MANY, moved
         raise StepFailure("newton", f"Newton's method does not converge in {self.settings.max_iterations} iterations", t)
 
-    def _alpha(self, state, t, h):
-        contacts, model, memory, c = self.contacts, self.model, state.memory, self.settings.coefficients
-        q0, v0, a0, a_alg = state.q, state.v, state.a, memory["a_alg"]
-        size, closed, (to_a, to_v) = extent(model, q0), np.asarray(memory["closed"], bool), c.rates(h)
-        active = contacts.active(closed)
-        lam, p = state.lam[contacts.equations], np.where(active, memory["p"], 0.0)
-        ahead = (a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)  # for q'' = a0
-        q = q0 + h * v0 + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
-        v = v0 + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
-        residual = lambda model, *state: model.residual(t, *state)  # noqa: E731
+    def _correction(self, t, model, at, step, group, r, rate, still):
+        """(dq, dlam, p of the active rows) of an iteration: the equations' correction, then the cone problem. Raises StepFailure."""
+        contacts = self.contacts
+        B = contacts.slopes(t, at.q, group.rows, model)
         try:
-            q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, p), active, (to_a, to_v, to_a), residual, size)
+            dq, dlam = self.system.saddle(t, at.q, at.lam, r, rate[contacts.equations] / step.v_q)
+            X, Y, G, new = self.columns.of(group.rows, B, self.system, t, at.q, at.lam)
+        except SingularSystem as error:
+            raise StepFailure("singular", str(error), t) from None
+        self.counts.solves += new
+        self.counts.add(residuals=1, iterations=1)
+        if not len(B):
+            return dq, dlam, at.p
+        back = step.back[group.rows] / step.v_q if np.any(step.back) else 0.0
+        now = rate[group.of_model] / step.v_q + back + B @ dq
+        slip, mobility = contacts.slip(group, rate, still), contacts.mobility(B) / step.c_m
+        problem = Problem(G, now - G @ at.p, at.p, at.lam + dlam - Y @ at.p, Y, mobility, slip)
+        p, _ = contacts.solve(t, group, problem, step.scale)
+        change = p - at.p
+        return dq + X @ change, dlam + Y @ change, p
+
+    def _allowed(self, a0, a):
+        """The norm of a change of q'' that Newton's method may leave in a step from a0 to a."""
+        least, most, share = self.tolerances
+        size = max(self._norm(a0), self._norm(a))
+        return min(max(least * size, share * self._norm(a - a0)), most * size)
+
+    def _norm(self, x):
+        """Mass-weighted norm of x (n,)."""
+        return float(np.sqrt(self.shares @ (x * x)))
+
+    def _alpha(self, state, t, h):
+        """The State after a step of NonsmoothAlpha."""
+        contacts, c, memory = self.contacts, self.settings.coefficients, state.memory
+        size, closed = extent(self.model, state.q), np.asarray(memory["closed"], bool)
+        q, v, a, lam, p = self._smooth_motion(state, t, h, closed, size)
+        a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * state.a - c.alpha_m * memory["a_alg"]) / (1.0 - c.alpha_m)
+
+        q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
+
+        before, free = contacts.rates(state.t, state.q, state.v)[contacts.rows], contacts.rates(t, q, v)[contacts.rows]
+        v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
+        rate, remaining = contacts.remaining(t, q, v, touching, status)
+        wanted = contacts.reversals(state, t, q, v, before, remaining, p)
+        if wanted is not None:
+            v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
+            rate, remaining = contacts.remaining(t, q, v, touching, status)
+        impacts = _impacts(contacts, touching & ~closed, P, free, rate, h * state.lam[contacts.rows])
+
+        lam, p = lam + change / h, P / h
+        total = contacts.all(lam, p)
+        if (remaining != closed).any() or (status != memory.get("status", status))[~contacts.contact].any():
+            a, _, p, _ = contacts.accelerations(t, q, v, remaining, p, status=status)
+            a_alg = a
+        return self._accepted(t, q, v, a, total, {"a_alg": a_alg, "closed": remaining, "p": p, "status": status} | impacts)
+
+    def _smooth_motion(self, state, t, h, closed, size):
+        """The Unknowns of generalized-alpha at a step's end, with the rows that are closed at its start."""
+        contacts, c, a_alg = self.contacts, self.settings.coefficients, state.memory["a_alg"]
+        active, (a_q, v_q) = contacts.active(closed), c.rates(h)
+        ahead = (state.a - c.alpha_m * a_alg) / (1.0 - c.alpha_m)  # a_alg at the end, for q'' = a_0
+        q = state.q + h * state.v + h * h * ((0.5 - c.beta) * a_alg + c.beta * ahead)
+        v = state.v + h * ((1.0 - c.gamma) * a_alg + c.gamma * ahead)
+        start = Unknowns(q, v, state.a, state.lam[contacts.equations], np.where(active, state.memory["p"], 0.0))
+        step = StepEquations(lambda model, *at: model.residual(t, *at), a_q, v_q, a_q)
+        try:
+            return self._newton(t, h, start, active, step, size)
         except StepFailure as failure:
             if failure.status not in ("contact", "newton") or not active.any():
                 raise
-            # friction has no force, as behind a point of Painleve's: contact acts by its impulse alone, to first order
-            none, free = np.zeros(len(p)), np.zeros(len(p), bool)
-            q, v, a, lam, p = self._newton(t, h, (q, v, a0, lam, none), free, (to_a, to_v, to_a), residual, size)
-        a_alg = ((1.0 - c.alpha_f) * a + c.alpha_f * a0 - c.alpha_m * a_alg) / (1.0 - c.alpha_m)
-        q, touching = contacts.place(t, q, contacts.contact & (p > 0.0), size)
-        before, free = contacts.rates(state.t, q0, v0)[contacts.rows], contacts.rates(t, q, v)[contacts.rows]
-        v, P, change, status = contacts.impact(t, q, v, before, touching, p, lam, h)
-        rate, still = contacts.remaining(t, q, v, touching, status)
-        wanted = contacts.reversals(state, t, q, v, before, still, p)
-        if wanted is not None:
-            v, P, change, status = contacts.impact(t, q, v, before, touching, P / h, lam + change / h, h, wanted)
-            rate, still = contacts.remaining(t, q, v, touching, status)
-        impacts = _impacts(contacts, touching & ~closed, P, free, rate, h * state.lam[contacts.rows])
-        lam, p, memory = lam + change / h, P / h, {"a_alg": a_alg, "closed": still, "p": p, "status": status} | impacts
-        total = contacts.all(lam, p)
-        if (still != closed).any() or (status != state.memory.get("status", status))[~contacts.contact].any():
-            a, _, p, _ = contacts.accelerations(t, q, v, still, memory["p"], status=status)
-            memory |= {"a_alg": a, "p": p}
-        return self._accepted(t, q, v, a, total, memory)
+        # friction has no force, as behind a point of Painleve's: contact acts by its impulse alone, to first order
+        return self._newton(t, h, start._replace(p=np.zeros(len(active))), np.zeros(len(active), bool), step, size)
 
     def _moreau(self, state, t, h):
+        """The State after a step of MoreauJean; _newton has the equation over h theta, so with lam and p over theta."""
         contacts, model, theta = self.contacts, self.model, self.settings.theta
-        q0, v0, size, force = state.q, state.v, extent(model, state.q), model.force(state.t, state.q, state.v)
-        before, to_v = model.phi_rate(state.t, q0, v0)[contacts.rows], 1.0 / (h * theta)
+        q0, v0, size = state.q, state.v, extent(model, state.q)
+        force = model.force(state.t, q0, v0)
+        before, v_q = model.phi_rate(state.t, q0, v0)[contacts.rows], 1.0 / (h * theta)
         closed = contacts.contact & (contacts.gaps(state.t, q0) + 0.5 * h * before <= TOUCH * size)
         active = contacts.active(closed)
-        lam, p = state.lam[contacts.equations] / theta, np.where(active, -state.lam[contacts.rows] / theta, 0.0)
         back = np.where(closed, contacts.restitution * np.minimum(before, 0.0), 0.0)
         residual = lambda model, q, v, a, lam: model.residual(t, q, v, a / theta, lam) + (1.0 / theta - 1.0) * force  # noqa: E731
-        start = q0 + h * v0, v0, np.zeros(model.n), lam, p
-        q, v, a, lam, p = self._newton(t, h, start, active, (to_v * to_v, to_v, to_v / h), residual, size, back, 1.0 / theta)
+        p = np.where(active, -state.lam[contacts.rows] / theta, 0.0)
+        start = Unknowns(q0 + h * v0, v0, np.zeros(model.n), state.lam[contacts.equations] / theta, p)
+        step = StepEquations(residual, v_q * v_q, v_q, v_q / h, back, 1.0 / theta)
+        q, v, a, lam, p = self._newton(t, h, start, active, step, size)
         p, approaching = theta * p, closed & (before < -contacts.still(v0))
         after, last = model.phi_rate(t, q, v)[contacts.rows], h * state.lam[contacts.rows]
         impacts = _impacts(contacts, approaching, h * p, before, after, last)
         return self._accepted(t, q, v, a, contacts.all(theta * lam, p), {"a_alg": a, "closed": closed, "p": p} | impacts)
 
     def _accepted(self, t, q, v, a, lam, memory):
+        """The State, unless the model rejects it. Raises StepFailure."""
         if objection := self.model.rejection_reason(t, q):
             raise StepFailure("objection", objection, t)
         return State(t, q, v, a, lam, memory)

@@ -37,10 +37,12 @@ class Collocation(NamedTuple):
 
 
 class StretchData(NamedTuple):
-    """Data that the States of a stretch share: the Record, the state (t, q, v) at its start, c, where the factors were made that it began with, and the
-    remaining memory.
+    """Data that the States of a stretch share.
 
-    misses_before: {name: prediction errors of the steps before, newest first}. counts_at: function (number of a step) -> {name: count}; states: the State objects in use, by number.
+    record: results of its steps. begin: (t, q, v) at its start. misses_before: {name: prediction errors of the steps before, newest first}. c:
+    nodes. factor_states: where the factors were made that it began with. memory: what the memory of all its states has. position_memory: function
+    (number of a step, level) -> further memory. motion: (model, function that clamps t) to compute a and lam of a state when they are asked for;
+    None if the record has them. counts_at: function (number of a step) -> {name: count}. states: the State objects in use, by number.
     """
 
     record: Record

@@ -1,4 +1,8 @@
-"""The compiled driver of Radau IIA: stretches of equal or error-controlled steps of any model, with factors stored for several steps h."""
+"""The compiled driver of Radau IIA: stretches of equal or error-controlled steps of any model, with factors stored for several steps h.
+
+`take_steps` repeats: the length of the next step (`next_step`, with step control), an `attempt` of it, a new factor and another attempt if
+the stored one is missing or slow, the next level by the local error, and the record of an accepted step.
+"""
 
 from typing import NamedTuple
 
@@ -224,13 +228,16 @@ def newton_tolerance(method, h, memory):
 
 @part
 def selected(tableau, work):
-    """The argument of SELECT."""
+    """The part of the workspace for c of the modes, as `ask.select` takes them."""
     return work.times[3 + tableau.c.shape[0] :]
 
 
 @shared
 def attempt(functions, workspace, first, method, arrays, now, fresh):
-    """Try the step in `now`, of Control, from the state of `memory`: (status, local error). The stages are in `trial`."""
+    """Try the step in `now`, of Control, from the state of `memory`: (status, local error). The stages are in `trial`.
+
+    MAKE and RESTORE ask for a factor, a new one or the stored one of this h; fresh: True if the present one was made for this step.
+    """
     model, tableau, slots, memory, work = (functions, workspace), arrays.tableau, arrays.slots, arrays.memory, arrays.work
     h, begin, target = now[STEP], now[TIME], now[TARGET]
     count, times, select = tableau.c.shape[0], work.times, selected(tableau, work)
@@ -250,7 +257,8 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
         return RESTORE, 0.0
     mark_used(slots, slot, memory.marks)
     ask.select(model, slot, select)
-    status, iterations = step.solve_stages(model, first, method, arrays, h, newton_tolerance(method, h, memory))
+    allowed = newton_tolerance(method, h, memory)
+    status, iterations = step.solve_stages(model, first, method, arrays, h, allowed)
     if status != DONE:
         if fresh or status in (NOT_FINITE, RAISED, WRONG_SHAPE):
             return status, 0.0

@@ -47,8 +47,8 @@ def columns_at(model, t, q, lam, B):
 class Rows:
     """The constraint rows at (t, q, v): B (m, n), columns (m, n) of their forces, and H and G (m, n) if there is mu.
 
-    columns: B itself, or with the forces that grow with lam (friction). lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors of dq and dv in the rows; both: factor of dq with dv = c dq, the
-    second block reduced by c times the first.
+    columns: B itself, or with the forces that grow with lam (friction). lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors
+    of dq and dv in the rows; both: factor of dq with dv = c dq, the second block reduced by c times the first.
     """
 
     def __init__(self, model, t, q, v, lam, lift):
@@ -61,7 +61,7 @@ class Rows:
         self.on_v = np.vstack([level, self.B]) if self.tied else level
 
     def below(self, c, r3, r4):
-        """Right-hand sides of the rows."""
+        """Right-hand sides of the rows, from the residuals r3 of phi and r4 of phi'; the second block reduced by c times the first."""
         return np.concatenate([-r3, c * r3 - r4]) if self.tied else -r3
 
     def corner(self):
@@ -196,7 +196,7 @@ class WholeModes(Matrices):
         self.rows, self.borders = rows, [None] * len(self.modes)
 
     def corrections(self, k, r, r3, r4):
-        """As of Matrices."""
+        """(dq, dlam, dmu) of mode k from its residuals r, r3, r4, by the factor of its whole matrix. Raises SingularSystem."""
         n, m = self.model.n, self.model.m
         if self.borders[k] is None:
             matrix, s = whole_matrix(self.c[k], self.K, self.slopes[k], self.rows)

@@ -110,12 +110,9 @@ class RadauIIA(Integrator):
     def __post_init__(self):
         positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
         length = lambda x: is_number(x) and x >= 0  # noqa: E731
+        rtol_ok = self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1)
         self._require_settings(
-            (
-                "rtol",
-                self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1),
-                f"between {LEAST_RTOL:.2g}, which double precision resolves, and 1, or None: by the run",
-            ),
+            ("rtol", rtol_ok, f"between {LEAST_RTOL:.2g}, which double precision resolves, and 1, or None: by the run"),
             ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
             ("h", positive(self.h), "a positive step in s, or None: by the local error"),
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),

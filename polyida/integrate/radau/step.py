@@ -13,7 +13,8 @@ c = l/h, l its eigenvalue, solve
     |  B                       |  |dlam| = - |r3|     phi                          G = B D^-1
     |  c B + H         B G^T   |  |dmu |     |r4|     phi' = B v + phi_t           H = d phi'/dq
 
-v follows q and mu, dv = c dq + G^T dmu; B, H and G are those of the middle stage.
+v follows q and mu, dv = c dq + G^T dmu; B, H and G are those of the middle stage. A step (radau/loop.py) calls `solve_stages` (predict, then
+`newton` with one `iterate` for each iteration), `project_end`, `local_error`, `end_state` and, if it is accepted, `advance`.
 
 A velocity row psi is a row with phi = 0, phi' = psi and B = W. Its equation in place of phi is `psi(t, q, q') = 0`, so that mu keeps the
 form of the others: r3 is psi(t, q, q')/c.
@@ -47,7 +48,7 @@ MARKS = EXCESS + TERMS
 FORGET = 0.7  # share of EXCESS that a step keeps
 LARGEST_WEIGHT = 4.0  # of a prediction error, above the 3 of the extrapolation by differences
 PARALLEL = 1e-9  # squared sine of the angle below which prediction errors are parallel
-MOVED, SPEED, EXTENDED = range(3)  # of Scratch.seen
+MOVED, SPEED, EXTENDED = range(3)  # of Scratch.progress
 RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
 PHI, PHI_RATE = range(2)  # of rows
 
@@ -105,8 +106,7 @@ class Memory(NamedTuple):
     """Quantities that a step takes from the step before.
 
     q, v, a (n,) and lam (m,): of the last stage, a = v'. shares, places (n,): shares of the coordinates in the mass, and in |q|, without the
-    integrals of states. stages_v (s, n), stages_lam
-    (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
+    integrals of states. stages_v (s, n), stages_lam (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
     of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
     start of the step, for increments. marks: CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration;
     LAST, length of the step before, s, 0 if unknown; ERROR of that step, -1 if unknown; MISSES, number of known prediction errors, and the
@@ -306,14 +306,10 @@ def add_prediction_error(memory, trial, work):
 @fast
 def store_prediction_error(memory, trial, work):
     """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best."""
-    known, weights, fits, excess = (
-        int(memory.marks[MISSES]),
-        memory.marks[MISSES + 1 : FITS],
-        memory.marks[FITS:EXCESS],
-        memory.marks[EXCESS:],
-    )
+    marks, known = memory.marks, int(memory.marks[MISSES])
+    weights, fits, excess = marks[MISSES + 1 : FITS], marks[FITS:EXCESS], marks[EXCESS:]
     if work.progress[EXTENDED] == 0.0:
-        memory.marks[MISSES:] = 0.0
+        marks[MISSES:] = 0.0
         return
     products = np.zeros((TERMS, TERMS + 1))
     for k in range(trial.e.shape[0]):
@@ -346,7 +342,7 @@ def store_prediction_error(memory, trial, work):
             trial.start_lam[k, e] = trial.lam[k, e] - trial.start_lam[k, e]
         put_first(memory.miss_lam[:, k], trial.start_lam[k])
         put_first(memory.mu[:, k], trial.mu[k])
-    memory.marks[MISSES] = min(known + 1.0, TERMS)
+    marks[MISSES] = min(known + 1.0, TERMS)
 
 
 @part
@@ -496,18 +492,6 @@ def add_multipliers(tableau, work, kind, lam):
 
 
 @part
-def solve_real(model, middle, lam, work):
-    """Correction of the real mode. Returns a status."""
-    return ask.solve_real(model, middle, work.right, work.closing, lam, work.dq, work.multipliers)
-
-
-@part
-def solve_pair(model, middle, lam, work):
-    """Correction of the complex mode. Returns a status."""
-    return ask.solve_pair(model, middle, work.right_pair, work.closing_pair, lam, work.dq_pair, work.multipliers_pair)
-
-
-@part
 def iterate(model, first, method, arrays, h):
     """One Newton iteration: (status, norm of dq and h dv: root mean square over stages, weighted by mass)."""
     tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
@@ -519,9 +503,9 @@ def iterate(model, first, method, arrays, h):
     ask.turn(model, first, work.r, 0)
     into_modes(method, tableau, h, work)
     if tableau.real_row.shape[0]:
-        status = solve_real(model, middle, lam, work)
+        status = ask.solve_real(model, middle, work.right, work.closing, lam, work.dq, work.multipliers)
     if status == DONE:
-        status = solve_pair(model, middle, lam, work)
+        status = ask.solve_pair(model, middle, work.right_pair, work.closing_pair, lam, work.dq_pair, work.multipliers_pair)
     if status != DONE:
         return status, 0.0
     from_modes(tableau, work)
@@ -668,7 +652,10 @@ def local_error(model, first, method, arrays, h):
         else:
             work.closing_pair[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] / c
             work.closing_pair[PHI, e] = work.closing_pair[PHI_RATE, e] / c
-    status = solve_real(model, middle, lam, work) if real else solve_pair(model, middle, lam, work)
+    if real:
+        status = ask.solve_real(model, middle, work.right, work.closing, lam, work.dq, work.multipliers)
+    else:
+        status = ask.solve_pair(model, middle, work.right_pair, work.closing_pair, lam, work.dq_pair, work.multipliers_pair)
     for i in range(n):
         dq = work.dq[i] if real else work.dq_pair[i].real
         total += memory.shares[i] * dq * dq

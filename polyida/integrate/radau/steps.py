@@ -1,6 +1,11 @@
 """Steps of Radau IIA on one model: calls of the compiled driver, new factors when it needs them, and States from its results.
 
-`fixed_steps` and `adaptive_steps` integrate a smooth piece of a run.
+`fixed_steps` and `adaptive_steps` integrate a smooth piece of a run. Both use `Steps`: `begin` restores the factors and the norm of a state's
+memory, `start_from` the stages of its last step, and `_stretches` repeats
+
+1. the compiled loop (radau/loop.py), until its record is full or it asks for a factor;
+2. the accepted steps as States (radau/accepted.py), and the counts;
+3. the factor that it asked for (`make`), or StepFailure.
 """
 
 from dataclasses import replace
@@ -41,14 +46,14 @@ class Steps:
     def __init__(self, settings, model, counts, sizes, run=None):
         self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
         self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
-        needs, form = model.needs, settings.form
-        bent = model.m > 0 and (needs.phi_q_varies or needs.driven)
-        self.tied = form == "ggl" and bent
-        self.moves_v = (form == "ggl" or settings.project) and (bent or (model.compiled and model.m > 0))
+        rows_vary = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
+        self.tied = settings.form == "ggl" and rows_vary
+        self.moves_v = (settings.form == "ggl" or settings.project) and (rows_vary or (model.compiled and model.m > 0))
         self.estimates_error = settings.adaptive or settings.tolerance is None
         self.table = _table(settings, model, self.tableau, self.tied)
         self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
-        self.slots, self.state = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m))), None
+        self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
+        self.state = None  # the state that `memory` holds
         self.done = np.zeros(loop.COUNTS, np.int64)
         tableau = step.compiled_tableau(self.tableau)
         self.arrays = step.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
@@ -90,44 +95,32 @@ class Steps:
         """Start from a state, unless it is the state reached last."""
         if state is self.state:
             return
-        y, memory, model = self.memory, state.memory, self.model
+        start, memory, model = self.memory, state.memory, self.model
         known = "stages_e" in memory
-        y.q[:], y.v[:] = state.q, state.v
-        last = memory.get("a_end")
-        y.a[:] = state.a if last is None else last  # which may not be made yet
-        y.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
+        a_end = memory.get("a_end")
+        start.q[:], start.v[:] = state.q, state.v
+        start.a[:] = state.a if a_end is None else a_end  # state.a may not be computed yet
+        start.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
         if known:
-            y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
-        y.marks[step.LAST], y.marks[step.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
-        y.marks[step.MISSES :] = memory.get("misses", 0.0) if known else 0.0
-        if y.marks[step.MISSES]:
-            y.miss_e[:], y.miss_lam[:], y.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
+            start.stages_v[:], start.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
+        start.marks[step.LAST], start.marks[step.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        start.marks[step.MISSES :] = memory.get("misses", 0.0) if known else 0.0
+        if start.marks[step.MISSES]:
+            start.miss_e[:], start.miss_lam[:], start.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.has_constraint_increments:
-            y.phi_start[:] = start_values(model, state, self.clamp(state.t))
+            start.phi_start[:] = start_values(model, state, self.clamp(state.t))
         self.state = state
 
     def method(self):
-        s, model, sizes = self.settings, self.model, self.sizes
-        rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
-        return step.Method(
-            tied=self.tied,
-            by_increments=bool(model.has_constraint_increments),
-            moves_v=self.moves_v,
-            estimates_error=self.estimates_error,
-            has_guess=False,
-            max_iterations=s.max_iterations,
-            low=float(self.limits[0]),
-            high=float(self.limits[1]),
-            renewal=self.table.renewal,
-            extent=float(model.extent or 1.0),
-            least=ROUND_OFF * float(sizes[0]),
-            tolerance=float(s.tolerance or 0.0),
-            share=min(loop.SHARE, rtol**loop.ERROR_POWER) if s.adaptive else 0.0,
-            rtol=rtol,
-            atol=atol,
-            length=float(sizes[0]),
-            velocity_rows=model.velocity_rows,
-        )
+        """The numbers of the method for the compiled loop."""
+        settings, model, sizes = self.settings, self.model, self.sizes
+        rtol, atol = (settings.relative(sizes), settings.absolute(sizes)) if settings.adaptive else (0.0, 0.0)
+        form = {"tied": self.tied, "by_increments": bool(model.has_constraint_increments), "moves_v": self.moves_v, "has_guess": False}
+        errors = {"estimates_error": self.estimates_error, "rtol": rtol, "atol": atol, "length": float(sizes[0])}
+        newton = {"tolerance": float(settings.tolerance or 0.0), "max_iterations": settings.max_iterations, "renewal": self.table.renewal}
+        newton["share"] = min(loop.SHARE, rtol**loop.ERROR_POWER) if settings.adaptive else 0.0
+        of_model = {"extent": float(model.extent or 1.0), "least": ROUND_OFF * float(sizes[0]), "velocity_rows": model.velocity_rows}
+        return step.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
 
     def step(self, state, h, t):
         """The State at t after one step of h. Raises StepFailure."""
@@ -161,28 +154,30 @@ class Steps:
 
     def _stretches(self, state, control, ends, position_memory=lambda taken, k, level: {}):
         """Yield one stretch, or several between which factors are made. Raises StepFailure."""
-        p, y, fresh, taken = self.method(), self.memory, False, 0
+        model, table, method, memory = self.model, self.table, self.method(), self.memory
         self.start_from(state)
-        count = len(ends) or self.longest
-        first = self.table.begin(self, state, control, ends)
+        count, taken, fresh = len(ends) or self.longest, 0, False  # steps to take, steps taken, True if the factor is made for the next one
+        first = table.begin(self, state, control, ends)
         while True:
-            o = loop.record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
+            log = loop.record(count, self.settings.stages, model.n, model.m, self.tied)
             self.done[:], begin = 0, (state.t, state.q, state.v)
             self.factor_states = self.slots.states.copy() if self.factor_states is None else self.factor_states
-            misses_before = {name: getattr(y, name).copy() for name in ("miss_e", "miss_lam", "mu")}
+            misses = {name: getattr(memory, name).copy() for name in ("miss_e", "miss_lam", "mu")}
             control.now[loop.REMAINING] = control.most_steps - self.counts.steps - self.counts.rejected
             if not control.adaptive:
-                o.t[:] = ends[taken:]
-            at_work = self.table.functions, self.table.workspace, first
-            with self.table.timed():
-                accepted, ended = loop.take_steps(*at_work, p, self.arrays, control, fresh, o)
+                log.t[:] = ends[taken:]
+            place = table.functions, table.workspace, first
+            with table.timed():
+                accepted, ended = loop.take_steps(*place, method, self.arrays, control, fresh, log)
             self.state, before = None, replace(self.counts)
             if accepted:
-                shares = {"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {}
-                motion = None if self.table.functions[ACCELERATION] else (self.model, self.clamp)  # to compute a and lam later
-                before_them = begin, misses_before, self.tableau.c, self.factor_states, bool(self.model.has_constraint_increments)
-                memory = self.run_memory | shares, partial(position_memory, taken), motion
-                data = StretchData(o, *before_them, *memory, partial(self.counts_at, before, o.counts), WeakValueDictionary())
+                shares = {"radau_shares": self.shares.copy()} if model.needs.mass_varies else {}
+                before_it = {"begin": begin, "misses_before": misses, "factor_states": self.factor_states}
+                of_run = {"c": self.tableau.c, "by_increments": bool(model.has_constraint_increments), "memory": self.run_memory | shares}
+                later = {"position_memory": partial(position_memory, taken), "states": WeakValueDictionary()}
+                later["motion"] = None if table.functions[ACCELERATION] else (model, self.clamp)
+                later["counts_at"] = partial(self.counts_at, before, log.counts)
+                data = StretchData(record=log, **before_it, **of_run, **later)
                 states = StretchStates(data, range(accepted))
                 self.state = state = states.last
                 yield states
@@ -190,8 +185,9 @@ class Steps:
             self.state = self.state or state
             if self.done[step.FACTORS]:
                 self.factor_states = None
-            taken, count, first = taken + accepted, count - accepted, first + accepted * (self.settings.stages + 1) * self.table.prepared
-            self.table.raise_error()
+            taken, count = taken + accepted, count - accepted
+            first += accepted * (self.settings.stages + 1) * table.prepared
+            table.raise_error()
             if ended in (loop.MAKE, loop.RESTORE):
                 fresh = ended == loop.MAKE
                 self.make(control, fresh)
@@ -215,10 +211,10 @@ class Steps:
 
     def make(self, control, new):
         """Make the factors of the attempted step: new ones, or the stored ones of this step again."""
-        h, t, table, y = float(control.now[loop.STEP]), self.clamp(control.now[loop.TIME]), self.slots.table, self.memory
+        h, t, table = float(control.now[loop.STEP]), self.clamp(control.now[loop.TIME]), self.slots.table
         slot = int(np.argmax(table[loop.H] == h))
         if new:
-            slot, self.factor_states = loop.reserve_slot(self.slots, h, t, y), None
+            slot, self.factor_states = loop.reserve_slot(self.slots, h, t, self.memory), None
             self.counts.tangents += 1
             self.counts.factorizations += len(self.tableau.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         try:
@@ -234,9 +230,7 @@ class Steps:
         """The StepFailure of the attempted step."""
         t, seen = float(control.now[loop.TARGET]), {}
         if ended in (loop.STEP_TOO_SHORT, loop.TOO_MANY_STEPS):
-            return StepFailure(
-                {loop.STEP_TOO_SHORT: "stuck", loop.TOO_MANY_STEPS: "too many steps"}[ended], "", float(control.now[loop.TIME])
-            )
+            return StepFailure("stuck" if ended == loop.STEP_TOO_SHORT else "too many steps", "", float(control.now[loop.TIME]))
         if ended == REFACTOR:
             seen = {"last |dq|": float(self.scratch.progress[step.MOVED]), "contraction": float(self.scratch.progress[step.SPEED])}
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
