@@ -15,7 +15,7 @@ from numba import carray, typeof
 
 from polyida.errors import DONE
 from polyida.jit import entry, fast, leaf, pack, part, served
-from polyida.jit.intrinsics import address, call, float_of, integer_of, pointer
+from polyida.jit.intrinsics import call, float_of, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import put
 
@@ -153,7 +153,7 @@ def forces(bodies, u, a, r, rotation):
         add_mass(bodies, b, 1.0, a, r)
         least = lesser(least, turn(bodies, b, u, rotation))
         if vectors(bodies, b)[2]:
-            call(bodies.calls[FORCE], address(bodies), b, address(u), address(r), 0, 0, 0, 0)
+            call(bodies.calls[FORCE], (bodies, b, u, r))
     return least
 
 
@@ -170,7 +170,7 @@ def forces_middle(bodies, h, states, r, rotation):
             add_mass(bodies, b, bodies.drag[b], vm, r)
         least = lesser(least, lesser(turn(bodies, b, u1, rotation), turn(bodies, b, um, rotation)))
         if vectors(bodies, b)[2]:
-            call(bodies.calls[MIDDLE], address(bodies), b, integer_of(h), address(u0), address(u1), address(um), address(r), 0)
+            call(bodies.calls[MIDDLE], (bodies, b, h, u0, u1, um, r))
     return least
 
 
@@ -303,7 +303,7 @@ def blocks(bodies, u, v, c_m, c_v, c_q, out):
                 out[at, 0, 1] -= y
                 out[at, 1, 0] += y
         if vectors(bodies, b)[2] and (c_q != 0.0 or c_v * bodies.viscosity[b] != 0.0):
-            call(bodies.calls[BLOCKS], address(bodies), b, address(u), address(v), integer_of(c_v), integer_of(c_q), address(out), 0)
+            call(bodies.calls[BLOCKS], (bodies, b, u, v, c_v, c_q, out))
 
 
 @part

@@ -9,7 +9,7 @@ from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, two_field
 from polyida.element.operator import Blocks
 from polyida.jit import entry, leaf, part, shared
-from polyida.jit.intrinsics import address, call, float_of
+from polyida.jit.intrinsics import call, float_of
 from polyida.linear.dense import clear
 
 
@@ -36,7 +36,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         if condensed and x.terms[b] < x.terms[b + 1]:
-            det = float_of(call(x.condensed[1], x.condensed[0], b, address(u), address(r), address(rotation), 0, 0, 0))
+            det = float_of(call(x.condensed[1], (x.condensed[0], b, u, r, rotation)))
         else:
             det = kernels.internal_force(cells_of(s, b), material_of(s, b), u, r, rotation)
         least = compact.lesser(least, det)

@@ -199,7 +199,7 @@ def fill_slopes(links, drives, times, state, qs, work):
     n = qs.shape[1]
     at = address(qs) + 8 * n * state
     if links is None:
-        return call(drives[0], drives[1], 0, address(times) + 8 * state, at, 0, 0, 0, address(work.slopes)) == DONE
+        return call(drives[0], (drives[1], 0, address(times) + 8 * state, at, 0, 0, 0, work.slopes)) == DONE
     joints.point_values(links, carray(pointer(at), (n // 2, 2)), work.points)
     joints.joint_jacobian(links, drives[state], work.points, work.slopes)
     return True

@@ -69,7 +69,7 @@ def call_law(laws, function, law, numbers, places, v, states, forces):
     """Fill forces by a C function of a law at places, velocities v and states; nan if it raises or returns another shape."""
     data = address(numbers) + 8 * laws.parts[law, 2]
     outputs = address(states) + 8 * laws.parts[law, 5]
-    if call(function, data, 0, address(numbers), address(places), address(v), address(states), outputs, address(forces)) != DONE:
+    if call(function, (data, 0, numbers, places, v, states, outputs, forces)) != DONE:
         forces[:] = np.nan
 
 

@@ -26,7 +26,7 @@ from polyida.element.operator import Blocks
 from polyida.element.relaxation import change_of_strain, relax, strain_square
 from polyida.errors import DONE
 from polyida.jit import entry, fast, pack, part, served
-from polyida.jit.intrinsics import LANES, address, call, pointer
+from polyida.jit.intrinsics import LANES, call, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import summed
@@ -186,7 +186,7 @@ def eliminate(work, u, r):
     if work.calls[0] == 0:
         return r
     copy_matrix(r, work.whole)
-    call(work.calls[1], work.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+    call(work.calls[1], (work.calls[0], u))
     return work.r
 
 
@@ -195,7 +195,7 @@ def recover(work, u, dq):
     """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2)."""
     if work.calls[0] != 0:
         copy_matrix(dq, work.whole)
-        call(work.calls[2], work.calls[0], address(u), 0, 0, 0, 0, 0, 0)
+        call(work.calls[2], (work.calls[0], u))
         copy_matrix(work.whole, dq)
 
 

@@ -16,6 +16,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model, ty
 
 LANES = 8
 COLUMNS = 4  # right-hand sides that are solved for together
+ARGUMENTS = 8  # of each C function that `call` calls
 
 INT32, INT64, SINGLE, DOUBLE = ir.IntType(32), ir.IntType(64), ir.FloatType(), ir.DoubleType()
 
@@ -295,15 +296,31 @@ def add_pair(typing_context, array, start, value):
     return types.void(array, types.intp, pair), generate
 
 
+def _place(context, builder, kind, value):
+    """The address of the first entry of an array, or of the block of a pack, as an int64; 0 of None."""
+    if kind == types.none:
+        return ir.Constant(INT64, 0)
+    return builder.ptrtoint(context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value, INT64)
+
+
 @intrinsic
-def call(typing_context, function, model, instant, a, b, c, d, e, f):
-    """Call the C function at address `function` with eight int64; return its int64."""
+def call(typing_context, function, arguments):
+    """Call the C function at address `function` with a tuple of at most eight arguments; return its int64.
+
+    It gets the address of an array or a pack, 0 for None, the bits of a float, and an integer as it is; arguments that are missing are 0.
+    """
+
+    def integer(context, builder, kind, value):
+        if isinstance(kind, types.Integer | types.Boolean):
+            return context.cast(builder, value, kind, types.int64)
+        return builder.bitcast(value, INT64) if isinstance(kind, types.Float) else _place(context, builder, kind, value)
 
     def generate(context, builder, sig, args):
-        kind = ir.FunctionType(INT64, [INT64] * (len(args) - 1))
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
+        given = [integer(context, builder, kind, builder.extract_value(args[1], k)) for k, kind in enumerate(arguments)]
+        signature = ir.FunctionType(INT64, [INT64] * ARGUMENTS)
+        return builder.call(builder.inttoptr(args[0], signature.as_pointer()), given + [INT64(0)] * (ARGUMENTS - len(given)))
 
-    return types.int64(*[types.int64] * 9), generate
+    return types.int64(types.int64, arguments), generate
 
 
 @intrinsic
@@ -311,10 +328,7 @@ def address(typing_context, value):
     """Address of the first entry of an array, or of the block of a pack; 0 of None."""
 
     def generate(context, builder, sig, args):
-        if value == types.none:
-            return ir.Constant(INT64, 0)
-        block = context.make_array(value)(context, builder, args[0]).data if isinstance(value, types.Array) else args[0]
-        return builder.ptrtoint(block, INT64)
+        return _place(context, builder, value, args[0])
 
     return types.int64(value), generate
 

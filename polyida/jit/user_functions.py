@@ -23,10 +23,9 @@ from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.fingerprint import is_dispatcher, machine_code_fingerprint, of_polyida
 from polyida.jit import c_address, own_address, own_part, part
 from polyida.jit import cache as kernel_cache
-from polyida.jit.intrinsics import integers, pointer, real
+from polyida.jit.intrinsics import ARGUMENTS, integers, pointer, real
 from polyida.validation import named_keywords
 
-ARGUMENTS = 8
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
 _converted: dict = {}  # {(function, its mark): the function that numba compiles}

@@ -14,7 +14,7 @@ from scipy.sparse import block_diag, csr_array, eye_array, hstack
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.jit import part, shared
-from polyida.jit.intrinsics import address, call
+from polyida.jit.intrinsics import call
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.dense import factor, put, solve
 from polyida.model import Model
@@ -35,7 +35,7 @@ EXCLUDED = ("tangent", "force_q", "force_v", "residual_p", "mass_system", "step_
 @part
 def evaluate(function, data, t, places, v, values, outputs, rates):
     """Fill rates by a C function (jit/user_functions.py); nan if it fails."""
-    if call(function, data, 0, t, places, v, address(values), outputs, address(rates)) != DONE:
+    if call(function, (data, 0, t, places, v, values, outputs, rates)) != DONE:
         rates[:] = np.nan
 
 

@@ -157,9 +157,7 @@ def evaluate(work, function, time, out):
     """Call a function of the model at work.t[time], work.q, work.v, work.a, work.lam, unless one failed since `set_state`. Returns the status."""
     if work.flags[ENDED] == DONE:
         t = address(work.t) + 8 * time
-        work.flags[ENDED] = call(
-            work.functions[function], work.data, 0, t, address(work.q), address(work.v), address(work.a), address(work.lam), address(out)
-        )
+        work.flags[ENDED] = call(work.functions[function], (work.data, 0, t, work.q, work.v, work.a, work.lam, out))
     return work.flags[ENDED]
 
 

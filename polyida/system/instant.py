@@ -7,7 +7,7 @@ unless they say otherwise.
 
 from polyida import system as table
 from polyida.jit import part
-from polyida.jit.intrinsics import address, call
+from polyida.jit.intrinsics import call
 
 
 @part
@@ -21,112 +21,112 @@ def provides(model, entry):
 def begin(model, instant, q, v, times):
     """Store the state at which a step begins; times: as of `prepare`, or None."""
     functions, workspace = model
-    return call(functions[table.BEGIN], workspace, instant, address(q), address(v), address(times), 0, 0, 0)
+    return call(functions[table.BEGIN], (workspace, instant, q, v, times))
 
 
 @part
 def residual(model, instant, q, v, a, lam, r, phi):
     """Fill r = M a + g + B^T lam and phi."""
     functions, workspace = model
-    return call(functions[table.RESIDUAL], workspace, instant, address(q), address(v), address(a), address(lam), address(r), address(phi))
+    return call(functions[table.RESIDUAL], (workspace, instant, q, v, a, lam, r, phi))
 
 
 @part
 def constraints(model, instant, q, dq, dv, phi, rate):
     """Fill phi and its rate at q; by increments, from those at the step's beginning, which they hold, and the changes dq - h v_0 and dv."""
     functions, workspace = model
-    return call(functions[table.CONSTRAINTS], workspace, instant, address(q), address(dq), address(dv), address(phi), address(rate), 0)
+    return call(functions[table.CONSTRAINTS], (workspace, instant, q, dq, dv, phi, rate))
 
 
 @part
 def rate(model, instant, q, v, out, known):
     """out = B v + phi_t; known: True if B is that of the last `reaction`."""
     functions, workspace = model
-    return call(functions[table.RATE], workspace, instant, address(q), address(v), address(out), known, 0, 0)
+    return call(functions[table.RATE], (workspace, instant, q, v, out, known))
 
 
 @part
 def bias(model, instant, q, v, a, out):
     """out = B a + phi_bias, the second derivative of phi; B is that of the last `reaction`."""
     functions, workspace = model
-    return call(functions[table.BIAS], workspace, instant, address(q), address(v), address(a), address(out), 0, 0)
+    return call(functions[table.BIAS], (workspace, instant, q, v, a, out))
 
 
 @part
 def project(model, instant, rows, x, from_zero):
     """Change x by the least M-norm so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows. B: of `rate`."""
     functions, workspace = model
-    return call(functions[table.PROJECT], workspace, instant, address(rows), address(x), from_zero, 0, 0, 0)
+    return call(functions[table.PROJECT], (workspace, instant, rows, x, from_zero))
 
 
 @part
 def accept(model, instant, q):
     """Whether the model accepts q."""
     functions, workspace = model
-    return call(functions[table.ACCEPT], workspace, instant, address(q), 0, 0, 0, 0, 0)
+    return call(functions[table.ACCEPT], (workspace, instant, q))
 
 
 @part
 def acceleration(model, instant, q, v, a, lam):
     """Fill a and lam that are consistent with q and v."""
     functions, workspace = model
-    return call(functions[table.ACCELERATION], workspace, instant, address(q), address(v), address(a), address(lam), 0, 0)
+    return call(functions[table.ACCELERATION], (workspace, instant, q, v, a, lam))
 
 
 @part
 def factor(model, instant, q, v, a, lam, numbers):
     """Make the step matrix S = numbers[0] M + numbers[1] C + K at a state."""
     functions, workspace = model
-    return call(functions[table.FACTOR], workspace, instant, address(q), address(v), address(a), address(lam), address(numbers), 0)
+    return call(functions[table.FACTOR], (workspace, instant, q, v, a, lam, numbers))
 
 
 @part
 def solve(model, instant, q, lam, r, phi, dq, dlam):
     """Fill dq and dlam: `S dq + B^T dlam = -r`, `B dq = -phi`, with S as it was made and B of the last `residual`."""
     functions, workspace = model
-    return call(functions[table.SOLVE], workspace, instant, address(q), address(lam), address(r), address(phi), address(dq), address(dlam))
+    return call(functions[table.SOLVE], (workspace, instant, q, lam, r, phi, dq, dlam))
 
 
 @part
 def middle(model, instant, states, lam, r, phi):
     """Fill r in the middle of a step of the energy-momentum method and phi at its end; states: q_0, q_1, and q, v, a of the middle."""
     functions, workspace = model
-    return call(functions[table.MIDDLE], workspace, instant, address(states), address(lam), address(r), address(phi), 0, 0)
+    return call(functions[table.MIDDLE], (workspace, instant, states, lam, r, phi))
 
 
 @part
 def begin_strains(model, instant, past, numbers):
     """Begin a step whose unknowns are the coordinates without strains."""
     functions, workspace = model
-    return call(functions[table.STRAINS], workspace, instant, address(past), 0, 0, address(numbers), 0, 0)
+    return call(functions[table.STRAINS], (workspace, instant, past, 0, 0, numbers))
 
 
 @part
 def end_strains(model, instant, past, now, state, numbers):
     """Fill the strains of the step's end in the rows of state."""
     functions, workspace = model
-    return call(functions[table.STRAINS], workspace, instant, address(past), address(now), address(state), address(numbers), 0, 0)
+    return call(functions[table.STRAINS], (workspace, instant, past, now, state, numbers))
 
 
 @part
 def prepare(model, instant, times):
     """Take (h, t and the times of the instants) of a step of Radau IIA."""
     functions, workspace = model
-    return call(functions[table.PREPARE], workspace, instant, address(times), 0, 0, 0, 0, 0)
+    return call(functions[table.PREPARE], (workspace, instant, times))
 
 
 @part
 def reaction(model, instant, q, mu, dv, known):
     """dv += D^-1 B^T mu; known: True if B is that of the last `rows`."""
     functions, workspace = model
-    return call(functions[table.REACTION], workspace, instant, address(q), address(mu), address(dv), known, 0, 0)
+    return call(functions[table.REACTION], (workspace, instant, q, mu, dv, known))
 
 
 @part
 def rows(model, instant, q, v, a, known):
     """Compute B and its slopes for the corrections of a step; a: None, or where phi'' is a row. known: True if B is that of `residual`."""
     functions, workspace = model
-    return call(functions[table.ROWS], workspace, instant, address(q), address(v), address(a), known, 0, 0)
+    return call(functions[table.ROWS], (workspace, instant, q, v, a, known))
 
 
 @part
@@ -134,36 +134,35 @@ def turn(model, instant, r, back):
     """Rotate the residuals of the stages into the frame of the middle stage, or corrections back; nothing without frames. No status."""
     functions, workspace = model
     if functions[table.TURN]:
-        call(functions[table.TURN], workspace, instant, address(r), back, 0, 0, 0, 0)
+        call(functions[table.TURN], (workspace, instant, r, back))
 
 
 @part
 def solve_real(model, instant, r, closing, lam, dq, multipliers):
     """The correction of the real mode; closing: phi and phi' as rows, lam: that of the middle stage."""
     functions, workspace = model
-    return call(functions[table.REAL], workspace, instant, address(r), address(closing), address(lam), address(dq), address(multipliers), 0)
+    return call(functions[table.REAL], (workspace, instant, r, closing, lam, dq, multipliers))
 
 
 @part
 def solve_pair(model, instant, r, closing, lam, dq, multipliers):
     """The correction of the complex mode; closing: phi and phi' as rows, lam: that of the middle stage."""
     functions, workspace = model
-    return call(functions[table.PAIR], workspace, instant, address(r), address(closing), address(lam), address(dq), address(multipliers), 0)
+    return call(functions[table.PAIR], (workspace, instant, r, closing, lam, dq, multipliers))
 
 
 @part
 def inertia(model, instant, v, a, r, p, q, closing):
     """Fill r = C v + M a, p = M v unless p is None, and closing (2, m), unless it is None: the rows of `rows` times v."""
     functions, workspace = model
-    return call(functions[table.INERTIA], workspace, instant, address(v), address(a), address(r), address(p), address(q), address(closing))
+    return call(functions[table.INERTIA], (workspace, instant, v, a, r, p, q, closing))
 
 
 @part
 def matrices(model, instant, q, v, a, lam, slot, numbers):
     """Make K, C and M of a state, or with numbers, as of `select`, the factors; store them under the number of a slot."""
     functions, workspace = model
-    state = address(q), address(v), address(a), address(lam)
-    return call(functions[table.MATRICES], workspace, instant, state[0], state[1], state[2], state[3], slot, address(numbers))
+    return call(functions[table.MATRICES], (workspace, instant, q, v, a, lam, slot, numbers))
 
 
 @part
@@ -171,12 +170,11 @@ def select(model, slot, numbers):
     """Use the matrices of a slot; numbers: c of the real mode, real and imaginary part of that of the complex one, 0 without one."""
     functions, workspace = model
     if functions[table.SELECT]:
-        call(functions[table.SELECT], workspace, slot, address(numbers), 0, 0, 0, 0, 0)
+        call(functions[table.SELECT], (workspace, slot, numbers))
 
 
 @part
 def adjoint(model, step, right, below, bar, w, multipliers, products):
     """Solve the adjoint of a step: fill w and multipliers, and products with the tables' matrices transposed times w (adjoint/tables.py)."""
     functions, workspace = model
-    entry = functions[table.ADJOINT]
-    return call(entry, workspace, step, address(right), address(below), address(bar), address(w), address(multipliers), address(products))
+    return call(functions[table.ADJOINT], (workspace, step, right, below, bar, w, multipliers, products))

@@ -28,7 +28,7 @@ from polyida.assembly.relaxation import eliminate, recover
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import fast, pack, part, served
-from polyida.jit.intrinsics import address, call, complex_pointer, pointer
+from polyida.jit.intrinsics import call, complex_pointer, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import clear, copy_matrix, put
 from polyida.linear.team import Helpers
@@ -147,9 +147,9 @@ def add_slowing(work, u, v, still, r):
     """Add damping and relaxation to r; still, 0 or 1: as of `add_relaxation`."""
     optional = work.optional
     if optional[DAMPING] != 0:
-        call(optional[DAMPING], optional[PARTS], address(u), address(v), address(work.damp), address(r), 0, 0, 0)
+        call(optional[DAMPING], (optional[PARTS], u, v, work.damp, r))
     if optional[RELAXING] != 0:
-        call(optional[RELAXING], optional[PARTS], still, address(u), address(v), address(r), 0, 0, 0)
+        call(optional[RELAXING], (optional[PARTS], still, u, v, r))
 
 
 @part
@@ -157,7 +157,7 @@ def add_forces(work, drives, u, v, r):
     """Add damping, relaxation and force elements to r. Returns a status."""
     add_slowing(work, u, v, 1, r)
     if work.optional[LAW_FORCES] != 0:
-        return call(work.optional[LAW_FORCES], work.optional[PARTS], address(drives), address(u), address(v), address(r), 0, 0, 0)
+        return call(work.optional[LAW_FORCES], (work.optional[PARTS], drives, u, v, r))
     return DONE
 
 
@@ -173,7 +173,7 @@ def residual(work, instant, u, v, a, lam, r, phi):
         return HALF_TURN
     status = add_forces(work, drives, u, v, r)
     if work.condensed.calls[0] != 0:
-        call(work.condensed.calls[2], work.condensed.calls[0], address(u), address(r), 0, 0, 0, 0, 0)
+        call(work.condensed.calls[2], (work.condensed.calls[0], u, r))
     if work.keeps_middle and k == work.rotation.shape[0] // 2:
         copy_matrix(u[: work.u.shape[0]], work.u)
         joints.point_values(work.scene.links, v, work.vz)
@@ -250,7 +250,7 @@ def acceleration(work, instant, u, v, a, lam):
 def renew_slopes(work, drives, dz, vz):
     """Renew the slopes of force elements on plates at the state of the last residual: points at dz with velocities vz."""
     if work.optional[RENEW] != 0:
-        call(work.optional[RENEW], address(work), address(drives), address(dz), address(vz), 0, 0, 0, 0)
+        call(work.optional[RENEW], (work, drives, dz, vz))
 
 
 @part
@@ -259,7 +259,7 @@ def take_new_slopes(work, drives, dz, vz):
     factor, optional, links = work.real, work.optional, work.scene.links
     own, workspace = factor.workspace.own, factor.workspace
     own[:] = 0.0
-    call(optional[LAW_SLOPES], optional[PARTS], drives, dz, vz, address(factor.c[C_V:]), address(own), 0, 0)
+    call(optional[LAW_SLOPES], (optional[PARTS], drives, dz, vz, factor.c[C_V:], own))
     corotated.condense_states(links.coupling, factor.factored, own)
     corotated.turn_frames(links, factor.factored, workspace, work.rotation[work.rotation.shape[0] - 1])
     corotated.turn_slopes(links, workspace, -1.0, own, own)
@@ -285,8 +285,8 @@ def strains(work, instant, past, now, state, numbers):
     """Begin a step of the strains if state is 0, or end it; addresses of arrays."""
     calls = work.condensed.calls
     if state == 0:
-        return call(calls[3], calls[0], past, numbers, 0, 0, 0, 0, 0)
-    return call(calls[4], calls[0], now, past, state, numbers, 0, 0, 0)
+        return call(calls[3], (calls[0], past, numbers))
+    return call(calls[4], (calls[0], now, past, state, numbers))
 
 
 @part
@@ -370,7 +370,7 @@ def add_law_damping(work, drives, dz, v, r):
     if optional[LAW_DAMPING] != 0:
         joints.point_values(work.scene.links, v, moved)
         clear(forces)
-        call(optional[LAW_DAMPING], optional[PARTS], address(drives), address(dz), address(work.vz), address(moved), address(forces), 0, 0)
+        call(optional[LAW_DAMPING], (optional[PARTS], drives, dz, work.vz, moved, forces))
         joints.spread(work.scene.links, forces, r)
 
 

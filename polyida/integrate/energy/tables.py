@@ -23,7 +23,7 @@ from polyida.element import two_field
 from polyida.element.operator import Material
 from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
-from polyida.jit.intrinsics import address, call, pointer
+from polyida.jit.intrinsics import call, pointer
 from polyida.linear.dense import clear
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
@@ -125,8 +125,7 @@ def middle(work, instant, states, lam, r, phi):
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
     if work.optional[RELAXING_MIDDLE] != 0:
-        ends, um, vm = (address(states[0]), address(states[1])), address(states[2]), address(states[3])
-        call(work.optional[RELAXING_MIDDLE], work.optional[PARTS], ends[0], ends[1], um, vm, address(r), 0, 0)
+        call(work.optional[RELAXING_MIDDLE], (work.optional[PARTS], states[0], states[1], states[2], states[3], r))
     joints.point_values(links, states[1], dz)
     status = add_elements(work, drives, h, states, dz, r)
     work.cosine[0] = joints.joint_forces(links, work.drives[instant], dz, work.level, phi, points[DV])
@@ -146,8 +145,7 @@ def add_elements(work, drives, h, states, dz, r):
             for k in range(2):
                 half[p, k] *= 0.5 * h
         clear(work.forces)
-        before, after, speeds, forces = address(points[START]), address(dz), address(points[VX]), address(work.forces)
-        status = call(optional[LAW_MIDDLE], optional[PARTS], address(drives), before, after, speeds, address(half), forces, 0)
+        status = call(optional[LAW_MIDDLE], (optional[PARTS], drives, points[START], dz, points[VX], half, work.forces))
         joints.spread(links, work.forces, r)
         joints.point_values(links, states[2], points[DX])
         renew_slopes(work, drives, points[DX], points[VX])
