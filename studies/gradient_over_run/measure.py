@@ -93,7 +93,7 @@ def several_row(scene, dof, t_end, repeats):
 def _products(count, s, u, v, w, x):
     which = np.zeros(1, np.int64)
     for _ in range(count):
-        products.body_products(s, s.plates.body_viscosity[:0], u, v, which, which, w, x.rotation[:0], x)
+        products.body_products(s, s.plates.body_viscosity[:0], u, v, (which, which), w, x.rotation[:0], x)
 
 
 @entry
