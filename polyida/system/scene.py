@@ -480,7 +480,7 @@ class Scene:
             "forces": np.zeros(points),
             "vz": np.zeros((0, 2)),
             "u": np.zeros((0, 2)),
-            "damp": np.zeros(nodes if model.damped else (0, 2)),
+            "damp": np.zeros((model.n_nodes if model.damped else 0, 2)),  # also where `pairs` are fewer: its kernel knows them all
             "nodal": np.zeros((2, *nodes)),
             "still": np.zeros(nodes),
             "level": np.zeros(m),
