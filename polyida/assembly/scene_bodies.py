@@ -470,3 +470,10 @@ def deepest(bodies, u):
     _, cell, body = min(cells, key=lambda entry: entry[0])
     x, y = body.points[body.mesh.cell(cell)].mean(axis=0)
     return f"cell {cell} of {body.name!r} at ({x:.6g}, {y:.6g})"
+
+
+def inverse_masses(model):
+    """The inverse masses of the bodies of a scene without plates."""
+    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.few, *model.states.values())]
+    flat = np.concatenate([np.linalg.inv(mass).ravel() for mass in each])
+    return model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1))

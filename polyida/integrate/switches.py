@@ -90,6 +90,11 @@ class Switches:
     the start; peaks: its largest rate so far; offsets: its distance from zero when it switched last; flips: 1 if it switches at the goal;
     turns, times: the largest change of its rate in a step of the least size, over `speeds`, and the end of that step, s. State.memory
     "stretch": number of steps that may be taken from there before any is examined.
+
+    here, ahead: GapValues at both ends of the step examined last. near (gaps,): distance from zero at which a step may end. changed: the
+    largest change of a closed gap's rate in that step over the allowed one. turned (gaps,): these changes over the largest rates, if even the
+    shortest step exceeds the allowed one; else None. whole: the last state from which a run can go on; since: states accepted behind it.
+    switched: {gap: (t, times in a row)}. jumped: the next state from which a run can go on is marked "jumped".
     """
 
     def __init__(self, own_steps, integrator, model, state, t_end, counts):
@@ -115,8 +120,8 @@ class Switches:
             rows = sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(here.gap), 0.0), *np.zeros((3, count))
             memory = np.concatenate([np.zeros(2), *rows])
         self.bound, self.goal = float(memory[0]), float(memory[1])
-        for name, row in zip(ROWS, np.array(memory[2:]).reshape(-1, count)):
-            setattr(self, name, row)
+        rows = np.array(memory[2:]).reshape(-1, count)
+        self.sides, self.speeds, self.peaks, self.offsets, self.flips, self.turns, self.times = rows
 
     def _values(self, t, q, v):
         """GapValues at t, the rates by central differences along the motion."""
@@ -322,7 +327,11 @@ class Switches:
         return 0.0
 
     def _to_switch(self, after, crossing):
-        """Yield the states of a step, or of a few, to the first switch; none if that is at the step's beginning."""
+        """Yield the states of a step, or of a few, to the first switch; none if that is at the step's beginning.
+
+        It is bracketed by `near`, the end of the best steps that do not cross (`states`), and `beyond`, the least time at which a trial crossed
+        or failed. The search ends when a gap is within `self.near`, when the bracket is round-off, or after TRIALS.
+        """
         state, whole = self.state, after.t - self.state.t
         near, beyond, t, which, states, slow = state.t, after.t, crossing.guess, crossing.which, [], 0
         if t - state.t < TOGETHER * whole:
@@ -333,13 +342,11 @@ class Switches:
             tried, crossing = self._tried(t)
             if crossing is None and tried:
                 states, near = tried, t
-                distance, speed = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
-                closing = (distance > 0) & (speed > 0) & ~self._just_switched()
-                if (closing & (distance <= self.near)).any():
-                    which = closing & (distance <= np.maximum(self.near, TOGETHER * speed * whole))
+                reached, left = self._reached(which, whole)
+                if reached.any():
+                    which = reached
                     break
-                times = np.where(which & (speed > 0), (distance - 0.5 * self.near) / np.where(speed > 0, speed, 1.0), np.inf)
-                t = near + float(times.min())
+                t = near + left
             else:
                 beyond = min(t, beyond)  # not the time of its crossing: behind a jump of forces a shorter step has another motion
                 which, t = (which, near) if crossing is None else (crossing.which, crossing.guess)
@@ -356,13 +363,26 @@ class Switches:
         if not states:
             self.state = self._flipped(state, which)
             return
-        if tried is not states:
-            states, _ = self._tried(near)  # so that the steps taken last are those of the run
+        is_last = tried is states
+        if not is_last:  # so that the steps taken last are those of the run
+            states, _ = self._tried(near)
         self.goal, self.flips = near if which.any() else 0.0, which.astype(float)
         for state in states:
             self.counts.steps += 1
             self._examine(self.state, state)
             yield self._accept(state)
+
+    def _reached(self, which, whole):
+        """(gaps that switch at the end of the step examined last, none if none is near; time from there to the first of `which` at its rate).
+
+        whole: the step that crossed first, s.
+        """
+        distance, speed = self.sides * self.ahead.gap, -self.sides * self.ahead.rate
+        closing = (distance > 0) & (speed > 0) & ~self._just_switched()
+        is_near = (closing & (distance <= self.near)).any()
+        reached = closing & is_near & (distance <= np.maximum(self.near, TOGETHER * speed * whole))
+        times = np.where(which & (speed > 0), (distance - 0.5 * self.near) / np.where(speed > 0, speed, 1.0), np.inf)
+        return reached, float(times.min())
 
     def _tried(self, t):
         """(states of a step, or of a few, to t; their first Crossing or None), which are not counted as steps; no states if they fail."""

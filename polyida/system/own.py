@@ -28,7 +28,9 @@ class PythonTable:
 
     functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
     at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
-    Radau IIA, whose instants follow that of the step's beginning; B: phi_q of them where REACTION was asked last.
+    Radau IIA, whose instants follow that of the step's beginning. ends: times of the first and the last end, or beside them inside the steps at
+    a kink. factored: the step matrix in `at_work` (of Radau IIA: Matrices in SELECT). rate_state, saddle: (t, q) of the last RATE that PROJECT
+    may follow, and the mass system there, None before PROJECT.
     """
 
     longest = 1
@@ -174,12 +176,8 @@ class PythonTable:
 
     def _rate(self, instant, q, v, rate, known, *_):
         model, self.rate_state = self.model, self._state(instant, q)
-        v = self._array(v, model.n).copy()
-        if known:
-            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
-        else:
-            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
-        self._array(rate, model.m)[:] = rates
+        self._array(rate, model.m)[:] = model.phi_rate(*self.rate_state, self._array(v, model.n).copy())
+        self.saddle = None
 
     def _project(self, instant, rows, x, from_zero, *_):
         model, x = self.model, self._array(x, self.model.n)
@@ -207,18 +205,15 @@ class DenseTable(PythonTable):
 
     def _fill(self):
         model, needs = self.model, self.model.needs
-        functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = (
-            needs.mass_varies,
-            needs.velocity_forces,
-            needs.driven,
-            rows_vary,
-            needs.phi_q_varies,
-            0,
-            self.levels[:, 1:].any(),
-            DONE,
-            model.n - model.k,
-        )
+        functions, flags = np.zeros(len(small.FUNCTIONS), np.int64), np.zeros(small.FLAGS, np.int64)
+        flags[small.MASS_VARIES] = needs.mass_varies
+        flags[small.VELOCITY] = needs.velocity_forces
+        flags[small.DRIVEN] = needs.driven
+        flags[small.ROWS_VARY] = needs.phi_q_varies or needs.driven
+        flags[small.ROWS_VARY_WITH_Q] = needs.phi_q_varies
+        flags[small.TIED] = self.levels[:, 1:].any()
+        flags[small.ENDED] = DONE
+        flags[small.OWN] = model.n - model.k
         w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
         self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
@@ -239,7 +234,7 @@ class DenseTable(PythonTable):
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
-        model, fill = self.model, self._fills
+        model, callback = self.model, self._callback
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
@@ -248,24 +243,26 @@ class DenseTable(PythonTable):
                 raise StepFailure("objection", objection, end())
 
         return {
-            "mass": fill(w.M, model.mass, None, q),
-            "force": fill(w.g, model.force, inner, q, v),
-            "phi": fill(w.phi, model.phi, end, q),
-            "phi_q": fill(w.B, model.phi_q, inner, q),
-            "phi_t": fill(w.phi_t, model.phi_t, inner, q),
-            "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
-            "residual": fill(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
+            "mass": callback(w.M, model.mass, None, q),
+            "force": callback(w.g, model.force, inner, q, v),
+            "phi": callback(w.phi, model.phi, end, q),
+            "phi_q": callback(w.B, model.phi_q, inner, q),
+            "phi_t": callback(w.phi_t, model.phi_t, inner, q),
+            "phi_bias": callback(w.phi_bias, model.phi_bias, inner, q, v),
+            "residual": callback(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
             "rejection_reason": self._protected(accepted) if writes(unguarded(model), "rejection_reason") else None,
-            "tangent": fill(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
-            "force_v": fill(w.slope, model.force_v, inner, q, v),
+            "tangent": callback(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
+            "force_v": callback(w.slope, model.force_v, inner, q, v),
         }
 
-    def _fills(self, out, function, t, *vectors):
+    def _callback(self, out, function, t, *vectors):
         """The callback that calls a function of the model with copies of the vectors, because the user may store them, and writes the result to `out`.
 
         t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
         """
-        function, last, array, reason = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
+        # function.parts (model/guarded.py): the unchecked function, [arguments, result] of the last call for messages, how the result becomes an
+        # array, how an error becomes a message
+        function, seen, convert, explain = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
         (first, *others), shape = [x.copy for x in vectors], out.shape
 
         def read_only(copy):
@@ -277,14 +274,14 @@ class DenseTable(PythonTable):
             try:
                 q = first()
                 q.setflags(False)
-                last[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
+                seen[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
                 result = function(*arguments)
                 if type(result) is not ndarray or result.dtype is not FLOAT or result.shape != shape:
-                    result = dense(array(result))
-                last[1] = out[...] = result
+                    result = dense(convert(result))
+                seen[1] = out[...] = result
                 return DONE
             except BaseException as error:  # noqa: BLE001 raise_error raises it
-                self.raised = reason(error)
+                self.raised = explain(error)
                 return RAISED
 
         return called

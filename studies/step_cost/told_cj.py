@@ -101,7 +101,7 @@ class Told(integrator._Run):
             z[:] = r
             return
         self.fresh, linear, linear.predicted.value = False, self.linear, cj
-        linear.correct(t, y, yp, linear.due(t, y), z)
+        linear.correct(t, y, yp, linear.count_iteration(t, y), z)
         np.negative(z, out=z)
 
 

@@ -220,6 +220,12 @@ def test_steps_that_are_discarded_about_a_contact_are_counted(monkeypatch):
     assert run.success and run.counts.rejected == len(discarded) > 1
 
 
+def test_a_failure_of_a_step_before_a_switch_tells_of_no_parts():
+    """These steps are made shorter, not taken in parts; a single iteration solves none in which the contact's force acts."""
+    run = pi.solve(thrown(ball()), 0.7, pi.EnergyMomentum(h=0.02, max_iterations=1))
+    assert run.status == "newton" and 0.48 < run.t[-1] < 0.5 and "parts" not in run.message
+
+
 DROPS = [  # mass, inertia, height, velocity, stiffness, exponent, damping, rtol
     (
         2.5125073093634507,

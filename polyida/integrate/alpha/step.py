@@ -29,7 +29,8 @@ CONTRACTION, AGE = range(2)  # of Newton's method, and its age in steps
 # norms of q'' and of its change in a step: largest so far, of this iteration
 ACCEL, ACCEL_CHANGE, NEW_ACCEL, NEW_ACCEL_CHANGE = range(2, 6)
 AHEAD, BEHIND = range(6, 8)  # factors of the last two changes in the prediction
-MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, nan from a given trial state, 0 in a new step
+MOVED = 8  # the last |dq| of an iteration from which Newton's method goes on, or one of these two
+NEW_STEP, GIVEN = 0.0, np.nan  # predict first; go on from the trial state, with no |dq| known
 ERROR, SINCE = range(9, 11)  # largest local error of the last SINCE steps
 MARKS = 11
 RESIDUALS, SOLVES, FACTORS = range(3)  # of the counts
@@ -199,7 +200,7 @@ def end_step(model, instant, method, numbers, begin, trial, row, frames):
     qs, vs, accelerations, lams = frames
     if method.unknowns < qs.shape[1]:
         ask.end_strains(model, instant, begin.past, trial.now, begin.past, numbers)
-    marks[MOVED] = 0.0
+    marks[MOVED] = NEW_STEP
     put(1.0, begin.q, qs[row])
     put(1.0, begin.v, vs[row])
     put(1.0, begin.a, accelerations[row])
@@ -337,7 +338,7 @@ def settle(model, instant, trial, stabilised):
 def newton(model, instant, method, stabilised, begin, trial, counts):
     """Newton's method from the predicted state, or from where it was interrupted. Returns (status, the last |dq|)."""
     last = begin.marks[MOVED]
-    if last == 0.0:
+    if last == NEW_STEP:
         predict(method, begin, trial)
         begin.marks[ACCEL] *= 0.9
         begin.marks[ACCEL_CHANGE] *= 0.9
@@ -372,7 +373,7 @@ def newton(model, instant, method, stabilised, begin, trial, counts):
 def factor(model, instant, method, numbers, begin, trial, counts):
     """Make the step matrix at the predicted state, from which Newton's method begins anew. Returns a status."""
     marks = begin.marks
-    marks[MOVED] = marks[AHEAD] = marks[BEHIND] = 0.0
+    marks[MOVED], marks[AHEAD], marks[BEHIND] = NEW_STEP, 0.0, 0.0
     predict(method, begin, trial)
     counts[FACTORS] += 1
     marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN

@@ -40,14 +40,16 @@ class Steps:
     factored_for: h of the factor. control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every
     beginning and `stepped(state)` for every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer"
     if adaptive steps should be, else None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam
-    (count, m)], or None.
+    (count, m)], or None. first, count: prepared steps taken, and all. ended: how the last step ended, (status, True if its factor was new, t,
+    |dq|), to be handled before the next stretch, or None. waiting: stretches of one state that the recorder has not seen, last first. last: the
+    last State of the last stretch.
     """
 
     chunk_bytes = 16_000_000  # of frames that one compiled stretch fills
 
     def __init__(self, settings, model, counts, control=None):
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
-        self.memory, self.trial = step.empty(model.n, model.m)
+        self.start, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
         self.incremental = settings.incremental_phi and model.has_constraint_increments
         self.table = table_of(settings, model, self.incremental, True)
@@ -65,7 +67,7 @@ class Steps:
         """
         self._limit_stretch(state.memory)
         self.pause = state.memory.get("pause", self.pause)
-        model, control, start = self.model, self.control, self.memory
+        model, control, start = self.model, self.control, self.start
         if not (same_factor and self.method and self.method.h == h):
             self.method = self._method_of(state, h)
             self.numbers = _numbers(self.method)
@@ -79,7 +81,7 @@ class Steps:
             self._weigh(weights(model, state.q))
         start.marks[:] = 0.0
         self.resize = self.ended = self.last = None
-        self.first = self.count = 0  # of the prepared steps those taken, and all
+        self.first = self.count = 0
         self.waiting = []
         if not same_factor:
             self._set_system(self.factors.get(h))
@@ -106,7 +108,7 @@ class Steps:
 
     def _weigh(self, masses):
         """Set the weights of the mean squares: of the local error, of |q|, and of Newton's method."""
-        start, self.weighed = self.memory, True
+        start, self.weighed = self.start, True
         start.masses[:] = start.places[:] = masses
         start.shares[:] = 1.0 / len(masses) if self.model.uniform_units else masses
         if self.unknowns < self.model.n:
@@ -116,7 +118,7 @@ class Steps:
     def _set_system(self, system):
         """Use a factor, of which Newton's contraction is not known."""
         self.system = system
-        self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
+        self.start.marks[step.CONTRACTION], self.start.marks[step.AGE] = 1.0, step.FRESHEN
 
     def restore_factor(self, memory):
         """Make the factor of a memory again, unless it is the present one."""
@@ -129,12 +131,12 @@ class Steps:
 
     def recall(self, memory):
         """Take up Newton's memory, so that a resumed run is the same to the last bit."""
-        self.memory.change[:], self.memory.earlier[:] = memory["change"], memory["earlier"]
+        self.start.change[:], self.start.earlier[:] = memory["change"], memory["earlier"]
         if "weights" in memory:
             self._weigh(memory["weights"])
-        self.memory.marks[:] = memory["marks"]
+        self.start.marks[:] = memory["marks"]
         if "switched" in memory:  # the equations are others than those whose contraction was measured
-            self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
+            self.start.marks[step.CONTRACTION], self.start.marks[step.AGE] = 1.0, step.FRESHEN
         if self.method.extent != memory["extent"]:
             self.method = self.method._replace(extent=float(memory["extent"]))
 
@@ -185,20 +187,20 @@ class Steps:
             self._prepare(grid, done)
         steps = 0
         while not steps and self.resize is None:
-            first, fresh = self.first, self.system is None
-            if fresh:
-                step.predict(self.method._replace(unknowns=self.model.n), self.memory, self.trial)
+            first, new_factor = self.first, self.system is None
+            if new_factor:
+                step.predict(self.method._replace(unknowns=self.model.n), self.start, self.trial)
                 self._factor_here(first)
             steps, ended, moved = self._steps(self.method, first, self.count, self.frames)
             if not steps:
                 self.table.raise_error()
-            if not steps and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
+            if not steps and new_factor and ended in (REFACTOR, INVERTED, NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, self.frames)
             self.first += steps
             if ended in (ERROR_LARGE, ERROR_SMALL):
                 self.resize = "shorter" if ended == ERROR_LARGE else "longer"
             elif ended != DONE:
-                self.ended = ended, fresh and not steps, self.times[self.first + 1], moved
+                self.ended = ended, new_factor and not steps, self.times[self.first + 1], moved
                 if not steps:
                     self._refactor_or_fail(*self.ended)
         if not steps:
@@ -217,29 +219,29 @@ class Steps:
         counts, numbers = np.zeros(3, np.int64), self.numbers
         frames = tuple(frame[first:end] for frame in frames)
         with self.table.at_work(self.system) as (functions, workspace):
-            result = step.take_steps(functions, workspace, first, method, numbers, self.stabilised, self.memory, self.trial, counts, frames)
+            result = step.take_steps(functions, workspace, first, method, numbers, self.stabilised, self.start, self.trial, counts, frames)
         self.counts.add(*counts)
         if counts[2]:
             self.system.read()
             self.factored_for = method.h
         return result
 
-    def _refactor_or_fail(self, ended, fresh, t, moved):
-        """Ask for a new factor behind a step to t that ended with an old one. Raises StepFailure if it was new (fresh)."""
+    def _refactor_or_fail(self, ended, new_factor, t, moved):
+        """Ask for a new factor behind a step to t that ended with an old one. Raises StepFailure if it was new (new_factor)."""
         self.ended = None
         self.table.raise_error()
-        if not fresh and ended not in (HALF_TURN, SINGULAR):
+        if not new_factor and ended not in (HALF_TURN, SINGULAR):
             self.system = None
-            self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
+            self.start.marks[step.AHEAD] = self.start.marks[step.BEHIND] = 0.0
             return
         phi = float(np.abs(self.trial.phi).max(initial=0))
         raise StepFailure(*REASONS[ended], t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
         """One step with a matrix made anew in every iteration, from the places at its start if it does not go far: no jump of a has distorted them."""
-        start, trial, marks = self.memory, self.trial, self.memory.marks
+        start, trial, marks = self.start, self.trial, self.start.marks
         method = self.method._replace(max_iterations=1)
-        marks[step.MOVED] = marks[step.AHEAD] = marks[step.BEHIND] = 0.0
+        marks[step.MOVED], marks[step.AHEAD], marks[step.BEHIND] = step.NEW_STEP, 0.0, 0.0
         step.predict(method._replace(unknowns=self.model.n), start, trial)
         back = start.q - trial.q
         back[self.model.hidden] = 0.0
@@ -247,7 +249,7 @@ class Steps:
             for values, rate in ((trial.q, 1.0), (trial.moved, 1.0), (trial.v, method.to_v), (trial.a, method.to_a)):
                 values += rate * back
             trial.slip[:] = 0.0
-            marks[step.MOVED] = np.nan
+            marks[step.MOVED] = step.GIVEN
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
@@ -255,7 +257,7 @@ class Steps:
             if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
             marks[step.MOVED] = moved
-        marks[step.MOVED] = 0.0
+        marks[step.MOVED] = step.NEW_STEP
         return steps, ended, moved
 
     def _factor_here(self, first):
@@ -283,25 +285,25 @@ class Steps:
     @property
     def error(self):
         """The largest local error over the allowed one, since h or `marks` changed."""
-        return float(self.memory.marks[step.ERROR])
+        return float(self.start.marks[step.ERROR])
 
     def state(self, t):
         """The last accepted state with the memory from which a run goes on."""
-        last = self.memory
-        return State(float(t), last.q.copy(), last.v.copy(), last.a.copy(), last.lam.copy(), self._memory(None), restart=False)
+        start = self.start
+        return State(float(t), start.q.copy(), start.v.copy(), start.a.copy(), start.lam.copy(), self._memory(None), restart=False)
 
     def _memory(self, grid):
         """What a run needs to go on from the last accepted state; grid: as a memory has it, or None."""
-        last, method = self.memory, self.method
+        start, method = self.start, self.method
         made_at = np.zeros(0) if self.system is None else self.system.made_at
-        memory = {"a_alg": last.a_alg.copy(), "change": last.change.copy(), "earlier": last.earlier.copy()}
+        memory = {"a_alg": start.a_alg.copy(), "change": start.change.copy(), "earlier": start.earlier.copy()}
         memory |= {"sizes": np.array(self.control.sizes)} if self.control and self.control.sizes else {}
-        memory |= {"h": method.h, "marks": last.marks.copy(), "factored_at": made_at, "extent": method.extent}
+        memory |= {"h": method.h, "marks": start.marks.copy(), "factored_at": made_at, "extent": method.extent}
         memory |= {"factored_for": self.factored_for} if self.factored_for not in (None, method.h) else {}
         if self.model.needs.mass_varies:
-            memory["weights"] = last.masses.copy()
+            memory["weights"] = start.masses.copy()
         if method.incremental:
-            memory |= {"phi": last.phi.copy(), "rate": last.rate.copy()}
+            memory |= {"phi": start.phi.copy(), "rate": start.rate.copy()}
         return memory if grid is None else memory | {"grid": grid}
 
 
@@ -413,10 +415,6 @@ def adaptive_steps(engine, state, begin, end, longest, most_steps):
         if h < 16 * np.spacing(abs(t)):
             raise StepFailure("step too small", "the step has shrunk to the round-off of t", t, step=h)
 
-    def require_level(down, failures):
-        if controller.level + down > LOWEST:
-            raise first_of(failures, f"down to steps of {controller.h:.3g} s")
-
     for state in states_at_rest(model, state, Grid(t, end, max(1, int(np.ceil((end - t) / most * (1 - 1e-12))))), counts):
         require_progress(state.t - t)
         t = state.t
@@ -424,11 +422,7 @@ def adaptive_steps(engine, state, begin, end, longest, most_steps):
         state.memory.update({"sizes": np.array(control.sizes)} if control.sizes else {})
         yield Stretch.of(state)
     while t < end:
-        remaining, moved = (end - t) / controller.h, False
-        if remaining <= 3:  # the last few steps are equal
-            grid = Grid(t, end, max(1, int(np.ceil(remaining - 1e-9))))
-        else:
-            grid = Grid(t, t + (int(remaining) - 1) * controller.h, int(remaining) - 1)
+        grid, moved = _next_grid(t, end, controller.h), False
         require_progress(grid.h)
         try:
             engine.begin(started(settings, model, state, grid.h), grid.h)
@@ -441,16 +435,36 @@ def adaptive_steps(engine, state, begin, end, longest, most_steps):
             failures = []
         except StepFailure as failure:
             failures.append(failure)
-            require_level(CUT, failures)
-            controller.level += CUT
-        if failures or engine.resize == "shorter":
-            counts.rejected += 1
-        if engine.resize == "shorter":
-            controller.reduce(engine.error)
-            require_level(0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
-        elif engine.resize == "longer":
-            controller.raise_step(engine.error)
+        _change_level(engine, controller, failures, t)
         state = engine.state(t) if moved else state  # not the state that `started` returned: that is behind a kink already
+
+
+def _next_grid(t, end, h):
+    """The Grid of the next steps of h; the last few up to `end` are equal."""
+    remaining = (end - t) / h
+    if remaining <= 3:
+        return Grid(t, end, max(1, int(np.ceil(remaining - 1e-9))))
+    count = int(remaining) - 1
+    return Grid(t, t + count * h, count)
+
+
+def _change_level(engine, controller, failures, t):
+    """Change the level of h after an attempt that came to t, by its failures and those before, and by its local error. Raises StepFailure."""
+    if failures:
+        _require_level(controller, CUT, failures)
+        controller.level += CUT
+    if failures or engine.resize == "shorter":
+        engine.counts.rejected += 1
+    if engine.resize == "shorter":
+        controller.reduce(engine.error)
+        _require_level(controller, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
+    elif engine.resize == "longer":
+        controller.raise_step(engine.error)
+
+
+def _require_level(controller, down, failures):
+    if controller.level + down > LOWEST:
+        raise first_of(failures, f"down to steps of {controller.h:.3g} s")
 
 
 def extrapolated(settings, model, state, t_end, counts):

@@ -255,7 +255,8 @@ class Steps:
         if not self.halvings:
             status, reason = REASONS[ended]
             seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.rows[loop.PHI]).max(initial=0.0)), "step": self.h}
-            raise StepFailure(status, f"{reason}; the step in 2 to {2**HALVINGS} parts fails too", t, **seen)
+            tried = "" if self.model.switching else f"; the step in 2 to {2**HALVINGS} parts fails too"
+            raise StepFailure(status, reason + tried, t, **seen)
         self.system = None
         self.counts.rejected += 1
         half = Steps(self.settings, self.model, self.h / 2, self.counts, self.halvings - 1)

@@ -18,6 +18,7 @@ from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
 from polyida.assembly.own_laws import NOISE, POINTS, add_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation_middle
+from polyida.assembly.scene_bodies import inverse_masses
 from polyida.element import kernels as elements
 from polyida.element import two_field
 from polyida.element.operator import Material
@@ -27,11 +28,12 @@ from polyida.jit.intrinsics import call, pointer
 from polyida.linear.dense import clear
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
-from polyida.system.dense import END, INNER
+from polyida.system.dense import INNER
 from polyida.system.own import DenseTable, PythonTable, small_own
 from polyida.system.scene import DV, DX, START, VX, OneFactorScene, entries, idle, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
+AT_MIDDLE, AT_END = range(2)  # stages of a step: numbers of work.dz and work.rotation
 OF_ENERGY = (*OF_STEPS, "potential")
 
 
@@ -56,7 +58,10 @@ def discrete_derivative(potential, x0, x1, metric):
 
 
 class MiddleTable:
-    """Mixed into tables with instants of a step's middle and end. complete: True if entries of the table make v, a and lam of frames."""
+    """Mixed into tables with instants of a step's middle and end. complete: True if entries of the table make v, a and lam of frames.
+
+    `prepare` takes `last`, not the pair `ends` of PythonTable: a step's beginning is never evaluated.
+    """
 
     instants = 3 * INSTANTS
     complete = False
@@ -120,7 +125,7 @@ def states_of(work, at):
 def middle(work, instant, states, lam, r, phi):
     """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
     links, points, drives, h = work.scene.links, work.points, work.drives[instant - 1], work.h[0]
-    dz, rotation = work.dz[END], work.rotation[END]
+    dz, rotation = work.dz[AT_END], work.rotation[AT_END]
     least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, r, rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
@@ -134,7 +139,10 @@ def middle(work, instant, states, lam, r, phi):
 
 @part
 def add_elements(work, drives, h, states, dz, r):
-    """Add force elements to r, and renew their slopes; dz: places of the points at the end. Returns a status."""
+    """Add force elements to r, and renew their slopes. Returns a status.
+
+    points[DX] first holds h/2 times the accelerations, then the places of the middle; dz holds those of the end.
+    """
     links, optional, points, status = work.scene.links, work.optional, work.points, DONE
     if optional[LAW_MIDDLE] != 0:
         joints.point_values(links, states[0], points[START])
@@ -197,7 +205,7 @@ class EnergyTable(OneFactorScene):
         self.complete, options = not (model.bodies or model.strains), {}
         if self.complete:
             options["inverse"] = model.once(inverse_masses)
-        middle_and_end, instants = np.array([0.5, 1.0]), np.arange(3 * INSTANTS)
+        middle_and_end, instants = np.array([0.5, 1.0]), np.arange(3 * INSTANTS)  # instants 2k and 2k + 1: middle and end of step k
         kernels = LAW_FORCES, LAW_SLOPES, LAW_MIDDLE, RELAXING_MIDDLE, DAMPING
         super().__init__(model, middle_and_end, instants % 2, np.zeros_like(instants), kernels, **options)
         self.entries = entries(SOLVE, ACCEPT) | {MIDDLE: SCENE_MIDDLE}
@@ -249,10 +257,3 @@ class PythonScene(MiddleTable, PythonTable):
             residual += model.uneven_drag @ vm
         self._array(r, model.n)[:], constraints[:] = residual, model.phi(end, u1)
         return DONE if np.isfinite(residual).all() and np.isfinite(constraints).all() else NOT_FINITE
-
-
-def inverse_masses(model):
-    """The inverse masses of the bodies of a scene without plates."""
-    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.few, *model.states.values())]
-    flat = np.concatenate([np.linalg.inv(mass).ravel() for mass in each])
-    return model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1))

@@ -251,6 +251,10 @@ class Correction:
     linear, its curvature over the correction is removed too, so that one iteration satisfies it. Tables that keep the rows of the factor make
     it anew in each step: Newton's method ends by the errors of q and v, and old rows leave an error in the multipliers, which IDA's
     prediction of the next step enlarges up to 2^order times.
+
+    cj: of the factor in use; NaN: there is none, or it must be made anew. expected: cj of the next correction. tried: t of the present attempt;
+    iterations: its iterations so far. A factor is made in `residual` before the functions are compiled (`factored`), in `correct` by Python, or
+    in `correction` by the table's MATRICES.
     """
 
     def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
@@ -279,7 +283,7 @@ class Correction:
 
     def residual(self, t, y, yp, z):
         """z = J^-1 F, NaN if there is no inverse. False if F is not finite or the model rejects the state."""
-        anew, system = self.due(t, y), self.system
+        anew, system = self.count_iteration(t, y), self.system
         factored = anew and not self.table.functions[RESIDUAL]  # a scene's functions are compiled for the type of its factor
         if factored:
             self._factor(t, y, yp)
@@ -305,14 +309,16 @@ class Correction:
             return False
         table.stand(self.system.clamp(t))
         ended = self.equations(table.functions, table.workspace, self.iterate, y, yp)
-        return ended == DONE or self._recoverable(ended, t)
+        if ended == DONE:
+            return True
+        self._raise_unless_recoverable(ended, t)
+        return False
 
-    def _recoverable(self, ended, t):
-        """False if a smaller step may help. Otherwise raises."""
+    def _raise_unless_recoverable(self, ended, t):
+        """Return if a smaller step may help; otherwise raise."""
         self.table.raise_error()
-        if ended in (NOT_FINITE, INVERTED, HALF_TURN):
-            return False
-        raise StepFailure(*REASONS[ended], t)
+        if ended not in (NOT_FINITE, INVERTED, HALF_TURN):
+            raise StepFailure(*REASONS[ended], t)
 
     def correct(self, t, y, yp, anew, z, factored=False):
         """z = J^-1 F behind `evaluate`, NaN if there is no inverse; anew: with the matrices of this iterate, which may be factored."""
@@ -325,7 +331,9 @@ class Correction:
         if not math.isnan(self.cj):
             fresh = anew or self.renews
             ended = self.correction(table.functions, table.workspace, self.iterate, self.cj, anew, fresh, z)
-        if ended in (SINGULAR, NO_MATRIX) or (ended != DONE and not self._recoverable(ended, t)):
+        if ended not in (DONE, SINGULAR, NO_MATRIX):
+            self._raise_unless_recoverable(ended, t)
+        if ended != DONE:
             self.cj, z[:] = math.nan, math.nan
 
     def _factor(self, t, y, yp):
@@ -336,7 +344,7 @@ class Correction:
             self.cj = math.nan
         self.counts.add(system=work)
 
-    def due(self, t, y):
+    def count_iteration(self, t, y):
         """Count an iteration at the cj that is expected. True if a factor is to be made; no factor is possible if cj is NaN."""
         if t != self.tried:
             self.tried, self.iterations, self.expected = t, 0, self.predicted.cj(t, y[: self.system.model.n])

@@ -50,8 +50,9 @@ class Group(NamedTuple):
 class Problem(NamedTuple):
     """The cone problem of the k rows of a group: p with `u = G p + b` that satisfies the laws.
 
-    start: where Newton's method begins. lam: multipliers of the equations at p = 0, Y (equations, k): their change with p. mobility: a typical
-    G_ii without equations. slip: sign of the rate of each row, 0 if it sticks or is a contact.
+    start: where Newton's method begins. lam: multipliers of the equations at p = 0, Y (equations, k): their change with p. held_below: G_ii up
+    to which the equations hold a row: it carries no force, but friction if it slips. slip: sign of the rate of each row, 0 if it sticks or is a
+    contact.
     """
 
     G: np.ndarray
@@ -59,13 +60,13 @@ class Problem(NamedTuple):
     start: np.ndarray
     lam: np.ndarray
     Y: np.ndarray
-    mobility: np.ndarray
+    held_below: np.ndarray
     slip: np.ndarray
 
     def part(self, which):
         """The problem of the rows of a mask, with p = 0 in the others."""
         G = self.G[np.ix_(which, which)]
-        return Problem(G, self.b[which], self.start[which], self.lam, self.Y[:, which], self.mobility[which], self.slip[which])
+        return Problem(G, self.b[which], self.start[which], self.lam, self.Y[:, which], self.held_below[which], self.slip[which])
 
 
 class Contacts:
@@ -185,7 +186,7 @@ class Contacts:
         scale: of the friction's constant. slips: True if rows with a slip go on to slip.
         """
         slip = problem.slip
-        fixed = problem.G.diagonal() <= FIXED * problem.mobility  # the equations hold these: they carry no force, but friction if they slip
+        fixed = problem.G.diagonal() <= problem.held_below
         if fixed.any():
             free = ~fixed | (slip != 0.0)
             if not free.all():
@@ -306,10 +307,11 @@ class Contacts:
         X, Y, G = self.mass_columns(t, q, B)
         now = B @ a + bias[group.of_model]  # accelerations of the rows without forces
         size = np.abs(B) @ (np.abs(a) + np.abs(force).max(initial=0.0) / self.inertia)
-        passes = group.friction & (np.abs(now) > MOVES * size) & ~dwelling  # a dead point, where friction cannot hold the row
-        mobility = np.where(passes, -np.inf, self.mobility(B))
+        # friction that accelerates without forces is not held, though its G_ii is zero at a dead point of the equations
+        accelerates = group.friction & (np.abs(now) > MOVES * size) & ~dwelling
+        held_below = np.where(accelerates, -np.inf, FIXED * self.mobility(B))
         start = np.zeros(len(rows)) if p is None else p[rows]
-        p, status = self.solve(t, group, Problem(G, now, start, lam, Y, mobility, slip), slips=True)
+        p, status = self.solve(t, group, Problem(G, now, start, lam, Y, held_below, slip), slips=True)
         return a + X @ p, lam + Y @ p, self.spread(group, p), self.spread(group, status)
 
     def impact(self, t, q, v, before, closed, p, lam, h, wanted=None, plastic=None):
@@ -337,11 +339,11 @@ class Contacts:
         back = self._rebounds(rows, before, free, h, plastic)
         bounces = back.any()
         shift = 0.0 if wanted is None else -wanted[rows]
-        start, mobility = h * p, self.mobility(B)
+        start, held_below = h * p, FIXED * self.mobility(B)
 
         def rebound(share):
             """(P, status, change, work of it) of the active rows with this share of the restitution."""
-            problem = Problem(G, free + share * back + shift, start, h * (lam - Y @ p), Y, mobility, slip)
+            problem = Problem(G, free + share * back + shift, start, h * (lam - Y @ p), Y, held_below, slip)
             P, status = self.solve(t, group, problem, h)
             change = P - start
             return P, status, change, 0.5 * (before + rate + G @ change) @ change
@@ -441,8 +443,8 @@ class Contacts:
             chosen = np.array(touching)
             chosen[touching] = free
             lam = np.zeros(len(self.equations))  # contacts need none: their laws have no bounds
-            mobility = DEPENDENT / FIXED * G.diagonal()[free]
-            problem = Problem(G_free, b_free, p[free], lam, np.outer(lam, b_free), mobility, np.zeros(len(b_free)))
+            held_below = DEPENDENT * G.diagonal()[free]
+            problem = Problem(G_free, b_free, p[free], lam, np.outer(lam, b_free), held_below, np.zeros(len(b_free)))
             p[free] = self.solve(t, self.group(chosen), problem)[0]
         p[pressed] = -inverse @ (b[pressed] + G[np.ix_(pressed, free)] @ p[free])
         return p

@@ -26,7 +26,7 @@ import numpy as np
 from polyida.errors import StepFailure
 from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
-from polyida.integrate.nonsmooth.contacts import TOUCH, Contacts, Problem
+from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts, Problem
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.linear.lu import SingularSystem
@@ -325,8 +325,8 @@ class _Steps:
             return dq, dlam, at.p
         back = step.back[group.rows] / step.v_q if np.any(step.back) else 0.0
         now = rate[group.of_model] / step.v_q + back + B @ dq
-        slip, mobility = contacts.slip(group, rate, still), contacts.mobility(B) / step.c_m
-        problem = Problem(G, now - G @ at.p, at.p, at.lam + dlam - Y @ at.p, Y, mobility, slip)
+        slip, held_below = contacts.slip(group, rate, still), FIXED * contacts.mobility(B) / step.c_m
+        problem = Problem(G, now - G @ at.p, at.p, at.lam + dlam - Y @ at.p, Y, held_below, slip)
         p, _ = contacts.solve(t, group, problem, step.scale)
         change = p - at.p
         return dq + X @ change, dlam + Y @ change, p
