@@ -8,7 +8,7 @@ import pytest
 import polyida as pi
 from polyida import compiled, problems
 from polyida.integrate.radau.tableau import radau
-from polyida.integrate.radau.tables.scene import FEW
+from polyida.integrate.radau.tables.scene import FEW_NODES
 from polyida.integrate.start import consistent_acceleration
 from polyida.problems.plates import double_plate
 
@@ -245,7 +245,7 @@ def mixed():
 def test_a_and_lam_of_small_scenes_are_those_of_the_equations_of_motion():
     """They are made in the loop, by a full M^-1; of large scenes when they are asked for."""
     model = mixed()
-    assert model.compiled and model.n_nodes <= FEW
+    assert model.compiled and model.n_nodes <= FEW_NODES
     for settings in ({"rtol": 1e-5}, {"h": 5e-3}):
         run = pi.solve(model, 0.1, pi.RadauIIA(**settings))
         for t, q, v, a, lam in list(zip(run.t, run.q, run.v, run.a, run.lam))[1:]:

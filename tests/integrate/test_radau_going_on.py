@@ -9,7 +9,7 @@ import pytest
 import polyida as pi
 from polyida.integrate.radau import accepted
 from polyida.integrate.radau.loop import MADE
-from polyida.integrate.radau.tables.scene import FEW
+from polyida.integrate.radau.tables.scene import FEW_NODES
 from polyida.problems import plates
 
 
@@ -58,7 +58,7 @@ def test_a_run_that_becomes_singular_ends_with_what_its_last_stage_had(monkeypat
 
     monkeypatch.setattr(accepted, "consistent_acceleration", singular)
     model = plates.double_plate(cells=14).build()
-    assert model.n_nodes > FEW
+    assert model.n_nodes > FEW_NODES
     run = pi.solve(model, 0.01, pi.RadauIIA(h=1e-3), every=100)
     assert run.success and np.array_equal(run.a[-1], run.restart.state.memory["a_end"])
 

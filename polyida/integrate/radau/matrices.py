@@ -48,7 +48,8 @@ class Rows:
     """The constraint rows at (t, q, v): B (m, n), columns (m, n) of their forces, and H and G (m, n) if there is mu.
 
     columns: B itself, or with the forces that grow with lam (friction). lift: the diagonal of D^-1 (n,), or None without mu. on_q, on_v: factors
-    of dq and dv in the rows; both: factor of dq with dv = c dq, the second block reduced by c times the first.
+    of dq and dv in the rows; both: factor of dq with dv = c dq, the second block reduced by c times the first. ida/tables.py's FormRows has the
+    same attributes and methods but lift and H.
     """
 
     def __init__(self, model, t, q, v, lam, lift):
@@ -73,8 +74,8 @@ class Rows:
         return corner
 
 
-class Held:
-    """The factor of a matrix in place of a StepMatrix."""
+class FactorWithRows:
+    """The factor of S + s C^T R in place of a StepMatrix."""
 
     def __init__(self, S):
         self.lu, self.dtype = LU(S), S.dtype
@@ -91,7 +92,10 @@ class Held:
 class Matrices:
     """S of every mode for steps of h, factored on first use at `made_at`: t, q, v, a and lam in one array.
 
-    M and `slopes`, c M + C of each mode, are those at this state.
+    M, C (None: zero) and `slopes`, c M + C of each mode, are those at this state. factors: the StepMatrix of each mode, or FactorWithRows where
+    an S may be singular alone. singular_S: then the S of the modes, whose factors `surround` makes of S + s C^T R (`_hold`); else empty.
+    weight_of_rows: that s; corrections subtract s r3 from dlam. rows_turn: True if factors turn with the bodies, and the border with them.
+    borders: one for each mode, None before `surround`. last: (mode, r, free correction) of the last request.
     """
 
     def __init__(self, model, modes, h, made_at, linear="auto"):
@@ -99,7 +103,7 @@ class Matrices:
         self.model, self.modes, self.made_at = model, modes, made_at
         self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
-        self.backend, self.turns = "", False  # True if the factors turn with the bodies, and the border with them
+        self.backend, self.rows_turn = "", False
 
     def make(self):
         """Factor S unless it is factored. Raises SingularSystem."""
@@ -109,9 +113,9 @@ class Matrices:
         first.factor(*at, self.c[0] ** 2, self.c[0])
         more = ((c, c * slope - self.c[0] * self.slopes[0]) for c, slope in zip(self.c[1:], self.slopes[1:]))
         steps = [first, *(first.beside(c**2, c, change) for c, change in more)]
-        self.backend, self.added = first.backend, 0.0
-        self.factors, self.turns = steps, first.near_any_state
-        self.bare = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]
+        self.backend, self.weight_of_rows = first.backend, 0.0
+        self.factors, self.rows_turn = steps, first.near_any_state
+        self.singular_S = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]
 
     def _evaluated(self):
         """(t, q, v, a, lam) of `made_at`; M, C and the slopes are evaluated there."""
@@ -125,11 +129,11 @@ class Matrices:
 
         With `R dq = -r3` only dlam changes, by s r3; R is therefore the rows themselves.
         """
-        size = float(np.abs(self.bare[0].diagonal()).max(initial=0.0))
+        size = float(np.abs(self.singular_S[0].diagonal()).max(initial=0.0))
         largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (C, R))
-        self.added = size / np.prod(list(largest)) if self.model.m else 0.0
-        held = self.added * (C.T @ R)
-        self.factors = [Held(S + (type(S)(held) if hasattr(S, "tocsc") else held)) for S in self.bare]
+        self.weight_of_rows = size / np.prod(list(largest)) if self.model.m else 0.0
+        held = self.weight_of_rows * (C.T @ R)
+        self.factors = [FactorWithRows(S + (type(S)(held) if hasattr(S, "tocsc") else held)) for S in self.singular_S]
 
     @property
     def lam(self):
@@ -139,8 +143,8 @@ class Matrices:
     def surround(self, rows, q, counts):
         """Set the constraint rows at q and solve for the columns of the border."""
         self.q = q
-        if self.bare:
-            counts.factorizations += len(self.bare)
+        if self.singular_S:
+            counts.factorizations += len(self.singular_S)
             self._hold(rows.columns, rows.both[: self.model.m])
         counts.solves += len(self.modes) * len(rows.both)
         self.last = (None,)
@@ -160,7 +164,7 @@ class Matrices:
         if self.last[0] != k or not np.array_equal(r, self.last[1]):  # IDA asks for a second correction, with other rows
             self.last = k, r, -self._free(k, r)
         dq, w = self.borders[k].solve(self.last[2], self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
-        return dq, w[:m] - self.added * r3, w[m:]
+        return dq, w[:m] - self.weight_of_rows * r3, w[m:]
 
     def _free(self, k, b):
         return self.factors[k].solve(self.q, b.astype(complex) if self.modes[k].paired else b)

@@ -34,7 +34,7 @@ class Stages:
 class PythonStages(Stages, PythonTable):
     """The table of any model and its matrices, `kind(model, modes, h, made_at)`; each entry is a callback.
 
-    lift (n,): the diagonal of D^-1. A stretch has one step, because matrices that are made within it are counted at its end.
+    lift (n,): the diagonal of D^-1. B: phi_q of the stages where REACTION was asked last. A stretch has one step, because matrices that are made within it are counted at its end.
     """
 
     most = 1
@@ -84,12 +84,19 @@ class PythonStages(Stages, PythonTable):
         self.B[k] = dense(model.phi_q(*self._state(instant, q)))
         dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
+    def _rate(self, instant, q, v, rate, known, *unused):
+        if not known:
+            super()._rate(instant, q, v, rate, known, *unused)
+            return
+        model, self.rate_state = self.model, self._state(instant, q)
+        self._array(rate, model.m)[:] = self.B[self._stage(instant)] @ self._array(v, model.n).copy() + model.phi_t(*self.rate_state)
+
     def _project(self, *arguments):
         return self._tried(partial(super()._project, *arguments), InputError, np.linalg.LinAlgError)
 
     def _rows(self, instant, q, v, a, *_):
         needs, matrices = self.model.needs, self.factored
-        if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.turns:
+        if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.rows_turn:
             at = *self._state(instant, q), self._array(v, self.model.n).copy()
             return self._tried(lambda: matrices.surround(self._made_rows(*at, a), at[1], self.counts))
         return DONE

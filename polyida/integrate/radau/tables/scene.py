@@ -19,10 +19,10 @@ from polyida.linear.lu import SingularSystem
 from polyida.system.scene import FUNCTIONS, Scene, entries, entry_address
 from polyida.system.scene_factors import empty_factor, factors_of_modes, makes_factors, matrices, scene_factors
 
-PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
-CALL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
-FEW = 40  # nodes of a scene whose M^-1 is a full matrix
-NEVER = 1e8  # iterations: a new factor of rigid bodies, for the same step, is the old one
+RENEWAL = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
+RENEWAL_PER_COORDINATE = 4000.0  # the same for the Python code around a new factor, over the number of coordinates
+FEW_NODES = 40  # nodes of a scene whose M^-1 is a full matrix
+NEVER = 1e8  # iterations: no new factor
 OF_STEPS = of.BEGIN, of.REACTION, of.RESIDUAL, of.CONSTRAINTS, of.RATE, of.PROJECT, of.ROWS, of.TURN, of.REAL, of.PAIR, of.INERTIA
 
 
@@ -34,14 +34,17 @@ def inverse_mass(model):
 
 
 class SceneStages(Scene):
-    """The table of a scene."""
+    """The table of a scene.
+
+    single: True if Python makes the factors, so that those of one slot only are at hand. prepared: True if the loads of the whole stretch are in
+    `drives`; else PREPARE evaluates those of each step: in Python, or compiled if there is a workspace and all profiles have formulas.
+    """
 
     longest, lifts = of.STEPS, False
 
     def __init__(self, model, tableau, tied):
         self.tableau, self.tied, s, apart = tableau, tied, tableau.stages, tableau.stages + 1
-        small, instants = model.n_nodes <= FEW, np.arange(of.STEPS * apart)
-        # whether the matrices of one slot are at hand only, because Python makes them
+        small, instants = model.n_nodes <= FEW_NODES, np.arange(of.STEPS * apart)
         self.single = s == 1 or not makes_factors(model)
         options = {
             "stored": scene_factors(model, not self.single),
@@ -58,8 +61,16 @@ class SceneStages(Scene):
         kernels = LAW_FORCES, LAW_DAMPING, RELAXING, DAMPING
         super().__init__(model, tableau.c, (instants - 1) % apart, instants // apart * apart, kernels, **options)
         self.entries, self.slots = entries(*OF_STEPS, *[of.ACCELERATION] * small), {}
-        self.renewal = PAIR + CALL / model.n if self.single else PAIR if model.flexible else NEVER
+        self.renewal = self._renewal()
         self.callback, self.prepared = CALLBACK(self._prepare), False
+
+    def _renewal(self):
+        """Iterations that cost as much as new factors."""
+        if self.single:  # Python makes them
+            return RENEWAL + RENEWAL_PER_COORDINATE / self.model.n
+        if self.model.flexible:
+            return RENEWAL
+        return NEVER  # a new factor of rigid bodies, for the same step, is the old one
 
     def evaluate_constants(self, t, q):
         """No effect."""
@@ -83,8 +94,8 @@ class SceneStages(Scene):
 
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
-        if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.kind_for())
+        if self.functions[of.PREPARE] and self.formulas and self.workspace_type:
+            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.type_for())
 
     def _prepare(self, model, first, times, *_):
         try:
