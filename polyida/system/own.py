@@ -27,8 +27,9 @@ class PythonTable:
     """The table of any model: each entry is a callback.
 
     functions: the addresses; workspace: address of the model's arrays, or 0. longest: steps of a stretch, chosen by the time that they take,
-    at most `most`: a stretch cannot be interrupted. raised: the exception of a callback, until the driver has returned. stages: those of a step of
-    Radau IIA, whose instants follow that of the step's beginning; B: phi_q of them where REACTION was asked last.
+    at most `most`: a stretch cannot be interrupted. ends: times of the first and the last end, or beside them inside the steps at a kink. raised: the exception of a callback, until the driver has returned. stages: those of a step of
+    Radau IIA, whose instants follow that of the step's beginning. rate_state: (t, q) of the last RATE, for PROJECT; saddle: the mass system there,
+    if PROJECT made it. factored: the step matrix of `at_work`, of Radau IIA the Matrices of SELECT.
     """
 
     longest = 1
@@ -154,14 +155,14 @@ class PythonTable:
         out[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
         return DONE if np.isfinite(out).all() and np.isfinite(rows).all() else NOT_FINITE
 
-    def _constraints(self, instant, q, dd, dv, phi, rate, _):
+    def _constraints(self, instant, q, dq, dv, phi, rate, _):
         model = self.model
         rows, rates = self._array(phi, model.m), self._array(rate, model.m)
         if self.increments is None:
             rows[:] = model.phi(self._at(instant)[1], self._array(q, model.n).copy())
         else:
             change = self.increments[self._stage(instant)]
-            rows[:], rates[:] = change(self._array(dd, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
+            rows[:], rates[:] = change(self._array(dq, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
 
     def _solve(self, instant, q, lam, r, phi, dq, dlam):
         n, m = self.model.n, self.model.m
@@ -175,11 +176,8 @@ class PythonTable:
     def _rate(self, instant, q, v, rate, known, *_):
         model, self.rate_state = self.model, self._state(instant, q)
         v = self._array(v, model.n).copy()
-        if known:
-            rates = self.B[self._stage(instant)] @ v + model.phi_t(*self.rate_state)
-        else:
-            rates, self.saddle = model.phi_rate(*self.rate_state, v), None
-        self._array(rate, model.m)[:] = rates
+        self.saddle = None
+        self._array(rate, model.m)[:] = model.phi_rate(*self.rate_state, v)
 
     def _project(self, instant, rows, x, from_zero, *_):
         model, x = self.model, self._array(x, self.model.n)
@@ -208,17 +206,10 @@ class DenseTable(PythonTable):
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, rows_vary = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = (
-            needs.mass_varies,
-            needs.velocity_forces,
-            needs.driven,
-            rows_vary,
-            needs.phi_q_varies,
-            0,
-            self.levels[:, 1:].any(),
-            DONE,
-            model.n - model.k,
-        )
+        flags = np.zeros(small.FLAGS, np.int64)
+        flags[small.MASS_VARIES], flags[small.VELOCITY] = needs.mass_varies, needs.velocity_forces
+        flags[small.DRIVEN], flags[small.ROWS_VARY], flags[small.ROWS_VARY_WITH_Q] = needs.driven, rows_vary, needs.phi_q_varies
+        flags[small.TIED], flags[small.ENDED], flags[small.OWN] = self.levels[:, 1:].any(), DONE, model.n - model.k
         w = small.workspace(model.n, model.m, functions, 0, flags, self.stages, self.levels)
         self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
@@ -239,7 +230,7 @@ class DenseTable(PythonTable):
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
-        model, fill = self.model, self._fills
+        model, fill = self.model, self._callback
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
@@ -260,12 +251,14 @@ class DenseTable(PythonTable):
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
-    def _fills(self, out, function, t, *vectors):
+    def _callback(self, out, function, t, *vectors):
         """The callback that calls a function of the model with copies of the vectors, because the user may store them, and writes the result to `out`.
 
         t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
         """
-        function, last, array, reason = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
+        # parts (model/guarded.py): the unchecked function, [arguments, result] of its last call for messages, and what makes an array of a
+        # result and a message of an error
+        function, seen, convert, explain = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
         (first, *others), shape = [x.copy for x in vectors], out.shape
 
         def read_only(copy):
@@ -277,14 +270,14 @@ class DenseTable(PythonTable):
             try:
                 q = first()
                 q.setflags(False)
-                last[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
+                seen[0] = arguments = (t(), q, *map(read_only, others)) if others else (t(), q) if t else (q,)
                 result = function(*arguments)
                 if type(result) is not ndarray or result.dtype is not FLOAT or result.shape != shape:
-                    result = dense(array(result))
-                last[1] = out[...] = result
+                    result = dense(convert(result))
+                seen[1] = out[...] = result
                 return DONE
             except BaseException as error:  # noqa: BLE001 raise_error raises it
-                self.raised = reason(error)
+                self.raised = explain(error)
                 return RAISED
 
         return called
