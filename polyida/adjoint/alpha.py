@@ -32,9 +32,9 @@ from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
 from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.errors import DONE, InputError
+from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step import nearest
 from polyida.integrate.discontinuities import inner_side
-from polyida.integrate.start import started
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import pointer

@@ -27,9 +27,9 @@ import numpy as np
 from polyida.adjoint.alpha import AlphaAdjoint
 from polyida.adjoint.mesh_error import MeshError
 from polyida.errors import DONE, REASONS, StepFailure
+from polyida.integrate.alpha.start import motor_jump, started
 from polyida.integrate.alpha.steps import table_of
 from polyida.integrate.discontinuities import at_kink
-from polyida.integrate.start import motor_jump, started
 from polyida.jit import entry, fast
 from polyida.model.differences import beside, near_points, step_integrals
 from polyida.objective.objective import OneFrame, terms_of

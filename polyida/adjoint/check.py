@@ -16,10 +16,11 @@ from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.adjoint.seen_places import with_parts_of
 from polyida.errors import InputError
+from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import Grid, edges, time_limits
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.start import VIOLATION, on_velocity, restarted, started
+from polyida.integrate.start import VIOLATION, on_velocity, restarted
 from polyida.integrate.state import Counts, State
 from polyida.integrate.static import Equilibrium, static
 from polyida.modal.modes import Modes, modes

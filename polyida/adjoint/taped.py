@@ -7,7 +7,8 @@ multipliers of r, phi, its rate and its bias in each state (AdjointMultipliers).
 import numpy as np
 
 from polyida.adjoint.parameter import AdjointMultipliers
-from polyida.integrate.start import on_position, resolution, start_values, velocity_rate
+from polyida.integrate.alpha.start import resolution
+from polyida.integrate.start import on_position, start_values, velocity_rate
 from polyida.integrate.state import Counts
 from polyida.linear.saddle import ExactSaddle
 from polyida.model.differences import along, central

@@ -26,6 +26,7 @@ from polyida.linear.dense import put
 
 # of the numbers of a step
 TO_A, TO_V, H, V_OF_A, V_OF_ALG, DD_OF_A, DD_OF_ALG, ALG_OF_A, ALG_OF_ALG, ALG_OF_END = range(10)
+WORKSPACE, CONDENSED_FORCE, ADD_CONDENSED, BEGIN_STRAINS, END_STRAINS = range(5)  # of Condensation.calls
 TOGETHER = 512  # strains whose rows fit into the first cache
 
 
@@ -33,7 +34,7 @@ TOGETHER = 512  # strains whose rows fit into the first cache
 class Condensation(NamedTuple):
     """Workspace of the steps.
 
-    calls: addresses of this and of the four C functions, which are compiled if the scene has such strains; else zero.
+    calls: WORKSPACE, address of this, and addresses of the four C functions, which are compiled if the scene has such strains; else zero.
     """
 
     scene: SceneArrays

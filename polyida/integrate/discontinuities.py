@@ -9,7 +9,7 @@ method fails beyond half a turn. Such a cell is divided into eight, and so on, d
 distance of the samples; profiles of the package declare their shortest duration and need no sampling.
 
 Order of the text: the run between kinks (`edges`, `pieces`), steps within a piece (`stop_times`, `number_of_steps`), times beside kinks, equal steps
-(`Grid`), and then the sampling: `_between_kinks` takes the inputs to sample and the cells that are too fast from `_fast_parts`, which divides
+(`Grid`), and then the sampling: `_between_kinks` takes the inputs to sample and the cells that are too fast from `_fast_intervals`, which divides
 them by `_divided`.
 """
 
@@ -181,7 +181,7 @@ class Input(NamedTuple):
     unit: str
 
 
-class Part(NamedTuple):
+class Interval(NamedTuple):
     """A time interval whose steps are at most `most`, s; jump: message of a motor that no step can follow, or empty."""
 
     begin: float
@@ -221,13 +221,13 @@ def _between_kinks(model, begin, end, h, samples, now=-np.inf):
     if end - begin <= h:  # `number_of_steps` samples the loads of a piece as short as that
         inputs = [x for x in inputs if x.unit]
     done = begin
-    for part in _merged(_fast_parts(inputs, begin, end, h, samples, now)) if inputs else ():
-        if part.begin > done:
-            yield done, part.begin, np.inf
-        if part.jump and part.end > now:
-            raise StepFailure("jump", part.jump, part.begin)
-        yield float(part.begin), float(part.end), float(part.most)
-        done = float(part.end)
+    for fast in _merged(_fast_intervals(inputs, begin, end, h, samples, now)) if inputs else ():
+        if fast.begin > done:
+            yield done, fast.begin, np.inf
+        if fast.jump and fast.end > now:
+            raise StepFailure("jump", fast.jump, fast.begin)
+        yield float(fast.begin), float(fast.end), float(fast.most)
+        done = float(fast.end)
     if done < end:
         yield done, end, np.inf
     if jump:
@@ -245,8 +245,8 @@ def _jump_at(model, inputs, t):
     return ""
 
 
-def _fast_parts(inputs, begin, end, h, samples, now):
-    """Yield in order the Parts of cells that are too fast for one step; cells end at multiples of h. Chunks that end before `now` are left out."""
+def _fast_intervals(inputs, begin, end, h, samples, now):
+    """Yield in order the Intervals of cells that are too fast for one step; cells end at multiples of h. Chunks that end before `now` are left out."""
     first, last = int(np.floor(begin / h + 1e-6)), int(np.ceil(end / h - 1e-6))
     passed = int(max(0.0, np.floor(now / h) - first - 1)) // CHUNK
     for k in range(first + passed * CHUNK, last, CHUNK):
@@ -260,9 +260,9 @@ def _fast_parts(inputs, begin, end, h, samples, now):
         ranges = [_range_ahead(each) for each in values]
         fast = np.any([_too_fast(*each) for each in zip(inputs, values, ranges)], axis=0)
         for i in np.flatnonzero(fast[: stop - k]):
-            parts = list(_divided(inputs, [each[i] for each in ranges], ends[i], ends[i + 1], samples, inside, DEPTH))
-            jumps = [part.jump for part in parts if part.jump]
-            yield from [Part(ends[i], ends[i + 1], np.inf, jumps[0])] if jumps else parts
+            intervals = list(_divided(inputs, [each[i] for each in ranges], ends[i], ends[i + 1], samples, inside, DEPTH))
+            jumps = [one.jump for one in intervals if one.jump]
+            yield from [Interval(ends[i], ends[i + 1], np.inf, jumps[0])] if jumps else intervals
 
 
 def _sample_times(ends, samples, inside):
@@ -287,7 +287,7 @@ def _too_fast(x, values, value_range):
 
 
 def _divided(inputs, ranges, begin, end, samples, inside, depth):
-    """Yield the Parts of a cell that is too fast for one step, each slow enough or of the least size."""
+    """Yield the Intervals of a cell that is too fast for one step, each slow enough or of the least size."""
     ends, samples = np.linspace(begin, end, PARTS + 1), max(PARTS, samples // PARTS)
     values = [x.profile.over(_sample_times(ends, samples, inside)) for x in inputs]
     fast = [_too_fast(*each) for each in zip(inputs, values, ranges)]
@@ -297,7 +297,7 @@ def _divided(inputs, ranges, begin, end, samples, inside, depth):
             yield from _divided(inputs, ranges, ends[i], ends[i + 1], samples, inside, depth - 1)
         else:
             jumps = [_jump_message(inputs[k], values[k][i], ends[i + 1]) for k in too_fast if inputs[k].unit]
-            yield Part(ends[i], ends[i + 1], ends[i + 1] - ends[i], "; ".join(jumps))
+            yield Interval(ends[i], ends[i + 1], ends[i + 1] - ends[i], "; ".join(jumps))
 
 
 def _jump_message(x, values, t):
@@ -306,15 +306,15 @@ def _jump_message(x, values, t):
     return f"the {what} {x.name!r} jumps by {np.ptp(values):.3g} {x.unit} at t = {t:.6g} s: {advice}; the run stops"
 
 
-def _merged(parts):
-    """Yield the parts, neighbours of the same step as one."""
+def _merged(intervals):
+    """Yield the intervals, neighbours of the same step as one."""
     last = None
-    for part in parts:
-        if last and last.end == part.begin and not (last.jump or part.jump) and np.isclose(last.most, part.most, rtol=1e-6):
-            last = last._replace(end=part.end)
+    for one in intervals:
+        if last and last.end == one.begin and not (last.jump or one.jump) and np.isclose(last.most, one.most, rtol=1e-6):
+            last = last._replace(end=one.end)
             continue
         if last:
             yield last
-        last = part
+        last = one
     if last:
         yield last

@@ -1,13 +1,14 @@
 """A model as a table of C functions. Drivers call them by address, and are compiled once for all models.
 
-Each function has the signature `int64 f(int64 model, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
-prepared instants, and addresses of contiguous float64 arrays. It returns a status (errors.REASONS). A driver needs some of the entries only.
+Each function has the signature `int64 f(int64 workspace, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
+prepared instants, and addresses of contiguous float64 arrays. SELECT takes a slot and ADJOINT a step in place of the instant, PREPARE and TURN
+the first instant of a step. It returns a status (errors.REASONS). A driver needs some of the entries only.
 
 | entry | arguments | action |
 |---|---|---|
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
 | BEGIN | q, v, times | store the state at which a step begins; times: as of PREPARE |
-| CONSTRAINTS | q, dd, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
+| CONSTRAINTS | q, dq, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; 0 if the caller of the driver computes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
 | RATE | q, v, rate, known | `phi_q v + phi_t`; known: True at the q of the last REACTION of this stage |
@@ -17,7 +18,7 @@ prepared instants, and addresses of contiguous float64 arrays. It returns a stat
 | MIDDLE | states, lam, r, phi | r in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
 | STRAINS | past, now, state, numbers | state = 0: begin a step whose unknowns are without strains (assembly/condensation.py), else end it: fill the rows of the strains in state |
 
-Further entries serve the s stages of Radau IIA. The instant of a step's beginning is a multiple of s + 1; those of its stages follow.
+Further entries serve the s stages of Radau IIA. D is the diagonal of M over its mean, or 1: in scenes and in models of uniform units. The instant of a step's beginning is a multiple of s + 1; those of its stages follow.
 
 | entry | arguments | action |
 |---|---|---|

@@ -40,7 +40,7 @@ class Slots(NamedTuple):
     K: np.ndarray  # (slots, n, n) dr/dq
     C: np.ndarray  # (slots, n, n) dr/dv
     M: np.ndarray  # (slots, n, n)
-    state: np.ndarray  # (2,) CHOSEN and MADE of system/dense_slots.py
+    state: np.ndarray  # (2,) CHOSEN and FACTORS_MADE of system/dense_slots.py
     c: np.ndarray  # (3,) argument of SELECT: c of the real mode, real and imaginary part of that of the complex one
     levels: np.ndarray  # (k, 3) factors of phi, phi' and phi'' in each of k blocks of m rows; of two blocks the second belongs to mu
     D: np.ndarray  # (n,) diagonal of D^-1

@@ -1,4 +1,14 @@
-"""The matrices of a small model with dense matrices: of one state and its step matrix S, and of several states and their modes."""
+"""The matrices of a small model with dense matrices: of one state and its step matrix S, and of several states and their modes.
+
+The matrix of a mode with eigenvalue c, in blocks, with S = K + c C + c^2 M and G = B D^-1:
+
+    |  S    B^T  (c M + C) G^T |
+    |  R_0                     |
+    |  R_1            B G^T    |
+
+The rows of block k weigh phi, phi' and phi'' by (w0, w1, w2), row k of Slots.levels: `R_k = (w0 + c w1 + c^2 w2) B + (w1 + 2 c w2) H + w2 N`.
+In Radau IIA levels are rows of the identity (radau/tables/python.py), in IDA those of its form (ida/tables.py). With one block there is no mu.
+"""
 
 from numba import carray
 
@@ -10,7 +20,7 @@ from polyida.linear import dense as lu
 from polyida.model.differences import NEAR
 from polyida.system import dense
 
-CHOSEN, MADE = range(2)  # of Slots.state: the slot in use, and whether its factors are made with the rows at hand
+CHOSEN, FACTORS_MADE = range(2)  # of Slots.state: the slot in use, and whether its factors are made with the rows at hand
 
 
 @part
@@ -44,8 +54,8 @@ def coefficients(work, at):
 
 
 @part
-def combined(work, function, out):
-    """The value of a function: M a for "mass", B^T lam for "phi_q"."""
+def product_of(work, function, out):
+    """Fill out: g for FORCE, M a for MASS, B^T lam for PHI_Q. MASS changes work.slope, PHI_Q work.B."""
     if function == dense.FORCE:
         ended = dense.evaluate(work, dense.FORCE, dense.INNER, work.g)
         lu.put(1.0, work.g, out)
@@ -74,7 +84,7 @@ def add_difference(work, function, argument, factor):
         step = dense.REACH * max(1.0, abs(at))
         for e in range(4):
             argument[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
-            combined(work, function, work.near[e])
+            product_of(work, function, work.near[e])
         argument[j] = at
         for i in range(work.S.shape[0]):
             work.S[i, j] += factor * (8.0 * (work.near[0, i] - work.near[1, i]) - (work.near[2, i] - work.near[3, i])) / (12.0 * step)
@@ -161,7 +171,10 @@ def solve(work, instant, q, lam, r, phi, dq, dlam):
 
 @part
 def bend(work, q, a):
-    """H and N of the middle stage: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a: the address of a, or 0."""
+    """H and N of the middle stage: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a: the address of a, or 0.
+
+    At first N becomes B(+s) - B and H becomes B(+s), from which B(-s) then makes the differences.
+    """
     slots, step, n = work.slots, NEAR * dense.reach(work), work.q.shape[0]
     towards = dense.vector(a, n if a else 0)
     t, ended = work.t[dense.INNER], DONE
@@ -241,7 +254,7 @@ def factored(slots, eigenvalue, number, matrix):
 def rows(work, instant, q, v, a, known):
     """B, G, H and N of the middle stage, and the factors with them."""
     slots, m = work.slots, work.lam.shape[0]
-    if slots.state[MADE] and not (m and work.flags[dense.ROWS_VARY]):
+    if slots.state[FACTORS_MADE] and not (m and work.flags[dense.ROWS_VARY]):
         return DONE
     if m:
         dense.set_state(work, instant, q, v)
@@ -254,7 +267,7 @@ def rows(work, instant, q, v, a, known):
                 slots.G[k, i] = slots.B[k, i] * slots.D[i]
         if ended != DONE:
             return ended
-    slots.state[MADE] = 1
+    slots.state[FACTORS_MADE] = 1
     if slots.c[0] != 0.0 and not factored(slots, slots.c[0], 0, slots.real):
         return SINGULAR
     return DONE if slots.c[2] == 0.0 or factored(slots, complex(slots.c[1], slots.c[2]), 1, slots.pair) else SINGULAR
@@ -295,7 +308,10 @@ def pair(work, instant, r, closing, lam, dq, multipliers):
 
 @part
 def inertia(work, instant, v, a, r, p, q, rows):
-    """r = C v + M a, and unless their addresses are 0: p = M v, rows = the blocks of rows times v, B v in place of a second block that is not there."""
+    """r = C v + M a, and unless their addresses are 0: p = M v, rows = the blocks of rows times v, B v in place of a second block that is not there.
+
+    w2 is not 0 in IDA only, whose c is real: slots.c[0].
+    """
     slots, n, m = work.slots, work.q.shape[0], work.lam.shape[0]
     k = slots.state[CHOSEN]
     momentum = dense.vector(p, n if p else 0)
@@ -326,7 +342,7 @@ def matrices(work, instant, q, v, a, lam, slot):
     dense.set_state(work, instant, q, v)
     dense.set_a_lam(work, a, lam)
     ended = matrices_at(work, K, C, M)
-    slots.state[MADE] = 0
+    slots.state[FACTORS_MADE] = 0
     good = dense.finite(K.reshape(n * n)) and dense.finite(C.reshape(n * n)) and dense.finite(M.reshape(n * n))
     return ended if ended != DONE or good else NO_MATRIX
 
@@ -340,7 +356,7 @@ def select(work, slot, new):
         same = same and slots.c[i] == new[i]
         slots.c[i] = new[i]
     if not same:
-        slots.state[CHOSEN], slots.state[MADE] = slot, 0
+        slots.state[CHOSEN], slots.state[FACTORS_MADE] = slot, 0
     return DONE
 
 

@@ -96,14 +96,14 @@ def middle(model, instant, states, lam, r, phi):
 
 @part
 def begin_strains(model, instant, past, numbers):
-    """Begin a step whose unknowns are the coordinates without strains."""
+    """Begin a step without strains among the unknowns; past: rows q, v, a, a_alg and more; numbers: TO_A to ALG_OF_END of assembly/condensation.py."""
     functions, workspace = model
     return call(functions[table.STRAINS], (workspace, instant, past, 0, 0, numbers))
 
 
 @part
 def end_strains(model, instant, past, now, state, numbers):
-    """Fill the strains of the step's end in the rows of state."""
+    """Fill the strains of the step's end in the rows of state, past ones or others; now: q at the end, past and numbers: as of `begin_strains`."""
     functions, workspace = model
     return call(functions[table.STRAINS], (workspace, instant, past, now, state, numbers))
 

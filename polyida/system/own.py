@@ -156,14 +156,14 @@ class PythonTable:
         out[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
         return DONE if np.isfinite(out).all() and np.isfinite(rows).all() else NOT_FINITE
 
-    def _constraints(self, instant, q, dd, dv, phi, rate, _):
+    def _constraints(self, instant, q, dq, dv, phi, rate, _):
         model = self.model
         rows, rates = self._array(phi, model.m), self._array(rate, model.m)
         if self.increments is None:
             rows[:] = model.phi(self._at(instant)[1], self._array(q, model.n).copy())
         else:
             change = self.increments[self._stage(instant)]
-            rows[:], rates[:] = change(self._array(dd, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
+            rows[:], rates[:] = change(self._array(dq, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
 
     def _solve(self, instant, q, lam, r, phi, dq, dlam):
         n, m = self.model.n, self.model.m

@@ -18,7 +18,7 @@ from numba import carray, int64, typeof
 from polyida import system as table
 from polyida.assembly import compact, corotated, joints
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.condensation import Condensation, condensation
+from polyida.assembly.condensation import ADD_CONDENSED, BEGIN_STRAINS, END_STRAINS, WORKSPACE, Condensation, condensation
 from polyida.assembly.increments import Moves, drive_table, gain_table, moves, take_step
 from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, LAW_SLOPES, PARTS, RELAXING, RENEW, optional_kernels
 from polyida.assembly.projection import ConstraintProjection, constrain, constraint_projection, velocity_rate
@@ -38,7 +38,8 @@ from polyida.system.scene_factors import C_V, Factor, SceneFactors, scene_factor
 
 SHARED = 20_000  # coordinates above which several threads share the solves
 # constants of compiled code
-# rows of SceneWork.points: displacements and velocities at the start of a step, and their increments
+# rows of SceneWork.points. `begin` stores displacements and velocities at a step's beginning in START and VX; `constraints` reads them. DX and DV
+# are their increments there, elsewhere scratch. MIDDLE writes to all four.
 START, VX, DX, DV = range(4)
 
 
@@ -172,8 +173,8 @@ def residual(work, instant, u, v, a, lam, r, phi):
     if work.strict and not cosine > 0.0:
         return HALF_TURN
     status = add_forces(work, drives, u, v, r)
-    if work.condensed.calls[0] != 0:
-        call(work.condensed.calls[2], (work.condensed.calls[0], u, r))
+    if work.condensed.calls[WORKSPACE] != 0:
+        call(work.condensed.calls[ADD_CONDENSED], (work.condensed.calls[WORKSPACE], u, r))
     if work.keeps_middle and k == work.rotation.shape[0] // 2:
         copy_matrix(u[: work.u.shape[0]], work.u)
         joints.point_values(work.scene.links, v, work.vz)
@@ -272,7 +273,7 @@ new_slopes = served(take_new_slopes, None, None)
 @part
 def solve(work, instant, u, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
-    strains, condensed = work.real.workspace.elimination, work.condensed.calls[0] != 0
+    strains, condensed = work.real.workspace.elimination, work.condensed.calls[WORKSPACE] != 0
     right = r if condensed else eliminate(strains, u, r)
     regular = factors.solve(work, work.real, instant, right, phi, lam, dq, dlam)
     if not condensed:
@@ -285,8 +286,8 @@ def strains(work, instant, past, now, state, numbers):
     """Begin a step of the strains if state is 0, or end it; addresses of arrays."""
     calls = work.condensed.calls
     if state == 0:
-        return call(calls[3], (calls[0], past, numbers))
-    return call(calls[4], (calls[0], now, past, state, numbers))
+        return call(calls[BEGIN_STRAINS], (calls[WORKSPACE], past, numbers))
+    return call(calls[END_STRAINS], (calls[WORKSPACE], now, past, state, numbers))
 
 
 @part
@@ -443,12 +444,16 @@ class Scene:
     """A scene's workspace w and table. c: times of the stages; stage, begin: as of SceneWork; optional: numbers of the kernels that it calls.
 
     options: fields of the workspace in place of those that serve no method, and `pairs`, the number of the pairs of coordinates.
+
+    Functions are compiled for the type of the workspace, which contains the types of the factors. To compile most of them once for all methods,
+    each is compiled for the type with None in place of the factors that it does not read (`READS`): None takes one word of the block of a pack
+    (jit/pack.py), as a factor does, so that all types find the other fields at the same places.
     """
 
     entries: dict = {}
 
     def __init__(self, model, c, stage, begin, optional, **options):
-        self.model, self.work, self.kind, self.raised = model, None, None, None
+        self.model, self.work, self.workspace_type, self.raised = model, None, None, None
         self.workspace, self.functions = 0, np.zeros(table.ENTRIES, np.int64)
         s, m, nodes, points = len(c), model.m, (options.pop("pairs", model.n_nodes), 2), (model.n_points, 2)
         profiles, projection, (numbers, self.formulas) = (len(model.profiles), 3), constraint_projection(model), moves(model)
@@ -493,17 +498,17 @@ class Scene:
         """Use these factors, `real` or `pair` or both; functions are compiled for the type of the workspace."""
         self.work = SceneWork(**BOTH | used, **self.w)
         self.workspace, kind = self.work.address, typeof(self.work)
-        if kind != self.kind:
-            self.kind, self.kinds = kind, {frozenset(BOTH): kind}
+        if kind != self.workspace_type:
+            self.workspace_type, self.types_by_factors = kind, {frozenset(BOTH): kind}
             for number, function in self.entries.items():
-                self.functions[number] = entry_address(function, self.kind_for(*READS.get(number, ())))
+                self.functions[number] = entry_address(function, self.type_for(*READS.get(number, ())))
 
-    def kind_for(self, *read):
+    def type_for(self, *read):
         """The type of the workspace for a function that reads these factors, by their names."""
         known = frozenset(read)
-        if known not in self.kinds:
-            self.kinds[known] = typeof(self.work._replace(**dict.fromkeys(BOTH.keys() - known)))
-        return self.kinds[known]
+        if known not in self.types_by_factors:
+            self.types_by_factors[known] = typeof(self.work._replace(**dict.fromkeys(BOTH.keys() - known)))
+        return self.types_by_factors[known]
 
     def take_error(self):
         """The exception of a Python function that compiled code called, or None."""
@@ -544,7 +549,7 @@ class OneFactorScene(Scene):
             if self.work is None or self.work.real.workspace is not workspace:
                 self.set_factors(real=Factor(self.c, system.corotated, workspace, np.zeros((0, 2, 2))))
                 if self.w["optional"][LAW_SLOPES] and self.model.bodies:
-                    self.w["optional"][RENEW] = entry_address(new_slopes, self.kind_for("real"))
+                    self.w["optional"][RENEW] = entry_address(new_slopes, self.type_for("real"))
             yield self.functions, self.work.address
         self.raised = self.model.take_error()
 

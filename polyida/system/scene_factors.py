@@ -42,7 +42,7 @@ class Factor(NamedTuple):
 class StoredFactors(NamedTuple):
     """Factors of S of a mode of Radau IIA in each slot: panels, compliance columns and frames, (slots, .) each.
 
-    Scratch of one factorization: blocks, S as (nnz, 2, 2), and numbers, both in double precision; x, of the type of the panels.
+    Scratch of one factorization: blocks, S as (nnz, 2, 2), and numbers, workspace of `fill_panels`, both in double precision; x, of the type of the panels.
     """
 
     panels: np.ndarray
@@ -57,7 +57,7 @@ class StoredFactors(NamedTuple):
 class SceneFactors(NamedTuple):
     """Factors that compiled code makes and stores, of scenes without full plates, forces and damping; of other scenes all sizes are zero.
 
-    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads: unit forces at the points. places: scratch.
+    chosen (1,): the slot in use. K, M (nnz, 2, 2): blocks. loads: unit forces at the points. places: workspace of `fill_panels`.
     """
 
     real: StoredFactors
@@ -80,28 +80,28 @@ def matrices(work, instant, u, v, a, lam, slot, c):
     """Factor S of both modes at u, in the slot; v, a and lam are not read."""
     factors, bodies, turn = work.stored, work.scene.compact, work.turn[0]
     factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
-    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)
-    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)
+    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)  # K
+    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)  # M
     for b in range(bodies.drag.shape[0]):
         compact.turn(bodies, b, u, turn)
-    good = factored(factors, factors.real, work.real, c[0], turn, slot)
-    return DONE if good and factored(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
+    good = factor_mode(factors, factors.real, work.real, c[0], turn, slot)
+    return DONE if good and factor_mode(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
 
 
 @shared
-def factored(x, stored, mode, c, rotation, slot):
+def factor_mode(factors, stored, mode, c, rotation, slot):
     """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
     if mode is None:
         return True
     s = mode.factored
-    for k in range(x.K.shape[0]):
+    for k in range(factors.K.shape[0]):
         for i in range(2):
             for j in range(2):
-                stored.blocks[k, i, j] = x.K[k, i, j] + c * c * x.M[k, i, j]
+                stored.blocks[k, i, j] = factors.K[k, i, j] + c * c * factors.M[k, i, j]
     mode.c[C_M], mode.c[C_V] = c * c, c
-    if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, x.places):
+    if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, factors.places):
         return False
-    corotated.fill_compliance_columns(s, s.compliance_columns, rotation, x.loads, stored.x)
+    corotated.fill_compliance_columns(s, s.compliance_columns, rotation, factors.loads, stored.x)
     put(1.0, s.panels, stored.panels[slot])
     copy_matrix(s.compliance_columns, stored.columns[slot])
     copy_matrix(s.frame, stored.frames[slot])
@@ -109,7 +109,7 @@ def factored(x, stored, mode, c, rotation, slot):
 
 
 @part
-def restored(stored, mode, c, slot):
+def use_stored(stored, mode, c, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
         s = mode.factored
@@ -124,8 +124,8 @@ def select(work, slot, c):
     """Use the factors of a slot."""
     if work.stored.chosen[0] != slot:
         work.stored.chosen[0] = slot
-        restored(work.stored.real, work.real, c[0], slot)
-        restored(work.stored.pair, work.pair, complex(c[1], c[2]), slot)
+        use_stored(work.stored.real, work.real, c[0], slot)
+        use_stored(work.stored.pair, work.pair, complex(c[1], c[2]), slot)
     return DONE
 
 
@@ -140,7 +140,13 @@ def solve(work, factor, instant, right, phi, lam, dq, dlam):
 def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
     """Solve for dq and multipliers of a mode, rows and curvature being those of the middle stage. Returns a status; DONE if factor is None.
 
-    number: REAL or PAIR. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten.
+    number: REAL or PAIR. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten. With mu:
+
+    1. closing[1] becomes c r3 - r4; a first dmu solves the system of mu (assembly/rate_multipliers.py) for it
+    2. its forces are added to the right-hand side; S and B give dq and dlam
+    3. closing[1] -= H dq; dmu solves the system again
+
+    keeps: 1 if the border of this factor was made in this step and is used again.
     """
     if factor is None:
         return DONE

@@ -163,7 +163,8 @@ def small_steps(h, name):
     equations. h is the first and largest step of IDA, whose q and v may have an error of 500 (rtol |q| + atol). Radau IIA takes equal
     steps.
     """
-    from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
+    from polyida.integrate.alpha.start import jerk
+    from polyida.integrate.start import consistent_acceleration, consistent_state
 
     model = scenes.plates.double_plate_motors(scenes.CELLS).build()
     start, t, chooses = consistent_state(model), 40 * h, name in ("ggl2", "ggl1")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.start import consistent_state, started
+from polyida.integrate.alpha.start import started
+from polyida.integrate.start import consistent_state
 
 H = 4e-4  # s; energies are looked at to a hundredth, which is more than Newton leaves
 MEMBERS = {

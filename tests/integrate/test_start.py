@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.start import jerk
+from polyida.integrate.alpha.start import jerk
 
 MOVING = pi.profile.sine(0.5, 0.4)
 

@@ -9,7 +9,7 @@ import pytest
 import polyida as pi
 from polyida.integrate.state import Counts, States, Stretch
 from polyida.model.guarded import guard
-from polyida.system import python
+from polyida.system import own
 
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
 
@@ -108,7 +108,7 @@ def test_a_stretch_that_is_not_finite_in_its_middle_gives_the_states_before():
 def test_steps_of_a_model_in_python_come_in_stretches_that_take_some_ms(integrator, tick, monkeypatch):
     """By a clock that stands still they become long; by one on which each takes a second they are single steps."""
     clock = itertools.count()
-    monkeypatch.setattr(python, "time", SimpleNamespace(perf_counter=lambda: tick * next(clock)))
+    monkeypatch.setattr(own, "time", SimpleNamespace(perf_counter=lambda: tick * next(clock)))
     p = pi.problems.get("pendulum")
     taken = [len(stretch) for stretch in integrator.steps(guard(p.model), pi.consistent_state(p.model, q0=p.q0), 0.5, Counts()).stretches]
     assert max(taken) == 1 if tick else max(taken) > 16

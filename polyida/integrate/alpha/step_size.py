@@ -17,7 +17,7 @@ AIM = 5e-5  # default rtol of a run; its error is about twice that
 LEVELS = 4  # for a factor of two
 SAFETY = 0.85
 CUT = 2 * LEVELS  # levels down if Newton's method fails
-LOWEST = 30 * LEVELS
+LAST_LEVEL = 30 * LEVELS
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ def tolerances(rtol, atol, length):
 class StepSizeController:
     """The level of the step: 0 is control.largest, each level less by a factor 2^(1/4). It begins near h, or near `most` below it.
 
-    lowest: the level of `longest`, above which no step is.
+    level_of_longest: that of `longest`, above which no step is.
     """
 
     def __init__(self, control, h, most, longest):
         self.control = control
-        self.level = int(np.clip(round(LEVELS * np.log2(control.largest / min(h, most, control.largest))), 0, LOWEST))
-        self.lowest = 0 if longest == control.largest else int(np.ceil(LEVELS * np.log2(control.largest / longest) - 1e-9))
+        self.level = int(np.clip(round(LEVELS * np.log2(control.largest / min(h, most, control.largest))), 0, LAST_LEVEL))
+        self.level_of_longest = 0 if longest == control.largest else int(np.ceil(LEVELS * np.log2(control.largest / longest) - 1e-9))
 
     @property
     def h(self):
@@ -96,7 +96,7 @@ class StepSizeController:
 
     def raise_step(self, error):
         """Raise h until the predicted error is the allowed one, at most by a factor of 2."""
-        self.level = max(0, self.lowest, self.level - min(LEVELS, int(np.floor(self._levels(error)))))
+        self.level = max(0, self.level_of_longest, self.level - min(LEVELS, int(np.floor(self._levels(error)))))
 
     def _levels(self, error):
         return LEVELS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / self.control.order))

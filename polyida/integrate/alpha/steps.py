@@ -19,10 +19,11 @@ import numpy as np
 from polyida.environment import allocate
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.step_size import CUT, LOWEST, StepSizeController
+from polyida.integrate.alpha.start import started
+from polyida.integrate.alpha.step_size import CUT, LAST_LEVEL, StepSizeController
 from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
 from polyida.integrate.sizes import extent, states_at_rest, weights
-from polyida.integrate.start import start_values, started
+from polyida.integrate.start import start_values
 from polyida.integrate.state import State, States, Stretch, first_of
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.system import INSTANTS
@@ -463,7 +464,7 @@ def _change_level(engine, controller, failures, t):
 
 
 def _require_level(controller, down, failures):
-    if controller.level + down > LOWEST:
+    if controller.level + down > LAST_LEVEL:
         raise first_of(failures, f"down to steps of {controller.h:.3g} s")
 
 

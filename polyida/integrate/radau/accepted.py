@@ -7,7 +7,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
+from polyida.integrate.radau.loop import EXTRA, LEAST, USED, H, Record
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, MISSES
 from polyida.integrate.radau.tableau import through
 from polyida.integrate.start import consistent_acceleration
@@ -145,7 +145,7 @@ class StepState(State):
             "error": float(marks[ERROR]),
             "newton": marks[[CONTRACTION, AGE]],
             "factored": np.array([np.concatenate([[slots[H, slot]], factor_states[slot]]) for slot in order]),
-            "prices": slots[[H, PRICE, LEAST]][:, order].T.copy(),
+            "prices": slots[[H, EXTRA, LEAST]][:, order].T.copy(),
         }
         for name, before in s.misses_before.items():
             steps = getattr(r, name)[k::-1]

@@ -27,7 +27,7 @@ NOTHING = 1e-20  # of the model's length: least tolerance of Newton's method
 ROUND_OFF = 2.0**-53  # of v, which is e over h
 # further statuses of a stretch: requests to the caller, and failures
 MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(100, 105)
-H, PRICE, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
+H, EXTRA, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
 LEVEL, TIME, FAILED, STEP, TARGET, REMAINING = range(6)  # of Control.now
 REJECTED = 4  # of the counts, after those of step.py
 COUNTS = 5
@@ -60,7 +60,7 @@ class Control(NamedTuple):
 class FactorSlots(NamedTuple):
     """Factors of the few steps h that were used last, for adaptive steps that return to them.
 
-    table (5, slots): H, the step, 0 if the slot is free; PRICE, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
+    table (5, slots): H, the step, 0 if the slot is free; EXTRA, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
     number of the last use; READY, 1 if the factor exists. states (slots, 1 + 3 n + m): t, q, v, a and lam at which the factor was made.
     """
 
@@ -188,7 +188,7 @@ def reserve_slot(slots, h, begin, memory):
             if slots.table[USED, other] < slots.table[USED, slot]:
                 slot = other
     n = memory.q.shape[0]
-    slots.table[H, slot], slots.table[PRICE, slot], slots.table[LEAST, slot], slots.table[READY, slot] = h, 0.0, NEVER, 1.0
+    slots.table[H, slot], slots.table[EXTRA, slot], slots.table[LEAST, slot], slots.table[READY, slot] = h, 0.0, NEVER, 1.0
     mark_used(slots, slot, memory.marks)
     state = slots.states[slot]
     state[0] = begin
@@ -251,7 +251,7 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
         if status != DONE:
             return status, 0.0
     slot = slot_of_step(slots, h)
-    if slot < 0 or (slots.table[PRICE, slot] > method.renewal and not fresh):
+    if slot < 0 or (slots.table[EXTRA, slot] > method.renewal and not fresh):
         return MAKE, 0.0
     if slots.table[READY, slot] == 0.0:
         return RESTORE, 0.0
@@ -262,10 +262,10 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
     if status != DONE:
         if fresh or status in (NOT_FINITE, RAISED, WRONG_SHAPE):
             return status, 0.0
-        slots.table[PRICE, slot] = NEVER
+        slots.table[EXTRA, slot] = NEVER
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
-    slots.table[PRICE, slot] += max(0.0, iterations - slots.table[LEAST, slot])
+    slots.table[EXTRA, slot] += max(0.0, iterations - slots.table[LEAST, slot])
     status, error = step.project_end(model, first, method, arrays, h), 0.0
     if status == DONE and method.estimates_error:
         status, error = step.local_error(model, first, method, arrays, h)
@@ -336,14 +336,14 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
         if status == MAKE and ask.provides(model, MATRICES):
             return taken, PAUSE
         allowed = allowed_error(method, memory) if control.adaptive else np.inf
-        good = status != DONE or error <= allowed
-        if status == DONE and good:
+        rejected = status == DONE and not error <= allowed  # so is one that is not a number
+        if status == DONE and not rejected:
             status = step.end_state(model, at, h, memory, trial, work)
         if status != DONE:
             return taken, status
-        if control.adaptive and (not good or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
+        if control.adaptive and (rejected or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
             now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, tableau.c.shape[0] + 1.0)
-        if not good:
+        if rejected:
             counts[REJECTED] += 1
             now[FAILED] += 1.0
             fresh = False

@@ -40,9 +40,10 @@ MAX_EXTRAPOLATION = 4.0  # steps over the last one: longer steps start from q_0 
 NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if this is computed from positions
 MAX_PROJECTIONS = 3  # of q onto phi = 0
 AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed again at the projected q
-CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; the weights in use, FITS and EXCESS follow
+CONTRACTION, AGE, LAST, ERROR, MISSES = range(5)  # of Memory.marks; WEIGHTS, FITS and EXCESS follow
 TERMS = 3  # prediction errors from which the next one is extrapolated
-FITS = MISSES + 1 + TERMS
+WEIGHTS = MISSES + 1
+FITS = WEIGHTS + TERMS
 EXCESS = FITS + TERMS**2
 MARKS = EXCESS + TERMS
 FORGET = 0.7  # share of EXCESS that a step keeps
@@ -108,10 +109,18 @@ class Memory(NamedTuple):
     q, v, a (n,) and lam (m,): of the last stage, a = v'. shares, places (n,): shares of the coordinates in the mass, and in |q|, without the
     integrals of states. stages_v (s, n), stages_lam (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
     of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
-    start of the step, for increments. marks: CONTRACTION of Newton's method and its AGE in steps, so that a step may end after one iteration;
-    LAST, length of the step before, s, 0 if unknown; ERROR of that step, -1 if unknown; MISSES, number of known prediction errors, and the
-    weight of each in the expected next one; FITS, weights that were fitted for 1 to TERMS errors; EXCESS, the squared distance that a
-    prediction with each had from recent steps, minus that without.
+    start of the step, for increments. marks:
+
+    | mark | meaning | unknown |
+    |---|---|---|
+    | CONTRACTION | of Newton's method, so that a step may end after one iteration | 1 |
+    | AGE | of the contraction, in steps | MAX_AGE |
+    | LAST | length of the step before, s | 0 |
+    | ERROR | of that step | -1 |
+    | MISSES | number of known prediction errors | 0 |
+    | WEIGHTS | of each of them in the expected next one | 0 |
+    | FITS | weights that were fitted for 1 to TERMS errors | 0 |
+    | EXCESS | squared distance of a prediction with each from recent steps, minus that without | 0 |
     """
 
     q: np.ndarray
@@ -293,7 +302,7 @@ def add_prediction_error(memory, trial, work):
     copy_matrix(trial.e, trial.start_e)
     copy_matrix(trial.lam, trial.start_lam)
     for o in range(TERMS):
-        weight = memory.marks[MISSES + 1 + o]
+        weight = memory.marks[WEIGHTS + o]
         for k in range(trial.e.shape[0] if weight != 0.0 else 0):
             for i in range(trial.e.shape[1]):
                 trial.e[k, i] += weight * memory.miss_e[o, k, i]
@@ -307,7 +316,7 @@ def add_prediction_error(memory, trial, work):
 def store_prediction_error(memory, trial, work):
     """Store the prediction error of the step, and the weights of the errors in the next one: of 1 to TERMS errors, as many as predicted best."""
     marks, known = memory.marks, int(memory.marks[MISSES])
-    weights, fits, excess = marks[MISSES + 1 : FITS], marks[FITS:EXCESS], marks[EXCESS:]
+    weights, fits, excess = marks[WEIGHTS:FITS], marks[FITS:EXCESS], marks[EXCESS:]
     if work.progress[EXTENDED] == 0.0:
         marks[MISSES:] = 0.0
         return
@@ -582,25 +591,26 @@ def project_end(model, first, method, arrays, h):
         return status
     k = trial.e.shape[0] - 1
     size, at = method.extent + largest(memory.q), first + 1 + k
-    phi, rate, has_rows = work.rows[PHI, k], work.rows[PHI_RATE, k], False
+    phi, rate, rows_are_current = work.rows[PHI, k], work.rows[PHI_RATE, k], False
     stage_state(tableau, h, memory, trial, work, k)
     status = phi_by_increments(model, first, memory, trial, work, k)
     for _ in range(MAX_PROJECTIONS):
         worst = largest(phi)
         if status != DONE or worst <= ROUND_OFF * size:
             break
-        if not has_rows:
+        if not rows_are_current:
             status = ask.rate(model, at, work.q, work.v, work.spare, 0)
         if status == DONE:
             status = ask.project(model, at, phi, trial.e[k], 0)
         if status != DONE:
             break
         stage_state(tableau, h, memory, trial, work, k)
-        has_rows = worst <= AGAIN * size
+        rows_are_current = worst <= AGAIN * size
         status = phi_by_increments(model, first, memory, trial, work, k)
     if status != DONE or not method.moves_v:
         return status
-    if not (method.by_increments and has_rows):
+    if not (method.by_increments and rows_are_current):
+        # with increments `rate` is phi' already: the request only makes B for `project`, and its output goes to spare
         rates = work.spare if method.by_increments else rate
         status = ask.rate(model, at, work.q, work.v, rates, 0)
     if status == DONE and largest(rate) > 0.0:

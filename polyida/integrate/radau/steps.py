@@ -40,7 +40,8 @@ class Steps:
     """The method on one model. `begin` starts from a state; `step`, `take_fixed` and `take_adaptive` continue.
 
     limits: bounds of the model's times, beside kinks. sizes: the model's (length, speed) for tolerances; run: stored in the memory of states.
-    estimates_error: True if the local error is computed.
+    estimates_error: True if the local error is computed. state: the State that `memory` holds, None while it may hold another. factor_states: copy
+    of slots.states that the States of a stretch share; None if it must be copied again.
     """
 
     def __init__(self, settings, model, counts, sizes, run=None):
@@ -53,7 +54,7 @@ class Steps:
         self.table = _table(settings, model, self.tableau, self.tied)
         self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
         self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
-        self.state = None  # the state that `memory` holds
+        self.state = None
         self.done = np.zeros(loop.COUNTS, np.int64)
         tableau = step.compiled_tableau(self.tableau)
         self.arrays = step.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
@@ -84,7 +85,7 @@ class Steps:
         self.memory.marks[[step.CONTRACTION, step.AGE]] = memory["newton"] if measured else step.UNKNOWN
         if "newton" in memory:
             for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
-                table[[loop.H, loop.PRICE, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
+                table[[loop.H, loop.EXTRA, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
                 self.slots.states[slot] = row[1:]
 
     def clamp(self, t):
@@ -171,14 +172,7 @@ class Steps:
                 accepted, ended = loop.take_steps(*place, method, self.arrays, control, fresh, log)
             self.state, before = None, replace(self.counts)
             if accepted:
-                shares = {"radau_shares": self.shares.copy()} if model.needs.mass_varies else {}
-                before_it = {"begin": begin, "misses_before": misses, "factor_states": self.factor_states}
-                of_run = {"c": self.tableau.c, "by_increments": bool(model.has_constraint_increments), "memory": self.run_memory | shares}
-                later = {"position_memory": partial(position_memory, taken), "states": WeakValueDictionary()}
-                later["motion"] = None if table.functions[ACCELERATION] else (model, self.clamp)
-                later["counts_at"] = partial(self.counts_at, before, log.counts)
-                data = StretchData(record=log, **before_it, **of_run, **later)
-                states = StretchStates(data, range(accepted))
+                states = StretchStates(self._data(log, begin, misses, before, partial(position_memory, taken)), range(accepted))
                 self.state = state = states.last
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
@@ -197,6 +191,23 @@ class Steps:
                 raise self._failure(ended, control)
             elif not count or control.adaptive:
                 return
+
+    def _data(self, log, begin, misses, before, position_memory):
+        """The StretchData of a stretch; before: the counts at its start."""
+        model = self.model
+        return StretchData(
+            record=log,
+            begin=begin,
+            misses_before=misses,
+            c=self.tableau.c,
+            factor_states=self.factor_states,
+            by_increments=bool(model.has_constraint_increments),
+            memory=self.run_memory | ({"radau_shares": self.shares.copy()} if model.needs.mass_varies else {}),
+            position_memory=position_memory,
+            motion=None if self.table.functions[ACCELERATION] else (model, self.clamp),
+            counts_at=partial(self.counts_at, before, log.counts),
+            states=WeakValueDictionary(),
+        )
 
     def counts_at(self, before, done, k):
         """{name: count} at step k, without steps: `before`, and the work of the stretch up to k."""

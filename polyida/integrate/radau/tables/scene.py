@@ -94,8 +94,8 @@ class SceneStages(Scene):
 
     def _compile_prepare(self):
         """Use the compiled PREPARE if steps need it, all profiles have formulas, and there is a workspace."""
-        if self.functions[of.PREPARE] and self.formulas and self.kind:
-            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.kind_for())
+        if self.functions[of.PREPARE] and self.formulas and self.workspace_type:
+            self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.type_for())
 
     def _prepare(self, model, first, times, *_):
         try:
