@@ -1,0 +1,70 @@
+"""Python functions from expressions: what occurs twice, in any entry of a result, is computed once."""
+
+import numpy as np
+import sympy as sp
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
+from sympy.printing.pycode import PythonCodePrinter
+
+
+class Unprintable(Exception):
+    """An expression contains what Python's math does not know; the text is that part."""
+
+
+class Printer(PythonCodePrinter):
+    """Prints expressions with names in place of those that have one."""
+
+    def __init__(self):
+        super().__init__({"order": "none", "fully_qualified_modules": True})
+        self.names, self._not_supported, self._number_symbols = {}, set(), set()
+
+    def _print(self, expression, **options):
+        return self.names.get(expression) or super()._print(expression, **options)
+
+    def text(self, expression):
+        """The text of an expression. Raises Unprintable."""
+        try:
+            return self._print(expression)
+        except PrintMethodNotImplementedError as error:
+            raise Unprintable(str(error).partition("\n")[0]) from None
+
+
+def parts_of(expressions):
+    """(the parts that occur in several places, each behind its own parts; the symbols). What a branch alone has is computed in the branch."""
+    seen, repeated, order, symbols = set(), set(), [], set()
+
+    def visit(part, outside):
+        if not part.args:
+            symbols.add(part)
+        elif part not in seen:
+            inside = outside and not isinstance(part, sp.Piecewise)
+            seen.update({part} if outside else ())
+            for one in part.args:
+                visit(one, inside)
+            order.append(part)
+        else:
+            repeated.add(part)
+
+    for expression in expressions:
+        visit(expression, True)
+    return [part for part in order if part in repeated], symbols
+
+
+def text_of_function(name, arguments, entries, shape, names):
+    """Source text of a method that returns an array of a shape, () for a number, filled with expressions. Raises Unprintable.
+
+    entries: in the order of the array. names: {symbol: source text of its value}; those that occur are read first.
+    """
+    common, symbols = parts_of(entries)
+    lines = [f"def {name}({', '.join(['self', *arguments])}):"]
+    lines += [f"    {symbol} = {text}" for symbol, text in names.items() if symbol in symbols]
+    printer = Printer()
+    for number, part in enumerate(common):
+        lines.append(f"    w{number} = {printer.text(part)}")
+        printer.names[part] = f"w{number}"
+    if not shape:
+        return "\n".join([*lines, f"    return {printer.text(entries[0])} + 0.0", ""])
+    lines.append(f"    out = np.zeros({shape})")
+    for index, entry in zip(np.ndindex(*shape), entries):
+        if entry != 0:
+            lines.append(f"    out[{', '.join(map(str, index))}] = {printer.text(entry)}")
+    return "\n".join([*lines, "    return out", ""])
