@@ -5,13 +5,15 @@ import sympy as sp
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.pycode import PythonCodePrinter
 
+MOST = 1000  # a larger exponent is no multiplication
+
 
 class Unprintable(Exception):
     """An expression contains what Python's math does not know; the text is that part."""
 
 
 class Printer(PythonCodePrinter):
-    """Prints expressions with names in place of those that have one."""
+    """Prints expressions with names in place of those that have one: sums and products in the order of sympy, without its search for signs."""
 
     def __init__(self):
         super().__init__({"order": "none", "fully_qualified_modules": True})
@@ -19,6 +21,26 @@ class Printer(PythonCodePrinter):
 
     def _print(self, expression, **options):
         return self.names.get(expression) or super()._print(expression, **options)
+
+    def _factor(self, expression):
+        text = self._print(expression)
+        single = expression in self.names or expression.is_Symbol or expression.is_Function and not isinstance(expression, sp.Piecewise)
+        return text if single or text.isdigit() else f"({text})"
+
+    def _print_Add(self, expression):
+        return " + ".join(map(self._print, expression.args))
+
+    def _print_Mul(self, expression):
+        sign = "-" if expression.args[0] is sp.S.NegativeOne else ""
+        return sign + "*".join(map(self._factor, expression.args[bool(sign) :]))
+
+    def _print_Pow(self, expression, rational=False):
+        base, exponent = expression.args
+        if exponent is sp.S.NegativeOne:
+            return f"1/{self._factor(base)}"
+        if exponent.is_Integer and abs(exponent) <= MOST:
+            return f"{self._factor(base)}**{self._factor(exponent)}"
+        return super()._print_Pow(expression, rational)
 
     def text(self, expression):
         """The text of an expression. Raises Unprintable."""

@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.model import Needs
 from polyida.symbolic.code import Unprintable, text_of_function
 from polyida.symbolic.derivatives import Derivative, jacobian
-from polyida.symbolic.expressions import T, Symbols, short
+from polyida.symbolic.expressions import Symbols, T, short
 
 ROWS = {"phi": ("t", "q"), "phi_t": ("t", "q"), "phi_bias": ("t", "q", "v")}
 

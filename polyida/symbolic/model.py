@@ -8,7 +8,6 @@ import numpy as np
 import sympy as sp
 
 from polyida.errors import InputError
-from polyida.linear.lu import dense
 from polyida.model import Model
 from polyida.profile import Profile, as_profile
 from polyida.symbolic.expressions import T, expression_of, number_of, short
@@ -139,17 +138,6 @@ class SymbolicModel(Model):
         names = [*(f"phi[{k}]" for k in range(len(self.equations.phi))), *(f"psi[{k}]" for k in range(len(self.equations.psi)))]
         return f"{names[row]} = {short(self.equations.given[names[row]])}"
 
-    def _mass_system(self, t, q):
-        try:
-            return Model.mass_system(self, t, q)
-        except InputError:
-            B = dense(self.phi_q(t, q))
-            whole = np.block([[self.mass(q), B.T], [B, np.zeros((self.m, self.m))]])
-            free = np.abs(np.linalg.svd(whole)[2][-1][: self.n])
-            names = ", ".join(str(one) for one, share in zip(self.coordinates, free) if share > 1e-3 * free.max())
-            what = f"the mass matrix is singular at t = {t:.6g} s, where no row holds {names}"
-            raise InputError(f"{self.equations.symbols.part}: {what}: every coordinate needs mass or a constraint") from None
-
     def _kinks(self, t0, t1):
         return tuple(sorted({kink for profile in self.profiles for kink in profile.kinks if t0 < kink < t1}))
 
@@ -192,7 +180,6 @@ def _kind(name, by_numba, equations, source):
     if s.x:
         body["k"] = len(s.x)
     else:
-        body["mass_system"] = SymbolicModel._mass_system
         body["residual_p"] = lambda self, name, t, q, v, a, lam: self._slope("residual_p", name, t, q, v, a, lam)
     m, holonomic = len(equations.rows), len(equations.phi)
     if m:

@@ -7,9 +7,10 @@ import sympy as sp
 
 from polyida.errors import InputError
 from polyida.symbolic.derivation import Equations
-from polyida.symbolic.derivatives import Derivative, jacobian
-from polyida.symbolic.expressions import T, Symbols, expression_of, listed
+from polyida.symbolic.derivatives import Derivative, jacobian, symmetric_jacobian
+from polyida.symbolic.expressions import Symbols, T, expression_of, listed
 from polyida.symbolic.model import model_of
+from polyida.symbolic.sums import as_sum
 
 STATES, SEED, DEPENDENT = 3, 0, 1e-8  # random states at which velocity rows are compared; a smaller rest of a row is round-off
 ITERATIONS = 50
@@ -20,8 +21,9 @@ def lagrangian(L, q, phi, psi, forces, states, values, compiled, part="symbolic.
     s, given = _symbols(part, q, states, values), {}
     given["L"] = expression_of(part, "L", L)
     L = s.read("L", given["L"])
-    momenta, column = jacobian([L], s.v)[0], Derivative
-    mass = [[column({v: sp.S.One})(p) for p in momenta] for v in s.v]
+    L = as_sum(L, {ours for _, ours, _ in s.parameters.values()})
+    momenta = jacobian([L], s.v)[0]
+    mass = symmetric_jacobian(momenta, s.v)
     if any(entry.free_symbols & set(s.v) for row in mass for entry in row):
         raise s.error("L", given["L"], "it must be quadratic in the velocities")
     rates, rows = _rates(s, states, given), _rows(s, phi, psi, given)
@@ -116,7 +118,7 @@ def _moving(s):
 
 def _rates(s, states, given):
     rates = []
-    for k, (state, rate) in enumerate((states or {}).items()):
+    for state, rate in (states or {}).items():
         given[f"rate of {state}"] = expression_of(s.part, f"states[{state}]", rate)
         rates.append(s.read(f"states[{state}]", given[f"rate of {state}"]))
     return rates
