@@ -31,8 +31,11 @@ class Printer(PythonCodePrinter):
         return " + ".join(map(self._print, expression.args))
 
     def _print_Mul(self, expression):
-        sign = "-" if expression.args[0] is sp.S.NegativeOne else ""
-        return sign + "*".join(map(self._factor, expression.args[bool(sign) :]))
+        number, rest = numbered(expression)
+        if rest is not expression:
+            text = self._factor(rest) if rest in self.names or not rest.is_Mul else self._print_Mul(rest)
+            return f"-{text}" if number is sp.S.NegativeOne else f"{self._factor(number)}*{text}"
+        return "*".join(map(self._factor, expression.args))
 
     def _print_Pow(self, expression, rational=False):
         base, exponent = expression.args
@@ -50,6 +53,14 @@ class Printer(PythonCodePrinter):
             raise Unprintable(str(error).partition("\n")[0]) from None
 
 
+def numbered(expression):
+    """(number, other factors) of a product; (1, itself) of one without a number."""
+    number, *others = expression.args
+    if not number.is_Number:
+        return sp.S.One, expression
+    return number, others[0] if len(others) == 1 else sp.Mul._from_args(others)
+
+
 def parts_of(expressions):
     """(the parts that occur in several places, each behind its own parts; the symbols). What a branch alone has is computed in the branch."""
     seen, repeated, order, symbols = set(), set(), [], set()
@@ -60,7 +71,8 @@ def parts_of(expressions):
         elif part not in seen:
             inside = outside and not isinstance(part, sp.Piecewise)
             seen.update({part} if outside else ())
-            for one in part.args:
+            number, rest = numbered(part) if part.is_Mul else (None, part)
+            for one in part.args if rest is part else (rest,):  # what differs in a number alone is one part
                 visit(one, inside)
             order.append(part)
         else:

@@ -38,6 +38,7 @@ class Equations:
     potential: Any
     given: dict
     also: dict
+    constants: dict
 
     @cached_property
     def lam(self):
@@ -114,6 +115,7 @@ class Equations:
     def slope(self, function, name):
         """The source text of residual_p or phi_p of one value."""
         along = Derivative({self.symbols.parameters[name][1]: sp.S.One})
+        along = Derivative({self.symbols.parameters[name][1]: sp.S.One} | {one: along(meaning) for one, meaning in self.constants.items()})
         if function == "phi_p":
             entries, arguments = [*map(along, self.functions_of_rows["phi"])], ("t", "q")
         else:
@@ -123,6 +125,7 @@ class Equations:
     def text(self, name, arguments, entries, shape):
         """The source text of one function. Raises InputError for what machine code does not know."""
         names = self.symbols.names() | {one: f"lam[{k}]" for k, one in enumerate(self.lam)}
+        names |= {one: f"self.constants[{k}]" for k, one in enumerate(self.constants)}
         if past := self.symbols.past() & set().union(*(entry.atoms(sp.Symbol) for entry in entries)) if name == "phi_bias" else ():
             raise InputError(f"{self.symbols.part}: {name} needs a third derivative of the function of time behind {min(past, key=str)}")
         try:

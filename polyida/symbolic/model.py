@@ -42,7 +42,9 @@ class SymbolicModel(Model):
 
     def _set(self, values, profiles):
         self.values = np.array(values, float)
-        self.values.flags.writeable = False
+        self.constants = np.array(self.constants_of(*self.values), float)
+        for numbers in (self.values, self.constants):
+            numbers.flags.writeable = False
         self.profiles = tuple(profiles)
         for k, profile in enumerate(self.profiles):
             slope = Profile(profile.d1, profile.d2, profile.d2, profile.kinks, takes_arrays=profile.takes_arrays or bool(profile.formula))
@@ -186,6 +188,8 @@ def _kind(name, by_numba, equations, source):
         body["phi_p"] = lambda self, name, t, q: self._slope("phi_p", name, t, q)
     body |= {"n": len(s.q), "m": m, "needs": equations.needs, "velocity_rows": np.arange(holonomic, m), "parameters": tuple(s.parameters)}
     body |= {"equations": equations, "source": source, "coordinates": tuple(s.user_q), "slopes": {}, "by_numba": by_numba}
+    parameters = [ours for _, ours, _ in s.parameters.values()]
+    body["constants_of"] = staticmethod(sp.lambdify(parameters, list(equations.constants.values()), "math"))
     body["lam"] = tuple(sp.Dummy(f"lam[{k}]", real=True) for k in range(m))
     return type(name, (SymbolicModel,), body)
 

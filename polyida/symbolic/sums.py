@@ -9,18 +9,28 @@ WORTH = 4  # times the size of the expression itself
 
 
 def as_sum(expression, constants):
-    """The expression as a sum of products, equal ones with one coefficient of `constants`; itself if that is long."""
+    """(the expression as a sum of products with different constants c0, c1, ..., {c0: its meaning, ...}), or itself and {} if the sum is long.
+
+    constants: symbols of which c0, c1, ..., are made. A model evaluates these once.
+    """
     if _terms(expression) > LONGEST:
-        return expression
+        return expression, {}
     coefficients: dict = {}
     for term in sp.Add.make_args(sp.expand(expression, power_base=False, power_exp=False, log=False)):
         factors = sp.Mul.make_args(term)
-        fixed = [factor for factor in factors if factor.free_symbols <= constants]
-        product = sp.Mul(*(factor for factor in factors if not factor.free_symbols <= constants))
-        coefficients.setdefault(product, []).append(sp.Mul(*fixed))
+        moving = sp.Mul(*(factor for factor in factors if not factor.free_symbols <= constants))
+        coefficients.setdefault(moving, []).append(sp.Mul(*(factor for factor in factors if factor.free_symbols <= constants)))
     sums = _without_squares({product: sp.Add(*parts) for product, parts in coefficients.items()})
-    result = sp.Add(*(sp.Mul(coefficient, product) for product, coefficient in sums.items()))
-    return result if _size(result) <= WORTH * _size(expression) else expression
+    names: dict = {}
+    terms = []
+    for product, coefficient in sums.items():
+        negative = coefficient.could_extract_minus_sign()
+        meaning = -coefficient if negative else coefficient
+        if not meaning.is_Number:
+            meaning = names.setdefault(meaning, sp.Symbol(f"c{len(names)}", real=True))
+        terms.append(sp.Mul(-1 if negative else 1, meaning, product))
+    result = sp.Add(*terms)
+    return (result, {name: meaning for meaning, name in names.items()}) if _size(result) <= WORTH * _size(expression) else (expression, {})
 
 
 def _terms(expression):

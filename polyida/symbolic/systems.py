@@ -21,7 +21,7 @@ def lagrangian(L, q, phi, psi, forces, states, values, compiled, part="symbolic.
     s, given = _symbols(part, q, states, values), {}
     given["L"] = expression_of(part, "L", L)
     L = s.read("L", given["L"])
-    L = as_sum(L, {ours for _, ours, _ in s.parameters.values()})
+    L, constants = as_sum(L, {ours for _, ours, _ in s.parameters.values()})
     momenta = jacobian([L], s.v)[0]
     mass = symmetric_jacobian(momenta, s.v)
     if any(entry.free_symbols & set(s.v) for row in mass for entry in row):
@@ -35,7 +35,7 @@ def lagrangian(L, q, phi, psi, forces, states, values, compiled, part="symbolic.
     potential = None if still.free_symbols & _moving(s) else still
     if also is None:
         s.require_used()
-    return model_of("Lagrangian", Equations(s, mass, force, *rows, rates, extra, potential, given, also or {}), compiled)
+    return model_of("Lagrangian", Equations(s, mass, force, *rows, rates, extra, potential, given, also or {}, constants), compiled)
 
 
 def equations(M, g, q, phi, psi, states, values, potential, compiled, part="symbolic.equations", also=None):
@@ -67,7 +67,7 @@ def equations(M, g, q, phi, psi, states, values, potential, compiled, part="symb
         s.require_used()
     else:
         rows = rows[0], independent(s, *rows)
-    return model_of("Equations", Equations(s, mass, force, *rows, rates, [], potential, given, also or {}), compiled)
+    return model_of("Equations", Equations(s, mass, force, *rows, rates, [], potential, given, also or {}, {}), compiled)
 
 
 def independent(s, phi, psi):
