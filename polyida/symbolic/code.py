@@ -97,8 +97,12 @@ def text_of_function(name, arguments, entries, shape, names):
         printer.names[part] = f"w{number}"
     if not shape:
         return "\n".join([*lines, f"    return {printer.text(entries[0])} + 0.0", ""])
-    lines.append(f"    out = np.zeros({shape})")
-    for index, entry in zip(np.ndindex(*shape), entries):
-        if entry != 0:
-            lines.append(f"    out[{', '.join(map(str, index))}] = {printer.text(entry)}")
-    return "\n".join([*lines, "    return out", ""])
+    lines.append(f"    out = np.zeros({len(entries)})")  # one index is compiled in half the time of a pair
+    rows, n = [*np.ndindex(*shape)], shape[-1]
+    symmetric = shape == (n, n) and n > 1 and all(entries[i * n + j] == entries[j * n + i] for i in range(n) for j in range(i))
+    for place, (index, entry) in enumerate(zip(rows, entries)):
+        if entry != 0 and not (symmetric and index[0] > index[1]):
+            lines.append(f"    out[{place}] = {printer.text(entry)}")
+    if symmetric:
+        lines += [f"    for i in range({n}):", "        for j in range(i):", f"            out[i*{n} + j] = out[j*{n} + i]"]
+    return "\n".join([*lines, f"    return out.reshape({shape})" if len(shape) > 1 else "    return out", ""])
