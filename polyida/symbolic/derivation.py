@@ -126,8 +126,9 @@ class Equations:
         """The source text of one function. Raises InputError for what machine code does not know."""
         names = self.symbols.names() | {one: f"lam[{k}]" for k, one in enumerate(self.lam)}
         names |= {one: f"self.constants[{k}]" for k, one in enumerate(self.constants)}
-        if past := self.symbols.past() & set().union(*(entry.atoms(sp.Symbol) for entry in entries)) if name == "phi_bias" else ():
-            raise InputError(f"{self.symbols.part}: {name} needs a third derivative of the function of time behind {min(past, key=str)}")
+        if past := self.symbols.past() & set().union(*(entry.free_symbols for entry in entries)):
+            function = next(key for key, ours in self.symbols.functions.items() if ours[-1] in past)
+            raise InputError(f"{self.symbols.part}: {name} needs the third derivative of {function}, of which a profile has two")
         try:
             return text_of_function(name, arguments, entries, shape, names)
         except Unprintable as error:

@@ -29,7 +29,7 @@ def expression_of(part, name, value):
         raise InputError(f"{part}: {name} = {value!r:.80} must be an expression of sympy") from None
     if isinstance(expression, sp.Equality):
         expression = expression.lhs - expression.rhs
-    if not isinstance(expression, sp.Expr) or expression.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
+    if not isinstance(expression, sp.Expr) or isinstance(expression, sp.MatrixBase) or expression.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I):
         raise InputError(f"{part}: {name} = {short(value)} must be a real, finite expression of sympy")
     return expression
 
@@ -82,7 +82,7 @@ class Symbols:
         for key, value in values.items():
             key = key(self.user_t) if isinstance(key, UndefinedFunction) else key
             if isinstance(key, AppliedUndef) and key.args == (self.user_t,) and key not in self._replaced:
-                ours = [sp.Symbol(f"f{len(self.functions)}_{order}", real=True) for order in range(MOST + 1)]
+                ours = [sp.Symbol(f"f{len(self.functions)}_{order}", real=True) for order in range(MOST + 2)]
                 self._replaced |= {key.diff(self.user_t, order) if order else key: one for order, one in enumerate(ours)}
                 self.functions[key] = ours
                 self.profiles.append(as_profile(value, f"{self.part}: values[{key}]"))
@@ -105,7 +105,7 @@ class Symbols:
         return {T: sp.S.One} | {one: following for ours in self.functions.values() for one, following in zip(ours, ours[1:])}
 
     def past(self):
-        """Symbols of the highest derivatives of functions of time, which cannot be differentiated again."""
+        """Symbols of the highest derivatives of functions of time, which no profile has: they stand where equations need them."""
         return {ours[-1] for ours in self.functions.values()}
 
     def names(self):
@@ -113,7 +113,7 @@ class Symbols:
         groups = {"q": self.q, "v": self.v, "a": self.a, "x": self.x}
         result = {T: "t"} | {one: f"{letter}[{k}]" for letter, group in groups.items() for k, one in enumerate(group)}
         result |= {ours: f"self.values[{k}]" for k, (_, ours, _) in enumerate(self.parameters.values())}
-        return result | {one: f"self.{one}(t)" for ours in self.functions.values() for one in ours}
+        return result | {one: f"self.{one}(t)" for ours in self.functions.values() for one in ours[:-1]}
 
     def read(self, name, expression, allowed=1, further=()):
         """The user's expression in the model's symbols. allowed: the highest derivative of q that it may have; further: symbols of ours
@@ -148,6 +148,7 @@ class Symbols:
         return {T, *self.q, *self.v, *self.a, *self.x} | ours
 
     def _unknown(self, one):
+        one = one.xreplace({ours: user for user, ours in self._replaced.items()})
         inner = one.expr if isinstance(one, sp.Derivative) else one
         if inner in self.functions or inner in self.user_q:
             return f"{one} cannot be taken; coordinates and functions of time have {MOST} derivatives, and depend on {self.user_t} alone"

@@ -131,7 +131,7 @@ class SymbolicModel(Model):
         columns |= dict(zip(s.x, run.x.T)) if s.x else {}
         columns |= {ours: value for (_, ours, _), value in zip(s.parameters.values(), model.values)}
         for ours, profile in zip(s.functions.values(), model.profiles):
-            columns |= {one: profile.over(t, order) for order, one in enumerate(ours)}
+            columns |= {one: profile.over(t, order) for order, one in enumerate(ours[:-1])}
         used = sorted(found.free_symbols, key=str)
         values = sp.lambdify(used, found, "numpy", cse=True)(*(columns[one] for one in used))
         return np.array(np.broadcast_to(np.asarray(values, float), t.shape))

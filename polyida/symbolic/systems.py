@@ -77,7 +77,7 @@ def independent(s, phi, psi):
     moving, still = Derivative(s.rates_of_functions() | dict(zip(s.q, s.v))), dict.fromkeys(s.v, sp.S.Zero)
     rates = [*map(moving, phi), *psi]
     values = {ours: value for _, ours, value in s.parameters.values()}
-    values |= {one: profile.at(0.0)[order] for ours, profile in zip(s.functions.values(), s.profiles) for order, one in enumerate(ours)}
+    values |= {one: value for ours, profile in zip(s.functions.values(), s.profiles) for one, value in zip(ours, profile.at(0.0))}
     values[T] = 0.0
     whole = [sp.Matrix(one).xreplace(values) for one in (phi, jacobian(rates, s.v), [rate.xreplace(still) for rate in rates])]
     value, rows, free = (sp.lambdify([s.q], one, "numpy", cse=True) for one in whole)
