@@ -210,3 +210,35 @@ def test_piecewise_and_signs():
     model = pi.symbolic.lagrangian(a.diff(t) ** 2 / 2, [a], forces=[wall + brake], values={m: 0.1, g: -1.0}, compiled=False)
     errors = pi.check_derivatives(model, q=[0.4], v=[0.7]) | pi.check_derivatives(model, q=[1.4], v=[-0.7])
     assert max(errors.values()) < 1e-8, errors
+
+
+def test_plots_of_expressions():
+    import matplotlib.pyplot as plt
+
+    model = pendulum()
+    run = pi.solve(model, 0.1, pi.RadauIIA(rtol=1e-6), q0=[1.0, 0.0])
+    axes = run.plot.expressions(sp.atan2(y, x), x * y)
+    assert len(axes.lines) == 2 and np.array_equal(axes.lines[1].get_ydata(), model.evaluate(run, x * y))
+    plt.close(axes.figure)
+    with pytest.raises(pi.InputError, match="is no model of polyida.symbolic"):
+        pi.solve(pi.problems.get("pendulum").model, 0.01, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0]).plot.expressions(x)
+
+
+def test_a_file_builds_a_model_for_the_command_line(tmp_path):
+    from polyida.study.ivp import load
+
+    file = tmp_path / "my_equations.py"
+    file.write_text(
+        """import polyida as pi
+from sympy.physics.mechanics import dynamicsymbols
+
+def build():
+    a = dynamicsymbols("a")
+    t = dynamicsymbols._t
+    model = pi.symbolic.lagrangian(a.diff(t) ** 2 / 2 - a**2 / 2, [a], compiled=False)
+    return model, {"q0": [1.0], "v0": [0.0], "time": 0.5}
+"""
+    )
+    problem = load(f"{file}:build")
+    study = pi.study.work_precision(problem.model, [pi.RadauIIA(rtol=1e-7), pi.RadauIIA(rtol=1e-9)], problem.t_end, q0=problem.q0)
+    assert abs(problem.run(pi.RadauIIA(rtol=1e-10)).q[-1, 0] - np.cos(0.5)) < 1e-8 and study is not None
