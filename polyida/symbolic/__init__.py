@@ -85,10 +85,12 @@ def equations(
         The mass matrix, symmetric, of q alone.
     g : list of n expressions
         The forces of `M a + g + phi_q^T lam = 0`, with this sign, in t, q, q' and states.
-    q, phi, psi, states, values, compiled
+    q, phi, psi, states, values
         As of `lagrangian`.
     potential : expression, optional
         The potential energy, J, of q alone, of all forces in g that act at rest; with it `EnergyMomentum` takes models of constant mass.
+    compiled : bool
+        As of `lagrangian`.
 
     Returns
     -------
