@@ -14,7 +14,7 @@ from polyida.study.tasks import Study
 OURS = ("alpha", "radau", "ida")
 SIDES = (*OURS, *BY_IVP, "solve_dae", "scikit-sundae")
 PEERS = {"solve_ivp": BY_IVP, "solve_dae": ("solve_dae",), "scikit-sundae": ("scikit-sundae",)}
-ERROR = 1e-5  # rad, of the largest error of q at the end
+ERROR = 1e-6  # rad, of the largest error of q at the end
 AIMS = {"derive_s": 5.0, "first_s": 15.0, "over_solve_ivp": 0.3, "over_solve_dae": 0.1, "over_scikit-sundae": 0.5}
 
 

@@ -13,7 +13,7 @@ import polyida as pi
 
 SPAN = sp.Rational(3, 5)  # of the chain's length, between its pins
 VALUES = {"m": 1.0, "l": 1.0, "g": 9.81}
-T_END = 0.5  # s
+T_END = 1.0  # s
 ENOUGH = 1e-7  # rad: a side stops at its first run with a smaller error
 NO_FRAMES = 10**9
 RTOL = tuple(10.0 ** np.arange(-4, -10, -1))
@@ -47,8 +47,8 @@ def model_of(links):
 
 
 def start(links):
-    """Angles of an arch over the pins, (links,)."""
-    angles = np.linspace(1.0, -1.0, links)
+    """Angles of an arc that hangs between the pins, (links,)."""
+    angles = np.linspace(-1.0, 1.0, links)
     size = brentq(lambda s: np.cos(s * angles).sum() - float(SPAN) * links, 0.1, 3.0)
     return size * angles
 
@@ -131,13 +131,18 @@ def ended(run):
     return np.append(run.q[-1], run.v[-1])
 
 
+def with_integrals(links):
+    """The same of q, v and the integrals of mu and lam, so that no unknown is without a derivative; (F, y, y')."""
+    residual, y, yp = stabilised(links)
+    yp[2 * links :], y[2 * links :] = y[2 * links :], 0.0
+    return lambda t, y, yp: residual(t, np.append(y[: 2 * links], yp[2 * links :]), yp), y, yp
+
+
 def by_solve_dae(links, rtol):
-    """q and v at the end by solve_dae's Radau; mu and lam are unknowns whose integrals it gets."""
+    """q and v at the end by solve_dae's Radau."""
     from solve_dae.integrate import solve_dae
 
-    residual, y, yp = stabilised(links)
-    yp[2 * links :], y[2 * links :] = y[2 * links :], 0.0  # integrals of the multipliers
-    move = lambda t, y, yp: residual(t, np.append(y[: 2 * links], yp[2 * links :]), yp)  # noqa: E731
+    move, y, yp = with_integrals(links)
     return solve_dae(move, (0.0, T_END), y, yp, method="Radau", rtol=rtol, atol=rtol, t_eval=[0.0, T_END]).y[: 2 * links, -1]
 
 
@@ -145,13 +150,12 @@ def by_sundae(links, rtol):
     """q and v at the end by the IDA of scikit-sundae."""
     from sksundae.ida import IDA
 
-    residual, y, yp = stabilised(links)
+    move, y, yp = with_integrals(links)
 
     def filled(t, y, yp, res):
-        res[:] = residual(t, y, yp)
+        res[:] = move(t, y, yp)
 
-    algebraic = list(range(2 * links, 2 * links + 4))
-    made = IDA(filled, rtol=rtol, atol=rtol, algebraic_idx=algebraic, max_num_steps=100_000).solve([0.0, T_END], y, yp)
+    made = IDA(filled, rtol=rtol, atol=rtol, max_num_steps=100_000).solve([0.0, T_END], y, yp)
     if not made.success:
         raise RuntimeError(str(made.message))
     return np.asarray(made.y)[-1, : 2 * links]
