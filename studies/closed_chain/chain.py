@@ -143,7 +143,10 @@ def by_solve_dae(links, rtol):
     from solve_dae.integrate import solve_dae
 
     move, y, yp = with_integrals(links)
-    return solve_dae(move, (0.0, T_END), y, yp, method="Radau", rtol=rtol, atol=rtol, t_eval=[0.0, T_END]).y[: 2 * links, -1]
+    made = solve_dae(move, (0.0, T_END), y, yp, method="Radau", rtol=rtol, atol=rtol, t_eval=[0.0, T_END])
+    if not made.success:
+        raise RuntimeError(str(made.message))
+    return made.y[: 2 * links, -1]
 
 
 def by_sundae(links, rtol):
