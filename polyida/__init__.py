@@ -39,7 +39,9 @@ _BESIDE_REGISTRY = {  # names by the module that defines them; parts and integra
     "integrate.state": ("State", "Counts", "Integrator"),
 }
 _PLACES = registry.parts | registry.integrators | registry.places("polyida", _BESIDE_REGISTRY)
-_MODULES = {name: name for name in ("mesh", "design", "profile", "sensor", "objective", "registry", "problems", "study", "show")}
+_MODULES = {
+    name: name for name in ("mesh", "design", "profile", "sensor", "objective", "registry", "problems", "study", "show", "symbolic")
+}
 _MODULES["export"] = "show.vtu"
 
 __version__ = "0.1.0"

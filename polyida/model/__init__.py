@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.linear.lu import SingularSystem
+from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, StepMatrix
 from polyida.model import differences
 from polyida.reprs import table
@@ -21,6 +21,7 @@ from polyida.validation import named_keywords
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})
+FEW, ROUND_OFF = 200, 1e-12  # coordinates and constraints of a model whose free coordinates are looked for; a relative singular value
 NEARBY = 1e-4  # of a parameter's size: a change with which kinks move linearly
 
 
@@ -424,6 +425,17 @@ class Model:
         """
         raise NotImplementedError
 
+    def _not_held(self, t, q):
+        """The coordinates that neither mass nor a row of phi holds, in words; empty for large models, and if rows alone depend on each other."""
+        if self.n + self.m > FEW:
+            return ""
+        M, B = dense(self.mass(q)), dense(self.phi_q(t, q))
+        sizes, rows = np.linalg.svd(np.vstack([M, B]))[1:] if np.isfinite(M).all() and np.isfinite(B).all() else (np.ones(1), M)
+        if sizes[-1] > ROUND_OFF * sizes[0]:
+            return ""
+        free, names = np.abs(rows[-1]), getattr(self, "coordinates", None) or [f"q[{k}]" for k in range(self.n)]
+        return ", where nothing holds " + ", ".join(str(name) for name, share in zip(names, free) if share > 1e-3 * free.max())
+
     def mass_system(self, t: float, q: NDArray) -> Any:
         """Return the factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` returns (dq, dlam), see linear/saddle.py.
 
@@ -432,4 +444,5 @@ class Model:
         try:
             return KKT(self.mass(q), self.phi_q(t, q), 1.0)
         except SingularSystem:
-            raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
+            needed = "every coordinate needs mass or a constraint"
+            raise InputError(f"the mass matrix is singular on the constraints{self._not_held(t, q)}: {needed}") from None

@@ -325,6 +325,9 @@ class Guarded(Model):
     def replaced(self, name, value):
         return guard(self.user.replaced(name, value), f"{self.name}.replaced")
 
+    def parameter(self, name):
+        return self.user.parameter(name)
+
     def residual_p(self, name, t, q, v, a, lam):
         return self._slope("residual_p", self.n, name, t, q, v, a, lam)
 
@@ -336,7 +339,7 @@ class Guarded(Model):
             return getattr(super(), function)(name, t, *state)
         result, shape = (
             getattr(self.user, function)(name, t, *(read_only(x[: self.n - self.k]) for x in state)),
-            (size, *np.shape(getattr(self.user, name))),
+            (size, *np.shape(self.parameter(name))),
         )
         values = floats(result)
         if values is None or values.shape != shape:

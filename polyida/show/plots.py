@@ -342,7 +342,7 @@ class RunPlots:
         self._run = run
 
     def __repr__(self):
-        return "run.plot: energy(), position(name), tip(name), reactions(*names), drift(), deformed(times)"
+        return "run.plot: energy(), position(name), tip(name), reactions(*names), expressions(*given), drift(), deformed(times)"
 
     def energy(self, axes: Axes | None = None) -> Axes:
         """Draw kinetic, potential, strain and total energy, J, against time, without those that are zero.
@@ -419,6 +419,28 @@ class RunPlots:
             for k, values in enumerate(self._run.reaction(name).T):
                 histories[f"{_name(name)}: {', '.join(filter(None, quantity(model, name, k)))}"] = values
         return self._draw_histories(histories, "reaction", axes)
+
+    def expressions(self, *given: Any, axes: Axes | None = None) -> Axes:
+        """Draw expressions of sympy against time, of a run of a model of `pi.symbolic`.
+
+        Parameters
+        ----------
+        *given : expression of sympy
+            As of `SymbolicModel.evaluate`.
+        axes : Axes, optional
+
+        Returns
+        -------
+        axes : Axes
+        """
+        self._run.known_model("run.plot.expressions")
+        model = self._run.model
+        if not hasattr(model, "evaluate"):
+            raise InputError(f"run.plot.expressions: {type(model).__name__} is no model of polyida.symbolic")
+        if not given:
+            raise InputError("run.plot.expressions: give an expression of sympy")
+        histories = {literal(cut(str(one), LONGEST_NAME)): model.evaluate(self._run, one) for one in given}
+        return self._draw_histories(histories, "" if len(given) > 1 else next(iter(histories)), axes)
 
     def drift(self, axes: Axes | None = None) -> Axes:
         """Draw the largest violation of the constraints and of their time derivative on a logarithmic axis.

@@ -12,6 +12,7 @@ MODELS = (
     "flexible bodies reduced to modes",
     "revolute, prismatic, motor",
     "contact with friction",
+    "a model from a Lagrangian or Kane's method of sympy",
     "a model of one's own",
 )
 INTEGRATORS = (

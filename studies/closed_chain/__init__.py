@@ -1,0 +1,1 @@
+"""Modules of studies/closed_chain.py: the chain and its solvers."""
