@@ -12,7 +12,8 @@ from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, Pl
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
-from polyida.element.elements import operator_of, stabilisation_factor
+from polyida.element.choice import operator_of
+from polyida.element.elements import stabilisation_factor
 from polyida.errors import InputError, LockingWarning
 from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of

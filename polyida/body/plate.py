@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, of_node, of_section
 from polyida.mesh import PolygonMesh
-from polyida.validation import floats, is_number, is_one_of, labelled, named_keywords, number, positive, settle, vector2
+from polyida.validation import floats, is_number, is_one_of, is_whole, labelled, named_keywords, number, positive, settle, vector2
 
 
 @named_keywords
@@ -131,11 +131,14 @@ class Plate:
         Of the centre of mass at the start; see `pi.consistent_state`.
     spin : float, rad/s
         About the centre of mass at the start.
+    order : 1 or 2, optional
+        2: quadratic cells, with a middle node on each side, which the plate adds if its mesh has none. A tenth of the cells is enough where the
+        plate bends. `mesh` is then the mesh with these nodes. Default: that of the mesh, 1 unless it has middle nodes.
 
     Raises
     ------
     InputError
-        For a wrong value, an unknown element, or a cell that is a sliver; for Wachspress elements also for a cell that is not strictly
+        For a wrong value, an unknown element, virtual elements of order 2, or a cell that is a sliver; for Wachspress elements also for a cell that is not strictly
         convex or has more than 16 corners.
     """
 
@@ -149,6 +152,7 @@ class Plate:
     tau: float = 0.1
     velocity: tuple = (0.0, 0.0)
     spin: float = 0.0
+    order: int | None = None
     label: str = field(init=False, repr=False)
     few = turns_only = False  # as of Body
 
@@ -171,6 +175,12 @@ class Plate:
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
         settle(self, tau=positive(label, "tau", self.tau, "no unit"))
+        if self.order is not None and not is_whole(self.order, 1, 2):
+            raise InputError(f"{label}: order = {self.order!r} must be 1, or 2 for quadratic cells")
+        order = mesh.order if self.order is None else int(self.order)
+        if order == 2 and self.element != "wachspress":
+            raise InputError(f'{label}: order = 2 with element {self.element!r}; quadratic cells need element="wachspress"')
+        mesh = mesh.linear if order == 1 else mesh
         first, corners = mesh.offsets[:-1], mesh.points[mesh.nodes]
         lengths = np.hypot(*(np.maximum.reduceat(corners, first) - np.minimum.reduceat(corners, first)).T)
         heights, extent = mesh.cell_areas / lengths, np.ptp(mesh.points, axis=0).max()
@@ -182,12 +192,13 @@ class Plate:
             )
         if self.element == "wachspress":
             self._of_mesh(mesh.require_convex)
-            most = int(np.diff(mesh.offsets).max())
+            most = int(np.diff(mesh.offsets).max()) // mesh.order
             if most > MOST_CORNERS:
                 raise InputError(
                     f"{label}: a cell has {most} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
                     'use element="virtual" or a finer mesh'
                 )
+        settle(self, order=order, mesh=mesh.quadratic if order == 2 else mesh)
 
     @cached_property
     def placed(self) -> PolygonMesh:
@@ -195,7 +206,8 @@ class Plate:
         if self.angle == 0.0:
             return self.mesh
         c, s = np.cos(self.angle), np.sin(self.angle)
-        return PolygonMesh(self.mesh.points @ np.array([[c, s], [-s, c]]), self.mesh.nodes, self.mesh.offsets, self.mesh.sections)
+        cells = self.mesh.nodes, self.mesh.offsets, self.mesh.sections
+        return PolygonMesh(self.mesh.points @ np.array([[c, s], [-s, c]]), *cells, order=self.mesh.order)
 
     @cached_property
     def points(self) -> np.ndarray:

@@ -10,7 +10,8 @@ from polyida.body.body import Body, BodyPoint
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import FieldBody
 from polyida.element import kernels
-from polyida.element.elements import operator_of, stabilisation_factor
+from polyida.element.choice import operator_of
+from polyida.element.elements import stabilisation_factor
 from polyida.element.operator import Blocks, Material
 from polyida.errors import InputError
 from polyida.jit.intrinsics import LANES

@@ -201,6 +201,8 @@ def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable
         raise InputError(f"threshold: at = {at!r} must be a finite number")
     if not is_one_of(hanging, ("raise", "leave out")):
         raise InputError(f"threshold: hanging = {hanging!r} must be 'raise' or 'leave out'")
+    if mesh.order == 2:
+        return threshold(mesh.linear, density, at, keep, hanging=hanging).quadratic
     cell, cells_of_section = topology.corner_cells(mesh.offsets), cells_along("threshold", mesh, keep)
     solid = density >= at
     for cells in cells_of_section.values():

@@ -36,11 +36,6 @@ MANY = 10  # corners; with more, one point for each fan triangle gives modes of 
 THINNEST = 1e-14  # area of a cell over its squared circumference
 
 
-def operator_of(plate, kept=None):
-    """Return the reference operator of a plate's element on its mesh. kept (nodes,): the share of its mass that a node keeps; see `lighter`."""
-    return virtual(plate.placed, plate.tau, kept) if plate.element == "virtual" else wachspress(plate.placed, kept)
-
-
 def lighter(element, kept):
     """Return the element with less mass at some nodes: in each cell what they lose is shared by the nodes that keep theirs.
 
@@ -82,7 +77,7 @@ def wachspress(mesh, kept=None):
     """Return the ReferenceOperator of a mesh with strictly convex, counter-clockwise cells.
 
     mesh: any object with points (N, 2) in m, nodes and offsets (the corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
-    kept: as of `operator_of`. Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
+    kept: as of `choice.operator_of`. Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
     """
     return build(mesh, lighter(_wachspress, kept))
 
@@ -95,11 +90,8 @@ def fan_points(corners):
     return points, cross(corners - centroid, follower - centroid) / 2, centroid
 
 
-def _wachspress(corners, cells, nodes, many=MANY):
-    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells.
-
-    many: number of corners from which on each triangle of the fan has three points.
-    """
+def convex_sines(corners, cells, nodes):
+    """Sines of the turning angles at the corners, (n, c). Raise InputError naming cell and corner if a cell is not strictly convex."""
     edges = after(corners) - corners
     with np.errstate(invalid="ignore", divide="ignore"):
         edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
@@ -114,6 +106,15 @@ def _wachspress(corners, cells, nodes, many=MANY):
             f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
             "every angle below 180 degrees and no side of zero length"
         )
+    return sines
+
+
+def _wachspress(corners, cells, nodes, many=MANY):
+    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells.
+
+    many: number of corners from which on each triangle of the fan has three points.
+    """
+    sines = convex_sines(corners, cells, nodes)
     corners = corners - corners.mean(axis=0)
     follower = after(corners)
     area, _, mean = measures(corners)
@@ -127,10 +128,7 @@ def _wachspress(corners, cells, nodes, many=MANY):
     points = (centroid + corners + follower) / 3
     if len(corners) > many:
         points, weights = near, np.concatenate([weights / 3] * 3)
-    shapes, normals, heights = _shapes(corners, follower, sines, points)
-    slopes = normals / heights[:, :, None]
-    slopes = slopes + np.roll(slopes, 1, axis=1)
-    gradients = shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
+    _, gradients = _with_gradients(corners, follower, sines, points)
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
 
@@ -138,6 +136,21 @@ def _wachspress(corners, cells, nodes, many=MANY):
 def wachspress_of_three(corners, cells, nodes):
     """The same as _wachspress, with three points of the true gradients in each triangle of the fan: for errors of meshes."""
     return _wachspress(corners, cells, nodes, many=0)
+
+
+def _with_gradients(corners, follower, sines, points):
+    """Shape functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c)."""
+    shapes, normals, heights = _shapes(corners, follower, sines, points)
+    slopes = normals / heights[:, :, None]
+    slopes = slopes + np.roll(slopes, 1, axis=1)
+    return shapes, shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
+
+
+def wachspress_functions(corners, points):
+    """Wachspress functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c) of strictly convex cells."""
+    edges = after(corners) - corners
+    edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
+    return _with_gradients(corners, after(corners), cross(before(edges), edges), points)
 
 
 def _shapes(corners, follower, sines, points):
