@@ -128,7 +128,10 @@ def _wachspress(corners, cells, nodes, many=MANY):
     points = (centroid + corners + follower) / 3
     if len(corners) > many:
         points, weights = near, np.concatenate([weights / 3] * 3)
-    _, gradients = _with_gradients(corners, follower, sines, points)
+    shapes, normals, heights = _shapes(corners, follower, sines, points)
+    slopes = normals / heights[:, :, None]
+    slopes = slopes + np.roll(slopes, 1, axis=1)
+    gradients = shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
 
@@ -138,19 +141,11 @@ def wachspress_of_three(corners, cells, nodes):
     return _wachspress(corners, cells, nodes, many=0)
 
 
-def _with_gradients(corners, follower, sines, points):
-    """Shape functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c)."""
-    shapes, normals, heights = _shapes(corners, follower, sines, points)
-    slopes = normals / heights[:, :, None]
-    slopes = slopes + np.roll(slopes, 1, axis=1)
-    return shapes, shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
-
-
 def wachspress_functions(corners, points):
-    """Wachspress functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c) of strictly convex cells."""
+    """Wachspress functions (p, n, c) at points (p, 2, c) of strictly convex cells."""
     edges = after(corners) - corners
     edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
-    return _with_gradients(corners, after(corners), cross(before(edges), edges), points)
+    return _shapes(corners, after(corners), cross(before(edges), edges), points)[0]
 
 
 def _shapes(corners, follower, sines, points):

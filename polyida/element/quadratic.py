@@ -7,13 +7,17 @@ corners and sides (Rand, Gillette, Bajaj 2014):
     sum_i c_ii P(v_i, v_i) + 2 c_i,i+1 P(v_i, v_i+1) = 2 P(v_a, v_b),  P(v, w) = (1, (v + w) / 2, sym(v (x) w))
 
 so that 1, x and x (x) x are reproduced. The Lagrange functions of the nodes are psi_i = xi_ii - xi_i-1,i - xi_i,i+1 of a corner and
-4 xi_i,i+1 of a side. A triangle is T6; all is independent of affine maps, so each cell is computed with its second moments made equal.
+4 xi_i,i+1 of a side. The mass is their integral with six points for each fan triangle, exact for degree 4.
 
-Gradients get the linear correction d(x) of each function (Chi, Talischi, Lopez-Pamies, Paulino 2016) with which
+Gradients are the linear ones with the moments of those of psi, as in virtual elements of order two (Beirao da Veiga et al. 2013):
 
-    sum_q w_q (grad psi + d)(x_q) p(x_q) = oint psi p n ds - sum_q w_q psi(x_q) grad p,   p = 1, x, y
+    int G_i p = oint psi_i p n ds - int psi_i grad p,   p = 1, x, y
 
-and both patch tests, linear and quadratic, are exact. The mass uses six points for each fan triangle, exact for degree 4.
+Both patch tests, linear and quadratic, are exact. Three points are enough for them: in coordinates with unit second moments, an equilateral
+triangle around the centroid has the moments of the cell up to degree 2, and its corners, sqrt(2) away, lie within every convex cell. The
+volume then has three conditions in each cell, which do not lock as nu goes to 1/2. All that is not quadratic in a cell has the stabilisation of
+virtual elements, tau / 2 times tr(C) |x - Q x|^2 / 2 with the least-squares fit Q of a quadratic field to the nodes: triangles, which are T6, have none.
+Each cell is computed in the coordinates with unit second moments: slender cells cost no digits.
 """
 
 import numpy as np
@@ -22,35 +26,36 @@ from polyida.element.elements import convex_sines, wachspress_functions
 from polyida.element.operator import after, before, cross, measures, second_moments
 from polyida.errors import InputError
 
-STIFFNESS_RULE = np.array([[2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0, np.full(3, 1.0 / 3.0)
-_NEAR, _FAR = 0.445948490915965, 0.091576213509771  # Strang, Fix 1973: six points, degree 4
-_TRIPLES = [np.roll([1.0 - 2.0 * value, value, value], k) for value in (_NEAR, _FAR) for k in range(3)]
-MASS_RULE = np.array(_TRIPLES), np.repeat([0.223381589678011, 0.109951743655322], 3)
+NEAR, FAR = 0.445948490915965, 0.091576213509771  # Strang, Fix 1973: six points of a triangle, degree 4
+SHARES = np.array([np.roll([1.0 - 2.0 * share, share, share], k) for share in (NEAR, FAR) for k in range(3)])
+WEIGHTS = np.repeat([0.223381589678011, 0.109951743655322], 3)
 STRAIGHT = 1e-9  # distance of a middle node from the middle of its side, relative to the side
 
 
-def quadratic(corners, cells, nodes):
-    """Areas (c,), mean gradients (2n, 2, c), gradients (p, 2n, 2, c), weights (p, c), mass (2n, 2n, c) of cells of 2n nodes."""
+def quadratic(corners, cells, nodes, tau):
+    """Areas (c,), mean gradients (2n, 2, c), gradients (3, 2n, 2, c), weights (3, c), mass and stabilisation (2n, 2n, c) of cells of 2n nodes."""
     vertices, middles = corners[::2], corners[1::2]
     convex_sines(vertices, cells, nodes[::2])
     _require_straight(vertices, middles, cells, nodes[1::2])
     vertices = vertices - vertices.mean(axis=0)
     area, centroid, _ = measures(vertices)
     vertices = vertices - centroid
-    to_cell = np.linalg.cholesky((second_moments(vertices) / area).transpose(2, 0, 1))  # of the coordinates with equal moments, (c, 2, 2)
-    from_cell = np.linalg.inv(to_cell)
+    to_cell = np.linalg.cholesky((second_moments(vertices) / area).transpose(2, 0, 1))  # from coordinates with unit moments, (c, 2, 2)
+    from_cell, size = np.linalg.inv(to_cell), np.linalg.det(to_cell)
     vertices = np.einsum("cde,nec->ndc", from_cell, vertices)
-    sides, size = after(vertices) - vertices, np.linalg.det(to_cell)
-    fan, coefficients = cross(vertices, after(vertices)) / 2, _coefficients(vertices)
-    points, weights = _rule(STIFFNESS_RULE, vertices, fan)
-    shapes, gradients = _functions(vertices, coefficients, points)
-    flux = _flux(vertices, np.stack([sides[:, 1], -sides[:, 0]], axis=1))
-    _correct(gradients, shapes, flux, points, weights)
-    of_mass, mass_weights = _rule(MASS_RULE, vertices, fan)
-    shapes, _ = _functions(vertices, coefficients, of_mass)
-    mass = np.matmul((shapes * (mass_weights * size)[:, None]).transpose(2, 1, 0), shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
-    means = np.einsum("nec,ced->ndc", flux[:, 0], from_cell) * (size / area)
-    return area, means, np.einsum("pnec,ced->pndc", gradients, from_cell), weights * size, mass
+    points, weights = _rule(vertices)
+    shapes = _functions(vertices, points)
+    mass = np.matmul((shapes * (weights * size)[:, None]).transpose(2, 1, 0), shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
+    moments = _flux(vertices)
+    total = np.einsum("pc,pnc->nc", weights, shapes)
+    moments[:, 1, 0] -= total
+    moments[:, 2, 1] -= total
+    moments = np.einsum("nkec,ced->nkdc", moments, from_cell) * (size / area)
+    start = vertices[0] / np.sqrt((vertices[0] ** 2).sum(axis=0))
+    turns = np.exp(2j * np.pi * np.arange(3) / 3)[:, None] * (start[0] + 1j * start[1]) * np.sqrt(2.0)
+    linear = np.stack([np.ones_like(turns.real), turns.real, turns.imag], axis=1)
+    gradients = np.einsum("pkc,nkdc->pndc", linear, moments)
+    return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau / 2 * _unfitted(vertices)
 
 
 def _require_straight(vertices, middles, cells, nodes):
@@ -63,14 +68,14 @@ def _require_straight(vertices, middles, cells, nodes):
         raise InputError(f"cell {cells[k]}: the middle node {nodes[np.argmax(wrong[:, k]), k]} is not at the middle of its side")
 
 
-def _rule(rule, vertices, fan):
-    """Points (p, 2, c) and weights (p, c) of a rule on each triangle of the fan around the origin, with areas fan (n, c)."""
-    shares, weights = rule
-    points = [share[1] * vertices + share[2] * after(vertices) for share in shares]
-    return np.concatenate(points), np.concatenate([weight * fan for weight in weights])
+def _rule(vertices):
+    """Points (p, 2, c) and weights (p, c) of degree 4: six for each triangle of the fan around the origin."""
+    fan = cross(vertices, after(vertices)) / 2
+    points = [share[1] * vertices + share[2] * after(vertices) for share in SHARES]
+    return np.concatenate(points), np.concatenate([weight * fan for weight in WEIGHTS])
 
 
-def _products(v, w):
+def _quadratics(v, w):
     """(1, (v + w) / 2, sym(v (x) w)) of points (c, n, 2): (c, 6, n)."""
     mean, one, other = (v + w) / 2, v[..., 0] * w[..., 1], v[..., 1] * w[..., 0]
     return np.stack(
@@ -86,55 +91,42 @@ def _pairs(n):
     return np.concatenate([own, own, i[inner]]), np.concatenate([own, (own + 1) % n, j[inner]])
 
 
-def _coefficients(vertices):
-    """Coefficients (c, 2n, products) of the Lagrange functions in the products of `_pairs`."""
+def _functions(vertices, points):
+    """Lagrange functions (p, 2n, c) at points (p, 2, c)."""
     n, places = len(vertices), vertices.transpose(2, 0, 1)
     i, j = _pairs(n)
-    known = _products(places[:, i], places[:, j])
+    known = _quadratics(places[:, i], places[:, j])
     kept = known[..., : 2 * n] * np.repeat([1.0, 2.0], n)
     least = kept.transpose(0, 2, 1) @ np.linalg.solve(kept @ kept.transpose(0, 2, 1), 2.0 * known[..., 2 * n :])
-    both = np.concatenate([np.broadcast_to(np.eye(2 * n), (len(places), 2 * n, 2 * n)), least], axis=2)
-    lagrange = np.zeros((2 * n, 2 * n))
-    own = np.arange(n)
-    lagrange[2 * own, own] = 1.0
-    lagrange[2 * own, n + own] = lagrange[2 * own, n + (own - 1) % n] = -1.0
-    lagrange[2 * own + 1, n + own] = 4.0
-    return lagrange @ both
+    lam = wachspress_functions(vertices, points).transpose(2, 0, 1)
+    products = lam[..., i] * lam[..., j]
+    xi = products[..., : 2 * n] + products[..., 2 * n :] @ least.transpose(0, 2, 1)
+    own, sides = xi[..., :n], xi[..., n:]
+    shapes = np.stack([own - sides - np.roll(sides, 1, axis=2), 4.0 * sides], axis=3)
+    return shapes.reshape(*lam.shape[:2], 2 * n).transpose(1, 2, 0)
 
 
-def _functions(vertices, coefficients, points):
-    """Functions (p, 2n, c) and their gradients (p, 2n, 2, c) at points (p, 2, c)."""
-    lam, slopes = wachspress_functions(vertices, points)
-    lam, slopes = lam.transpose(2, 0, 1), slopes.transpose(3, 0, 2, 1)  # (c, p, n) and (c, p, 2, n)
-    i, j = _pairs(len(vertices))
-    back = coefficients.transpose(0, 2, 1)
-    shapes = (lam[..., i] * lam[..., j]) @ back
-    gradients = (lam[..., None, i] * slopes[..., j] + lam[..., None, j] * slopes[..., i]) @ back[:, None]
-    return shapes.transpose(1, 2, 0), gradients.transpose(1, 3, 2, 0)
-
-
-def _flux(vertices, normals):
-    """oint psi p n ds for p = 1, x, y, (2n, 3, 2, c), by Simpson's rule; normals (n, 2, c) have the length of the sides."""
-    middles = (vertices + after(vertices)) / 2
+def _flux(vertices):
+    """oint psi p n ds for p = 1, x, y, (2n, 3, 2, c), by Simpson's rule."""
+    sides = after(vertices) - vertices
+    normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)
 
     def times(places):
-        """p at one place of each side times the normal."""
+        """p at one place of each side, times the normal of the side's length."""
         return np.stack([normals, *(places[:, k, None] * normals for k in (0, 1))], axis=1)
 
-    flux = np.empty((2 * len(vertices), 3, *normals.shape[1:]))
+    flux = np.empty((2 * len(vertices), *times(vertices).shape[1:]))
     flux[::2] = (times(vertices) + before(times(after(vertices)))) / 6
-    flux[1::2] = 4 * times(middles) / 6
+    flux[1::2] = 4 * times((vertices + after(vertices)) / 2) / 6
     return flux
 
 
-def _correct(gradients, shapes, flux, points, weights):
-    """Add the linear correction to gradients."""
-    linear = np.stack([np.ones_like(weights), points[:, 0], points[:, 1]], axis=1)
-    missing = flux - np.einsum("pkc,pndc->nkdc", linear * weights[:, None], gradients, optimize=True)
-    total = np.einsum("pc,pnc->nc", weights, shapes)
-    missing[:, 1, 0] -= total
-    missing[:, 2, 1] -= total
-    square = np.einsum("pc,pkc,plc->ckl", weights, linear, linear)
-    n, _, _, count = missing.shape
-    change = np.linalg.solve(square, missing.transpose(3, 1, 0, 2).reshape(count, 3, -1)).reshape(count, 3, n, 2)
-    gradients += np.einsum("pkc,cknd->pndc", linear, change, optimize=True)
+def _unfitted(vertices):
+    """The projection (2n, 2n, c) of nodal values on what no quadratic field fits."""
+    n, places = len(vertices), vertices.transpose(2, 0, 1)
+    if n == 3:
+        return np.zeros((6, 6, len(places)))
+    middles = (places + np.roll(places, -1, axis=1)) / 2
+    nodes = np.stack([places, middles], axis=2).reshape(len(places), 2 * n, 2)
+    basis = np.linalg.qr(_quadratics(nodes, nodes).transpose(0, 2, 1))[0]
+    return (np.eye(2 * n) - basis @ basis.transpose(0, 2, 1)).transpose(1, 2, 0)
