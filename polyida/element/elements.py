@@ -36,11 +36,12 @@ MANY = 10  # corners; with more, one point for each fan triangle gives modes of 
 THINNEST = 1e-14  # area of a cell over its squared circumference
 
 
-def lighter(element, kept):
+def lighter(element, kept, order=1):
     """Return the element with less mass at some nodes: in each cell what they lose is shared by the nodes that keep theirs.
 
     m_ij is multiplied by the smaller share of both nodes, and diagonals make up for it, so that the mass of a cell stays, and M is positive
-    definite. Cells without a node that keeps its mass stay as they are.
+    definite. Cells without a node that keeps its mass stay as they are. Cells of order 2, whose rows sum to negative numbers at corners, get a
+    diagonal mass in proportion to their diagonal where a node is light.
     """
     if kept is None:
         return element
@@ -49,6 +50,11 @@ def lighter(element, kept):
         areas, means, gradients, weights, mass, *rest = element(corners, cells, nodes)
         whole = kept[nodes] == 1.0
         share = np.where(whole.any(axis=0), kept[nodes], 1.0)
+        if order == 2:
+            light = share.min(axis=0) < 1.0
+            lumped = np.einsum("iic->ic", mass)
+            lumped = lumped * (mass.sum(axis=(0, 1)) / lumped.sum(axis=0))
+            mass = np.where(light, np.eye(len(nodes))[..., None] * lumped[:, None], mass)
         left = mass * np.minimum(share[:, None], share[None])
         lost = (mass - left).sum(axis=1)
         moved = np.where(whole, lost + np.where(whole, 0.0, lost).sum(axis=0) / np.maximum(whole.sum(axis=0), 1), 0.0)

@@ -34,15 +34,10 @@ STRAIGHT = 1e-9  # distance of a middle node from the middle of its side, relati
 
 def quadratic(corners, cells, nodes, tau):
     """Areas (c,), mean gradients (2n, 2, c), gradients (3, 2n, 2, c), weights (3, c), mass and stabilisation (2n, 2n, c) of cells of 2n nodes."""
-    vertices, middles = corners[::2], corners[1::2]
-    convex_sines(vertices, cells, nodes[::2])
-    _require_straight(vertices, middles, cells, nodes[1::2])
-    vertices = vertices - vertices.mean(axis=0)
-    area, centroid, _ = measures(vertices)
-    vertices = vertices - centroid
-    to_cell = np.linalg.cholesky((second_moments(vertices) / area).transpose(2, 0, 1))  # from coordinates with unit moments, (c, 2, 2)
-    from_cell, size = np.linalg.inv(to_cell), np.linalg.det(to_cell)
-    vertices = np.einsum("cde,nec->ndc", from_cell, vertices)
+    convex_sines(corners[::2], cells, nodes[::2])
+    _require_straight(corners[::2], corners[1::2], cells, nodes[1::2])
+    vertices, area, from_cell = _with_unit_moments(corners)
+    size = 1.0 / np.linalg.det(from_cell)
     points, weights = _rule(vertices)
     shapes = _functions(vertices, points)
     mass = np.matmul((shapes * (weights * size)[:, None]).transpose(2, 1, 0), shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
@@ -51,11 +46,33 @@ def quadratic(corners, cells, nodes, tau):
     moments[:, 1, 0] -= total
     moments[:, 2, 1] -= total
     moments = np.einsum("nkec,ced->nkdc", moments, from_cell) * (size / area)
-    start = vertices[0] / np.sqrt((vertices[0] ** 2).sum(axis=0))
-    turns = np.exp(2j * np.pi * np.arange(3) / 3)[:, None] * (start[0] + 1j * start[1]) * np.sqrt(2.0)
-    linear = np.stack([np.ones_like(turns.real), turns.real, turns.imag], axis=1)
+    places = _places(vertices)
+    linear = np.concatenate([np.ones_like(places[:, :1]), places], axis=1)
     gradients = np.einsum("pkc,nkdc->pndc", linear, moments)
     return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau / 2 * _unfitted(vertices)
+
+
+def _with_unit_moments(corners):
+    """(vertices (n, 2, c) in coordinates with unit second moments about the centroid, areas (c,), their slopes in x and y (c, 2, 2))."""
+    vertices = corners[::2] - corners[::2].mean(axis=0)
+    area, centroid, _ = measures(vertices)
+    vertices = vertices - centroid
+    slopes = np.linalg.inv(np.linalg.cholesky((second_moments(vertices) / area).transpose(2, 0, 1)))
+    return np.einsum("cde,nec->ndc", slopes, vertices), area, slopes
+
+
+def _places(vertices):
+    """The three points (3, 2, c) in these coordinates, the first one towards the first corner."""
+    start = vertices[0] / np.sqrt((vertices[0] ** 2).sum(axis=0))
+    turned = np.exp(2j * np.pi * np.arange(3) / 3)[:, None] * (start[0] + 1j * start[1]) * np.sqrt(2.0)
+    return np.stack([turned.real, turned.imag], axis=1)
+
+
+def to_nodes(corners):
+    """Weights (2n, 3, c) by which linear fields at the three points are extrapolated to the nodes of cells."""
+    vertices = _with_unit_moments(corners)[0]
+    nodes = np.stack([vertices, (vertices + after(vertices)) / 2], axis=1).reshape(2 * len(vertices), *vertices.shape[1:])
+    return (1.0 + np.einsum("ndc,pdc->npc", nodes, _places(vertices))) / 3.0
 
 
 def _require_straight(vertices, middles, cells, nodes):
