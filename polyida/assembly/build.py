@@ -314,7 +314,7 @@ def _warn_of_locking(name, plate):
     if plate.order == 1 and material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
         warnings.warn(
             f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
-            'out much too stiff; use element="virtual" on quadrilaterals or polygons, which does not',
+            'out much too stiff; use element="virtual" on quadrilaterals or polygons, or order=2, which do not',
             LockingWarning,
             stacklevel=5,
         )
