@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from polyida.body.body import Body, BodyPoint
 from polyida.body.plate import Material, Plate
-from polyida.element.elements import operator_of
+from polyida.element.choice import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, require_attachment

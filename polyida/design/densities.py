@@ -201,6 +201,8 @@ def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable
         raise InputError(f"threshold: at = {at!r} must be a finite number")
     if not is_one_of(hanging, ("raise", "leave out")):
         raise InputError(f"threshold: hanging = {hanging!r} must be 'raise' or 'leave out'")
+    if mesh.order == 2:
+        return threshold(mesh.linear, density, at, keep, hanging=hanging).quadratic
     cell, cells_of_section = topology.corner_cells(mesh.offsets), cells_along("threshold", mesh, keep)
     solid = density >= at
     for cells in cells_of_section.values():
@@ -214,8 +216,8 @@ def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable
     new = np.full(mesh.n_nodes, -1)
     new[used] = number
     named = {name: np.sort(rest) for name, old in mesh.sections.items() if (rest := new[old][new[old] >= 0]).size}
-    at_nodes = [{int(new[node]): pair for node, pair in pairs.items() if new[node] >= 0} for pairs in (mesh.supports, mesh.loads)]
-    return PolygonMesh(points, nodes, offsets, named, *at_nodes)
+    supports, loads = ({int(new[node]): pair for node, pair in pairs.items() if new[node] >= 0} for pairs in (mesh.supports, mesh.loads))
+    return PolygonMesh(points, nodes, offsets, named, supports, loads)
 
 
 def neighbours(mesh):

@@ -36,16 +36,12 @@ MANY = 10  # corners; with more, one point for each fan triangle gives modes of 
 THINNEST = 1e-14  # area of a cell over its squared circumference
 
 
-def operator_of(plate, kept=None):
-    """Return the reference operator of a plate's element on its mesh. kept (nodes,): the share of its mass that a node keeps; see `lighter`."""
-    return virtual(plate.placed, plate.tau, kept) if plate.element == "virtual" else wachspress(plate.placed, kept)
-
-
-def lighter(element, kept):
+def lighter(element, kept, order=1):
     """Return the element with less mass at some nodes: in each cell what they lose is shared by the nodes that keep theirs.
 
     m_ij is multiplied by the smaller share of both nodes, and diagonals make up for it, so that the mass of a cell stays, and M is positive
-    definite. Cells without a node that keeps its mass stay as they are.
+    definite. Cells without a node that keeps its mass stay as they are. Cells of order 2, whose rows sum to negative numbers at corners, get a
+    diagonal mass in proportion to their diagonal where a node is light.
     """
     if kept is None:
         return element
@@ -54,6 +50,11 @@ def lighter(element, kept):
         areas, means, gradients, weights, mass, *rest = element(corners, cells, nodes)
         whole = kept[nodes] == 1.0
         share = np.where(whole.any(axis=0), kept[nodes], 1.0)
+        if order == 2:
+            light = share.min(axis=0) < 1.0
+            lumped = np.einsum("iic->ic", mass)
+            lumped = lumped * (mass.sum(axis=(0, 1)) / lumped.sum(axis=0))
+            mass = np.where(light, np.eye(len(nodes))[..., None] * lumped[:, None], mass)
         left = mass * np.minimum(share[:, None], share[None])
         lost = (mass - left).sum(axis=1)
         moved = np.where(whole, lost + np.where(whole, 0.0, lost).sum(axis=0) / np.maximum(whole.sum(axis=0), 1), 0.0)
@@ -82,7 +83,7 @@ def wachspress(mesh, kept=None):
     """Return the ReferenceOperator of a mesh with strictly convex, counter-clockwise cells.
 
     mesh: any object with points (N, 2) in m, nodes and offsets (the corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
-    kept: as of `operator_of`. Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
+    kept: as of `choice.operator_of`. Raise InputError naming cell and corner if a cell is not strictly convex, or a node without a cell.
     """
     return build(mesh, lighter(_wachspress, kept))
 
@@ -95,11 +96,8 @@ def fan_points(corners):
     return points, cross(corners - centroid, follower - centroid) / 2, centroid
 
 
-def _wachspress(corners, cells, nodes, many=MANY):
-    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells.
-
-    many: number of corners from which on each triangle of the fan has three points.
-    """
+def convex_sines(corners, cells, nodes):
+    """Sines of the turning angles at the corners, (n, c). Raise InputError naming cell and corner if a cell is not strictly convex."""
     edges = after(corners) - corners
     with np.errstate(invalid="ignore", divide="ignore"):
         edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
@@ -114,6 +112,15 @@ def _wachspress(corners, cells, nodes, many=MANY):
             f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
             "every angle below 180 degrees and no side of zero length"
         )
+    return sines
+
+
+def _wachspress(corners, cells, nodes, many=MANY):
+    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells.
+
+    many: number of corners from which on each triangle of the fan has three points.
+    """
+    sines = convex_sines(corners, cells, nodes)
     corners = corners - corners.mean(axis=0)
     follower = after(corners)
     area, _, mean = measures(corners)
@@ -138,6 +145,13 @@ def _wachspress(corners, cells, nodes, many=MANY):
 def wachspress_of_three(corners, cells, nodes):
     """The same as _wachspress, with three points of the true gradients in each triangle of the fan: for errors of meshes."""
     return _wachspress(corners, cells, nodes, many=0)
+
+
+def wachspress_functions(corners, points):
+    """Wachspress functions (p, n, c) at points (p, 2, c) of strictly convex cells."""
+    edges = after(corners) - corners
+    edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
+    return _shapes(corners, after(corners), cross(before(edges), edges), points)[0]
 
 
 def _shapes(corners, follower, sines, points):

@@ -68,7 +68,7 @@ class _Encoder:
         if isinstance(value, tuple) and any(isinstance(item, profile.Profile) for item in value):
             return {"each": [self.value(name, key, item) for item in value]}
         if isinstance(value, PolygonMesh):
-            return {"mesh": self._mesh(value), "sections": list(value.sections)}
+            return {"mesh": self._mesh(value), "sections": list(value.sections), "order": value.order}
         if isinstance(value, Material):
             return {"material": [*astuple(value)]}
         if isinstance(value, Plate):
@@ -192,14 +192,15 @@ class _Decoder:
             return {known: self.value(entry, key, one) for known, one in value["named"].items()}
         if "part" in value:
             return self.part(value["part"])
-        return self._mesh(value["mesh"], value["sections"]) if "mesh" in value else self._side(value["side"])
+        return self._mesh(value["mesh"], value["sections"], value.get("order", 1)) if "mesh" in value else self._side(value["side"])
 
-    def _mesh(self, key, names):
+    def _mesh(self, key, names, order):
         arrays = self.arrays
         if key not in self.meshes:
             sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
             pairs = [{int(n): at for n, *at in arrays.get(f"{key}/{name}", np.zeros((0, 3))).tolist()} for name in ("supports", "loads")]
-            self.meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections, *pairs)
+            cells = (arrays[f"{key}/{part}"] for part in ("points", "nodes", "offsets"))
+            self.meshes[key] = PolygonMesh(*cells, sections, *pairs, order)
         return self.meshes[key]
 
     def _side(self, side):

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from polyida import registry
 from polyida.errors import InputError, printable
 from polyida.joint.formula import Summand, Vector
-from polyida.mesh.sections import edges_within
+from polyida.mesh.sections import edges_within, sides_within
 from polyida.validation import labelled, vector2
 
+SIDE = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]]) / 30.0  # int psi_i psi_j ds of a quadratic side over its length
 ROUND = 1e-6  # second moments count as equal if their relative difference is less: otherwise round-off would choose the larger one
 
 
@@ -192,7 +193,7 @@ def _places(nodes, edges):
 def of_section(body, section, name):
     """Return the mean of a section, `sum w_i x_i`, and its direction: `int eta x ds / int eta^2 ds` of the field x that is linear along its edges.
 
-    eta is the distance from the mean along the main axis: that of the largest second moment, towards growing x or y; the x axis if both moments are
+    Of order 2, x is quadratic along its sides. eta is the distance from the mean along the main axis: that of the largest second moment, towards growing x or y; the x axis if both moments are
     equal up to round-off. Sums over nodes in place of the integrals have an error of the square of the edges' length where a section warps.
     """
     nodes, weights = np.asarray(section.nodes, np.int32), np.asarray(section.weights, float)
@@ -201,9 +202,15 @@ def of_section(body, section, name):
     offset, ends = _from_first(body, nodes), _places(nodes, edges_within(body.mesh, nodes))
     offset = offset - weights @ offset
     sixth = np.linalg.norm(offset[ends[:, 1]] - offset[ends[:, 0]], axis=1)[:, None] / 6.0
+    if body.mesh.order == 2:
+        sides = _places(nodes, sides_within(body.mesh, nodes))
+        lengths = np.linalg.norm(offset[sides[:, 2]] - offset[sides[:, 0]], axis=1)
 
     def integrals(x):
         """Of the nodes' shape functions times x; without edges, x by the weights."""
+        if len(ends) and body.mesh.order == 2:
+            shares = lengths[:, None] * (x[sides] @ SIDE)
+            return np.bincount(sides.ravel(), shares.ravel(), len(x))
         at_ends = sixth * (x[ends] + x[ends].sum(axis=1, keepdims=True))
         return np.bincount(ends.ravel(), at_ends.ravel(), len(x)) if len(ends) else weights * x
 

@@ -44,7 +44,8 @@ class Contact(Joint):
         The point; of a section of a plate and of `body.edges(...)`, every node; of `Rigid` plates without the nodes within straight lines.
     b : Attachment or Ground
         Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
-        centre of the circle. A section of a plate, full, `Reduced` or `Rigid`, or `body.edges(...)`: its edges.
+        centre of the circle. A section of a plate, full, `Reduced` or `Rigid`, or `body.edges(...)`: its edges. A side of a quadratic cell counts
+        as two straight edges.
     restitution : float
         e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
     friction : float
@@ -56,7 +57,8 @@ class Contact(Joint):
     contact_mass : float, in [0.01, 1]
         Share of its mass that each node of a in contact keeps; the nodes behind it in the same cells take the rest. 0.1 for a full plate that
         meets a line with restitution 0: otherwise each impact annuls the kinetic energy of the nodes, and the plate bounces too low. A change
-        of the model, which refinement makes smaller.
+        of the model, which refinement makes smaller. Quadratic cells with such nodes have a diagonal mass in proportion to that of their matrix:
+        its rows sum to negative numbers at corners.
     name : str, optional
 
     Raises

@@ -57,6 +57,24 @@ def cell_arrays(nodes, offsets, n_nodes):
     return nodes, offsets
 
 
+def require_order(order, nodes, offsets):
+    """Raise InputError unless the order is 1 or 2, and cells of order 2 have a middle node after each corner."""
+    if not is_whole(order, 1, 2):
+        raise InputError(f"mesh order = {order!r} must be 1, or 2 for cells with a middle node on each side")
+    if order == 1:
+        return
+    odd = np.flatnonzero((np.diff(offsets) % 2 != 0) | (np.diff(offsets) < 6))
+    if odd.size:
+        raise InputError(
+            f"cell {odd[0]} has {np.diff(offsets)[odd[0]]} nodes; of order 2 it needs a middle node after each of three corners or more"
+        )
+    both = np.intersect1d(nodes[::2], nodes[1::2])
+    if both.size:
+        raise InputError(
+            f"mesh node {both[0]} is a corner of one cell and the middle node of a side of another; for order 2 sides must match"
+        )
+
+
 def section_nodes(name, values, n_nodes):
     """Return the read-only node indices of a section. Raise InputError for nodes out of range, repeated nodes or none."""
     nodes = index_array(values, f"section {name!r}")
@@ -83,6 +101,9 @@ def node_pairs(what, values, n_nodes, kind):
             raise InputError(f"mesh {what} at node {node} are {repr(value)[:80]}; they must be {right}")
         pairs[int(node)] = tuple(map(kind, pair.tolist()))
     return pairs
+
+
+STRAIGHT = 1e-9  # rad: so far round-off turns a straight side at its middle node
 
 
 def described(mesh, cell):
@@ -113,7 +134,8 @@ def require_valid_cells(mesh):
     # a cell whose corners all turn left, by one full turn in sum, is simple; only in the others the edges are tested for crossings
     turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
     once = np.abs(np.add.reduceat(turn, mesh.offsets[:-1]) - 2 * np.pi) < 1e-6
-    left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > 0
+    least = 0.0 if mesh.order == 1 else -STRAIGHT
+    left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > least
     for number in np.flatnonzero(~(once & left)):
         # edges without common corner must not meet, edges with a common corner must not fold back on each other
         a = mesh.points[mesh.cell(number)]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.mesh import checks, topology
-from polyida.mesh.sections import Section, edges_within, select
+from polyida.mesh.sections import Section, edges_within, of_whole_sides, select
 from polyida.validation import floats, index, instance, named_keywords, number, positive, settle
 
 if TYPE_CHECKING:
@@ -71,6 +71,8 @@ class PolygonMesh:
         From files, for joints; a scene does not use them by itself.
     loads : dict of node to (Fx, Fy), N
         From files, for `PointLoad`; a scene does not use them by itself.
+    order : 1 or 2
+        2: each side has a middle node, and the nodes of a cell are corner, middle, corner, middle, ...; see `quadratic`.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class PolygonMesh:
     sections: dict = field(default_factory=dict)
     supports: dict = field(default_factory=dict)
     loads: dict = field(default_factory=dict)
+    order: int = 1
 
     def __post_init__(self):
         points = checks.point_array(self.points)
@@ -96,11 +99,14 @@ class PolygonMesh:
             checks.node_pairs(name, getattr(self, name), len(points), kind) for name, kind in (("supports", bool), ("loads", float))
         )
         named, supports, loads = map(MappingProxyType, (named, supports, loads))
+        checks.require_order(self.order, nodes, offsets)
         settle(self, points=points, nodes=nodes, offsets=offsets, sections=named, supports=supports, loads=loads)
         checks.require_valid_cells(self)
+        if self.order == 2:
+            settle(self, sections=MappingProxyType({name: of_whole_sides(self, nodes) for name, nodes in named.items()}))
 
     def __reduce__(self):
-        return PolygonMesh, (self.points, self.nodes, self.offsets, *map(dict, (self.sections, self.supports, self.loads)))
+        return PolygonMesh, (self.points, self.nodes, self.offsets, *map(dict, (self.sections, self.supports, self.loads)), self.order)
 
     def __repr__(self):
         return f"PolygonMesh({self.n_cells} cells, {self.n_nodes} nodes, sections {', '.join(self.sections) or 'none'})"
@@ -116,7 +122,7 @@ class PolygonMesh:
         return len(self.offsets) - 1
 
     def cell(self, i: int) -> np.ndarray:
-        """Return the corner nodes of cell i, counter-clockwise."""
+        """Return the nodes of cell i, counter-clockwise: its corners, and for order 2 the middle node of a side after its first corner."""
         i = index("mesh.cell", "i", i, self.n_cells, "cells") % self.n_cells
         return self.nodes[self.offsets[i] : self.offsets[i + 1]]
 
@@ -150,11 +156,42 @@ class PolygonMesh:
         """Sorted nodes of the boundary."""
         return np.unique(self.boundary_edges)
 
+    @cached_property
+    def middle_nodes(self) -> np.ndarray:
+        """(n_nodes,) bool: True for the middle node of a side; none for order 1."""
+        middle = np.zeros(self.n_nodes, bool)
+        middle[self.nodes[1::2] if self.order == 2 else []] = True
+        return middle
+
+    @cached_property
+    def quadratic(self) -> "PolygonMesh":
+        """The mesh with a middle node on each side, after the corners' numbers; itself for order 2. Sections have the middles of their sides."""
+        if self.order == 2:
+            return self
+        sides, step = self.edges.astype(np.int64), topology.following(self.offsets)
+        pairs = np.sort(np.stack([self.nodes, self.nodes[step]], axis=1)).astype(np.int64) @ [self.n_nodes, 1]
+        middles = self.n_nodes + np.searchsorted(sides @ [self.n_nodes, 1], pairs)
+        points = np.concatenate([self.points, self.points[sides].mean(axis=1)])
+        nodes = np.stack([self.nodes, middles], axis=1).ravel()
+        return PolygonMesh(points, nodes, 2 * self.offsets, self.sections, dict(self.supports), dict(self.loads), 2)
+
+    @cached_property
+    def linear(self) -> "PolygonMesh":
+        """The mesh of its corners alone, in their order, without supports and loads; itself for order 1."""
+        if self.order == 1:
+            return self
+        corner = ~self.middle_nodes
+        number = np.cumsum(corner) - 1
+        named = {name: number[nodes[corner[nodes]]] for name, nodes in self.sections.items()}
+        return PolygonMesh(self.points[corner], number[self.nodes[::2]], self.offsets // 2, named)
+
     def quality(self) -> MeshQuality:
-        """Return the quality measures."""
+        """Return the quality measures, of order 2 those of the mesh of its corners."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
+        if self.order == 2:
+            return self.linear.quality()
         ends = self.points[self.edges]
         lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         angle = 180.0 - np.degrees(topology.turns(self.points, self.nodes, self.offsets))
@@ -214,12 +251,13 @@ class PolygonMesh:
     def require_convex(self, tolerance: float = 1e-6) -> None:
         """Raise InputError naming the first corner whose exterior angle has a sine of at most the tolerance."""
         tolerance = number("require_convex", "tolerance", tolerance, "a sine")
-        turn = topology.turns(self.points, self.nodes, self.offsets)
+        corners, offsets = self.nodes[:: self.order], self.offsets // self.order
+        turn = topology.turns(self.points, corners, offsets)
         bad = np.flatnonzero(~((np.sin(turn) > tolerance) & (turn > 0)))
         if bad.size:
             raise InputError(
-                f"{checks.described(self, topology.corner_cells(self.offsets)[bad[0]])} is not strictly convex: its angle at node "
-                f"{self.nodes[bad[0]]} is {180.0 - np.degrees(turn[bad[0]]):.4f} degrees and must be below 180"
+                f"{checks.described(self, topology.corner_cells(offsets)[bad[0]])} is not strictly convex: its angle at node "
+                f"{corners[bad[0]]} is {180.0 - np.degrees(turn[bad[0]]):.4f} degrees and must be below 180"
             )
 
     def section(self, selector: "str | Callable[[np.ndarray], np.ndarray] | ArrayLike") -> Section:
@@ -251,7 +289,8 @@ def moved(mesh: PolygonMesh, points: "ArrayLike") -> PolygonMesh:
         As PolygonMesh: if a cell turns inside out or cells overlap.
     """
     instance("moved", "mesh", mesh, PolygonMesh)
-    return PolygonMesh(checks.point_array(points), mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
+    cells = mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads)
+    return PolygonMesh(checks.point_array(points), *cells, mesh.order)
 
 
 @named_keywords

@@ -22,7 +22,8 @@ class Section:
     ----------
     nodes : (k,) int
     lengths : (k,) float, m
-        Half of each adjacent boundary edge with both ends in the section; 0 without such an edge.
+        Half of each adjacent boundary edge with both ends in the section; 0 without such an edge. Of order 2: one sixth of a side at its
+        corners, four sixths at its middle node.
     name : str
     weights : (k,) float, sum 1
         Of the section's mean: proportional to the lengths, equal if all lengths are 0. For the rim of a hole they are changed as little as
@@ -67,6 +68,7 @@ def select(mesh, selector):
         if chosen.size == 0:
             raise InputError(f"section by index selects no node; {known}")
         nodes, name = checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
+    nodes = of_whole_sides(mesh, nodes)
     edges, axis = edges_within(mesh, nodes), int(np.argmax(np.ptp(mesh.points[nodes], axis=0)))
     chains, ordered = _chains(nodes, edges), []
     for chain, closed in chains:
@@ -76,7 +78,8 @@ def select(mesh, selector):
     ordered.sort(key=lambda chain: mesh.points[chain, axis].min())
     order = np.array([node for chain in ordered for node in chain], dtype=np.int32)
     half = 0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1)
-    lengths = np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=mesh.n_nodes)[order]
+    shares = half[:, None] * (np.where(mesh.middle_nodes[edges], 4.0 / 3.0, 2.0 / 3.0) if mesh.order == 2 else np.ones(2))
+    lengths = np.bincount(edges.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)[order]
     if not lengths.sum() > 0.0:
         return Section(order, lengths, name, np.full(len(order), 1.0 / len(order)))
     weights = lengths / lengths.sum()
@@ -85,6 +88,29 @@ def select(mesh, selector):
         arms = arms - weights @ arms
         weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms)))
     return Section(order, lengths, name, weights)
+
+
+def of_whole_sides(mesh, nodes):
+    """Return nodes of a section; of order 2 with the middle nodes of all sides with both corners in it, and without other ones beside them."""
+    if mesh.order == 1:
+        return nodes
+    sides, inside = mesh.boundary_edges.reshape(-1, 4)[:, [0, 1, 3]], np.zeros(mesh.n_nodes, dtype=bool)
+    inside[nodes] = True
+    whole = inside[sides[:, [0, 2]]].all(axis=1)
+    if not whole.any():
+        return nodes
+    inside[mesh.middle_nodes] = False
+    inside[sides[whole, 1]] = True
+    missing = np.setdiff1d(np.flatnonzero(inside), nodes)
+    return np.concatenate([nodes[inside[nodes]], missing]).astype(np.int32)
+
+
+def sides_within(mesh, nodes):
+    """Return the boundary sides (n, 3) of a mesh of order 2, as corner, middle, corner, with all nodes among the nodes."""
+    inside = np.zeros(mesh.n_nodes, dtype=bool)
+    inside[nodes] = True
+    sides = mesh.boundary_edges.reshape(-1, 4)[:, [0, 1, 3]]
+    return sides[inside[sides].all(axis=1)]
 
 
 def edges_within(mesh, nodes):

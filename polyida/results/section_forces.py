@@ -179,7 +179,7 @@ def _part(mesh, chosen):
     corners = mesh.nodes[np.repeat(chosen, np.diff(mesh.offsets))]
     nodes, numbers = np.unique(corners, return_inverse=True)
     offsets = np.concatenate([[0], np.cumsum(np.diff(mesh.offsets)[chosen])])
-    return nodes, PolygonMesh(mesh.points[nodes], numbers, offsets) if chosen.any() else None
+    return nodes, PolygonMesh(mesh.points[nodes], numbers, offsets, order=mesh.order) if chosen.any() else None
 
 
 def _body(model, plate: Any):
