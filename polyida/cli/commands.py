@@ -19,6 +19,7 @@ INTERRUPTED = 130  # exit code that the shell expects after Ctrl-C
 EXAMPLES = {
     "polyida compare double-plate": "three integrators on one scene: a table and a report",
     "polyida compare double-plate --cells 400": "the same with a finer mesh",
+    "polyida compare double-plate --cells 40 --order 2": "the same with quadratic cells",
     "polyida run my_scene.py:build": "a scene of yours, in my_scene.py: `def build(): ... return scene`",
     "polyida list": "names of scenes, integrators and studies",
     "polyida COMMAND --help": "more on each command",
@@ -113,6 +114,7 @@ def compare(
     scene: options.Scene,
     out: option(Path, "Folder of the report; SCENE-compare by default.") = None,
     cells: options.Cells = None,
+    order: options.Order = None,
     time: options.Time = None,
     step: options.Step = None,
     rtol: options.Rtol = None,
@@ -131,7 +133,7 @@ def compare(
     from polyida.study.user_files import COMPARED, choose_integrators, create_integrators, errors_of_all
 
     with document(json) as set_document, FigureWriter() as writer:
-        ivp = load(scene, time=time, step=step, cells=cells)
+        ivp = load(scene, time=time, step=step, cells=cells, order=order)
         names = [name.strip() for name in (integrators or ",".join(COMPARED)).split(",")]
         if "" in names:
             raise InputError(f"--integrators {integrators}: a name is missing between commas")
@@ -178,6 +180,7 @@ def run(
     scene: options.SceneOrNone = None,
     integrator: options.Integrator = None,
     cells: options.Cells = None,
+    order: options.Order = None,
     time: options.Time = None,
     step: options.StepOrAuto = None,
     rho_inf: options.RhoInf = None,
@@ -201,17 +204,18 @@ def run(
     settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
     with document(json) as set_document:
         if resume:
-            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator, "cells": None if scene else cells}
+            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator}
+            values |= {} if scene else {"cells": cells, "order": order}
             if wrong := [name for name, value in values.items() if value is not None]:
                 reason = "--resume continues with the integrator, settings and place of the file"
                 raise InputError(f"run: --{wrong[0].replace('_', '-')} has no place here: {reason}")
-            ivp, path = load(scene, time=time, cells=cells) if scene else None, resume
+            ivp, path = load(scene, time=time, cells=cells, order=order) if scene else None, resume
             t_end = time or _load_run(path).plan.get("t_end") or 1.0
             with progress_display() as progress, ivp.user_errors() if ivp else nullcontext():
                 model = ivp and ivp.model
                 finished = resume_run(path, time, model=model, progress=lambda t: progress("continuing", t / t_end))
         elif scene:
-            ivp = load(scene, time=time, step=None if step == "auto" else step, cells=cells)
+            ivp = load(scene, time=time, step=None if step == "auto" else step, cells=cells, order=order)
             name = integrator or "alpha"
             choice = choose_integrator(name)
             member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})

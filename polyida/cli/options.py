@@ -82,6 +82,7 @@ Overwrite = flag("Replace existing files.", "--overwrite", "--force")
 Errors = flag("Estimate the errors of runs of generalized-alpha too, by their adjoint.", "--errors")
 Json = flag("One JSON document on standard output; all other output goes to the error stream.", "--json")
 Cells = option(int, "Polygons in each plate.")
+Order = option(int, "2: quadratic cells, of which a tenth is enough where plates bend.")
 Time = option(float, "Time to simulate, s.")
 Step = option(float, "Step of integrators that require one, and of generalized-alpha, s.")
 StepOrAuto = Annotated[

@@ -56,7 +56,7 @@ LENGTH, HEIGHT, THICKNESS, TIP_MASS, GRAVITY = 1.0, 0.1, 0.01, 0.5, (0.0, -9.81)
 RUBBER = Material(E=50e6, nu=0.3, rho=1100.0)
 
 
-def double_plate(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS):
+def double_plate(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, order=1):
     """Two plates that swing freely from rest.
 
     Parameters
@@ -65,21 +65,22 @@ def double_plate(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS):
     seed : int, of the mesh
     material : Material
     tip_mass : float, kg
+    order : 1 or 2, of the cells
 
     Returns
     -------
     Scene
         Plates "upper", "lower"; joints "shoulder", "elbow"; mass "tip".
     """
-    return _row(("upper", "lower"), ("shoulder", "elbow"), cells, seed, material, tip_mass)
+    return _row(("upper", "lower"), ("shoulder", "elbow"), cells, seed, material, tip_mass, order)
 
 
-def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, angle=None):
+def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, angle=None, order=1):
     """The double plate with motors "shoulder motor" and "elbow motor", which impose the same angle.
 
     Parameters
     ----------
-    cells, seed, material, tip_mass
+    cells, seed, material, tip_mass, order
         As of `double_plate`.
     angle : profile or function of t, rad, optional
         By default the quintic `(pi/4)(10 s^3 - 15 s^4 + 6 s^5)`, s = min(t / 1 s, 1).
@@ -88,7 +89,7 @@ def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, a
     -------
     Scene
     """
-    scene = double_plate(cells, seed, material, tip_mass)
+    scene = double_plate(cells, seed, material, tip_mass, order)
     angle = profile.quintic(0.0, np.pi / 4, duration=1.0) if angle is None else angle
     for name in ("shoulder", "elbow"):
         joint = scene.parts[name]
@@ -96,13 +97,13 @@ def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, a
     return scene
 
 
-def plate_chain(links=3, cells=80, seed=1, material=RUBBER, tip_mass=TIP_MASS):
+def plate_chain(links=3, cells=80, seed=1, material=RUBBER, tip_mass=TIP_MASS, order=1):
     """A chain of plates that swings freely from rest.
 
     Parameters
     ----------
     links : int, number of plates
-    cells, seed, material, tip_mass
+    cells, seed, material, tip_mass, order
         As of `double_plate`.
 
     Returns
@@ -113,45 +114,45 @@ def plate_chain(links=3, cells=80, seed=1, material=RUBBER, tip_mass=TIP_MASS):
     if not is_whole(links, 1, 10**6):
         raise InputError(f"plate_chain: links = {links!r} must be a whole number of at least 1")
     numbers = range(1, links + 1)
-    return _row([f"plate {k}" for k in numbers], [f"joint {k}" for k in numbers], cells, seed, material, tip_mass)
+    return _row([f"plate {k}" for k in numbers], [f"joint {k}" for k in numbers], cells, seed, material, tip_mass, order)
 
 
-def _row(plates, joints, cells, seed, material, tip_mass):
+def _row(plates, joints, cells, seed, material, tip_mass, order):
     """Plates along +x, each held by a revolute joint to the one before, the first to ground; all on one mesh."""
     from polyida.mesh import rectangle
 
     mesh, scene = rectangle(LENGTH, HEIGHT, cells=cells, seed=seed), Scene(gravity=GRAVITY)
     end = ground
     for k, (name, joint) in enumerate(zip(plates, joints)):
-        plate = scene.add(Plate(mesh, material, thickness=THICKNESS, origin=(k * LENGTH, 0.0), name=name))
+        plate = scene.add(Plate(mesh, material, thickness=THICKNESS, origin=(k * LENGTH, 0.0), name=name, order=order))
         scene.add(Revolute(end, plate.section("left"), name=joint))
         end = plate.section("right")
     scene.add(PointMass(end, tip_mass, name="tip"))
     return scene
 
 
-def double_plate_problem(cells=160, seed=1):
+def double_plate_problem(cells=160, seed=1, order=1):
     """Two flexible plates in a row, swinging freely from rest for 1 s.
 
     The reference belongs to the default mesh; there is none for another.
     """
-    return _problem("double-plate", double_plate(cells, seed))
+    return _problem("double-plate", double_plate(cells, seed, order=order))
 
 
-def double_plate_motors_problem(cells=160, seed=1):
+def double_plate_motors_problem(cells=160, seed=1, order=1):
     """The two plates with a motor in each joint that turns it by 45 degrees within 1 s.
 
     The reference belongs to the default mesh; there is none for another.
     """
-    return _problem("double-plate-motors", double_plate_motors(cells, seed))
+    return _problem("double-plate-motors", double_plate_motors(cells, seed, order=order))
 
 
-def plate_chain_problem(links=3, cells=80, seed=1):
+def plate_chain_problem(links=3, cells=80, seed=1, order=1):
     """Three flexible plates in a row, swinging freely from rest for 1 s.
 
     The reference belongs to three links on the default mesh; there is none for others.
     """
-    return _problem("plate-chain", plate_chain(links, cells, seed))
+    return _problem("plate-chain", plate_chain(links, cells, seed, order=order))
 
 
 def _problem(name, scene):
@@ -258,7 +259,7 @@ def rigid_pendulum(meshed=True):
     scene, names = Scene(gravity=GRAVITY), ("upper", "lower")
     if meshed:
         mesh = rectangle(LENGTH, HEIGHT, cells=8, seed=1)
-        bodies = [Rigid(Plate(mesh, RUBBER, THICKNESS, origin=(k * LENGTH, 0.0), name=name)) for k, name in enumerate(names)]
+        bodies = [Rigid(Plate(mesh, RUBBER, THICKNESS, origin=(k * LENGTH, 0.0), name=name, order=order)) for k, name in enumerate(names)]
         sides = [(body.section("left"), body.section("right")) for body in bodies]
     else:
         inertia, points = PLATE_MASS * (LENGTH**2 + HEIGHT**2) / 12, {"left": (-LENGTH / 2, 0.0), "right": (LENGTH / 2, 0.0)}

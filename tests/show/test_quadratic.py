@@ -55,7 +55,7 @@ def test_vtu_has_quadratic_cells_of_vtk_and_polygons_through_all_nodes(model, tm
     six = [[0, 0], [1, 0], [1.5, 1], [1, 2], [0, 2], [-0.5, 1]]
     scene.add(pi.Plate(pi.mesh.from_lists(six, [range(6)]), RUBBER, thickness=0.01, origin=(0, 3), name="hexagon", order=1))
     scene.add(pi.Plate(pi.mesh.from_lists(six, [range(6)]), RUBBER, thickness=0.01, origin=(0, 6), name="quadratic hexagon", order=2))
-    run = pi.solve(scene, t_end=1e-3, integrator=pi.GeneralizedAlpha(h=1e-3))
+    run = pi.solve(scene.build(), t_end=1e-3, integrator=pi.GeneralizedAlpha(h=1e-3))
     pi.export.vtu(run, tmp_path / "frames")
     data = meshio.read(tmp_path / "frames" / "frame-00001.vtu")
     kinds = {block.type: block.data.shape for block in data.cells}
