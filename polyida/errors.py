@@ -61,7 +61,7 @@ class ReductionWarning(NamingWarning):
 
 
 class LockingWarning(NamingWarning):
-    """Elements are far too stiff for their material: the result converges, but slowly."""
+    """The cells of a plate are far too stiff or too soft: the result converges, but slowly."""
 
 
 class StepFailure(Exception):

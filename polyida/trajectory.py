@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida import registry
 from polyida.assembly.motion import hint_of_left_out, hint_of_rigid
+from polyida.assembly.scene_bodies import nodal_stress
 from polyida.errors import InputError, printable
 from polyida.event import Events
 from polyida.integrate.state import Counts, Restart, State, declared
@@ -31,6 +32,11 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from polyida.show.plots import RunPlots
+
+
+def _across(model, counts):
+    """Stress across the plane over xx + yy, of counts values for each drawn plate."""
+    return np.repeat([body.plate.material.across for body in model.drawn], counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,13 +330,26 @@ class Trajectory:
         q, model = self._frame("node_positions", frame), self._scene("node_positions")
         return model.drawn_points + model.nodal(q)
 
-    def stress(self, frame: int) -> NDArray:
-        """Return the Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate.
+    def stress(self, frame: int, at: str = "cells") -> NDArray:
+        """Return the Cauchy stress in a frame: xx, yy, xy in Pa, plate after plate.
 
         It includes the viscous stress of `viscosity`, and the relaxation of viscoelastic plates.
+
+        Parameters
+        ----------
+        frame : int
+        at : "cells" or "nodes"
+            Means over the elements; or at the nodes, averaged over their cells. The stress of quadratic cells is linear in each.
+
+        Returns
+        -------
+        (cells, 3) or (nodes, 3) float, Pa
         """
-        q = self._frame("stress", frame)
-        return self._scene("stress").stress(q, np.asarray(self.v[frame], float))
+        q, model = self._frame("stress", frame), self._scene("stress")
+        if not is_one_of(at, ("cells", "nodes")):
+            raise InputError(f'stress: at = {at!r} must be "cells" or "nodes"')
+        v = np.asarray(self.v[frame], float)
+        return model.stress(q, v) if at == "cells" else nodal_stress(model, q, v)
 
     def strain(self, frame: int) -> NDArray:
         """Return Green's strain `E = (F^T F - I) / 2` of every element in a frame, (cells, 3): Exx, Eyy, 2 Exy, means over the element.
@@ -370,10 +389,30 @@ class Trajectory:
             self._frame("section_forces", frame)
         return section_forces(self._motion("section_forces"), plate, at, normal, frame)
 
-    def von_mises(self, frame: int) -> NDArray:
-        """Return the von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane in plane strain."""
-        stress = self.stress(frame)
-        return von_mises(stress, self.model.stress_across(stress))
+    def von_mises(self, frame: int, at: str = "cells") -> NDArray:
+        """Return the von Mises stress in a frame, Pa, with the stress across the plane in plane strain.
+
+        Parameters
+        ----------
+        frame : int
+        at : "cells" or "nodes"
+            Of the mean stress of each element, of quadratic cells the largest at their three points; or of the stress at the nodes.
+
+        Returns
+        -------
+        (cells,) or (nodes,) float, Pa
+        """
+        q, model = self._frame("von_mises", frame), self._scene("von_mises")
+        if at != "cells":
+            stress = self.stress(frame, at)
+            return von_mises(stress, _across(model, [body.mesh.n_nodes for body in model.drawn]) * (stress[:, 0] + stress[:, 1]))
+        stress = model.stress(q, np.asarray(self.v[frame], float), at_points=True)
+        points = [3 if body.plate.order == 2 else 1 for body in model.drawn]
+        values = von_mises(
+            stress, _across(model, [k * body.mesh.n_cells for k, body in zip(points, model.drawn)]) * (stress[:, 0] + stress[:, 1])
+        )
+        of_cells = np.repeat(points, [body.mesh.n_cells for body in model.drawn]).astype(int)
+        return np.maximum.reduceat(values, np.cumsum(of_cells) - of_cells) if len(of_cells) else values
 
     def _frame(self, what, frame):
         if not is_whole(frame, -len(self), len(self) - 1):

@@ -18,7 +18,7 @@ METHODS = {  # one process each: they take about as long as each other
 def model(level):
     """A plate on a pin that falls, full or rigid."""
     scene = pi.Scene(gravity=(0.0, -9.81))
-    plate = pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01, name="plate")
+    plate = pi.Plate(pi.mesh.rectangle(0.4, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01, name="plate")
     scene.add(level(plate) if level else plate)
     scene.add(pi.Revolute(pi.ground, scene.parts["plate"].section("left")))
     return scene.build()

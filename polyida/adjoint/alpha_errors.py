@@ -217,7 +217,9 @@ class AlphaErrors(AlphaAdjoint):
             return ("the scene has no full plates",)
         result = []
         for body in self.model.bodies:
-            if body.plate.element != "wachspress":
+            if body.plate.order == 2:
+                result.append(f"{body.name!r} has quadratic cells, whose error is not estimated")
+            elif body.plate.element != "wachspress":
                 result.append(f"{body.name!r} has virtual elements, whose projection has an error of its own")
             if body.prony:
                 result.append(f"{body.name!r} is viscoelastic: the relaxed strains of its cells are not estimated")

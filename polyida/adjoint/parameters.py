@@ -300,7 +300,7 @@ def _named_numbers(part):
     """Yield (names of the fields, number) of a part."""
     if isinstance(part, Plate):
         yield from _with_path(part, ("material",), MATERIAL)
-        yield from _with_path(part, (), ("tau",) if part.element == "virtual" else ())
+        yield from _with_path(part, (), ("tau",) if part.element == "virtual" or part.order == 2 else ())
     elif isinstance(part, FieldBody):
         yield from _with_path(part, ("plate", "material"), OF_REDUCED)
         yield from _with_path(part, ("plate",), ("thickness",))

@@ -14,6 +14,7 @@ from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.element.choice import operator_of
 from polyida.element.elements import stabilisation_factor
+from polyida.element.locking import SOFT, STIFF, bending_stiffness
 from polyida.errors import InputError, LockingWarning
 from polyida.force.controllers import Controller
 from polyida.force.force_element import ForceElement, sides_of
@@ -308,12 +309,21 @@ def place_states(parts, plates, few, speed, without_strains):
 
 
 def _warn_of_locking(name, plate):
-    """LockingWarning for plane strain, nu near 1/2 and cells with few corners."""
+    """LockingWarning for plane strain, nu near 1/2 and cells with few corners, and for thin plates whose linear cells bend wrongly."""
     material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
-    if material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
+    if plate.order == 1 and material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
         warnings.warn(
             f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
-            'out much too stiff; use element="virtual" on quadrilaterals or polygons, which does not',
+            'out much too stiff; use element="virtual" on quadrilaterals or polygons, or order=2, which do not',
+            LockingWarning,
+            stacklevel=5,
+        )
+        return
+    stiffness = bending_stiffness(plate)
+    if not SOFT < stiffness < STIFF:
+        so = f"{stiffness:.2g} times as stiff" if stiffness > 1.0 else f"{1.0 / stiffness:.2g} times as soft"
+        warnings.warn(
+            f"{name}: this thin plate bends about {so} as it should with so few linear {plate.element} cells across; use order=2, or more cells",
             LockingWarning,
             stacklevel=5,
         )

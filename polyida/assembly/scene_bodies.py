@@ -1,5 +1,6 @@
 """The constraints of a scene from compiled kernels, its points by name, its mass matrix, and its bodies as they are drawn."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -11,9 +12,11 @@ from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
 from polyida.body.body import points_of, sticks_between
 from polyida.element import kernels
-from polyida.element.operator import Material
+from polyida.element.operator import LISTED, Material
+from polyida.element.quadratic import to_nodes
 from polyida.element.relaxation import change_of_strain, relax_stress
 from polyida.errors import InputError
+from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
 from polyida.joint.edges import links_at
 from polyida.joint.formula import rest_of
@@ -428,16 +431,20 @@ class SceneBodies(Constraints):
                 segments.append(sticks_between(pairs_of(points)))
         return np.concatenate(segments)
 
-    def stress(self, q, v=None):
-        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate; without v no viscous or relaxed stress."""
+    def stress(self, q, v=None, at_points=False):
+        """Cauchy stress of each element, (cells, 3): xx, yy, xy in Pa, plate after plate; without v no viscous or relaxed stress.
+
+        at_points: of plates of order 2 three values for each cell, at its points.
+        """
         parts, nodal, rates = [np.zeros((0, 3))], self.nodal(q), None if v is None else self.nodal(v)
         rigid = [plate.name for plate, placed in self._meshed if not placed.deforms]
         for body in self.drawn:
+            operator = by_points(body.operator) if at_points and body.plate.order == 2 else body.operator
             if body.name in rigid:
-                parts.append(np.zeros((body.mesh.n_cells, 3)))
+                parts.append(np.zeros((len(operator.areas), 3)))
                 continue
-            (modulus, nu), operator = body.plate.material.in_plane, body.operator
-            parts.append(np.empty((body.mesh.n_cells, 3)))
+            modulus, nu = body.plate.material.in_plane
+            parts.append(np.empty((len(operator.areas), 3)))
             cells, material = operator.cells(body.nodes.start), Material(modulus / (1 - nu**2), nu)
             kernels.stress(cells, operator.lane_cells, operator.areas, material, nodal, parts[-1])
             viscosity, relaxes = body.plate.material.viscosity, body.name in self.strains
@@ -451,10 +458,41 @@ class SceneBodies(Constraints):
                 relax_stress(cells, operator.lane_cells, operator.areas, material, nodal, pull, parts[-1])
         return np.concatenate(parts)
 
-    def stress_across(self, stress):
-        """Stress zz across the plane, (cells,), Pa, from the stress of each element: nu (xx + yy) in plane strain, 0 in plane stress."""
-        ratio = [body.plate.material.across for body in self.drawn]
-        return np.repeat(ratio, [body.mesh.n_cells for body in self.drawn]) * (stress[:, 0] + stress[:, 1])
+
+def by_points(operator):
+    """The operator of which each point is a cell of its own: point p of cell i is cell `points i + p`."""
+    layout, points = operator.layout, int(operator.layout[:, 1].max())
+    size = 2 * (layout[:, 0] - 1) * LANES
+    shift = np.zeros((len(layout), points, 2 + len(LISTED)), np.int64)
+    number = np.arange(points)
+    shift[..., 2 + LISTED.index("gradients")] = size[:, None] * number
+    shift[..., 2 + LISTED.index("weights")] = LANES * number
+    shift[..., 1] = 1 - points
+    lanes = points * operator.lane_cells.reshape(-1, 1, LANES) + number[:, None]
+    return replace(
+        operator,
+        layout=(layout[:, None] + shift).reshape(-1, layout.shape[1]),
+        lane_cells=lanes.astype(np.int32).ravel(),
+        areas=np.repeat(operator.areas / points, points),
+    )
+
+
+def nodal_stress(model, q, v=None):
+    """Stress at the nodes of all plates, (nodes, 3), Pa: means over their cells, weighted by areas; of order 2 after extrapolation from the points."""
+    values, first, result = model.stress(q, v, at_points=True), 0, [np.zeros((0, 3))]
+    for body in model.drawn:
+        mesh, points = body.mesh, 3 if body.plate.order == 2 else 1
+        own = values[first : first + points * mesh.n_cells].reshape(-1, points, 3)
+        first += points * mesh.n_cells
+        sums = np.zeros((mesh.n_nodes, 4))
+        for n in np.unique(np.diff(mesh.offsets)).tolist():
+            cells = np.flatnonzero(np.diff(mesh.offsets) == n)
+            nodes = mesh.nodes[mesh.offsets[cells][:, None] + np.arange(n)]
+            weights = to_nodes(mesh.points[nodes].transpose(1, 2, 0)).transpose(2, 0, 1) if points > 1 else np.ones((len(cells), n, 1))
+            areas = np.broadcast_to(mesh.cell_areas[cells, None, None], (*nodes.shape, 1))
+            np.add.at(sums, nodes, areas * np.concatenate([weights @ own[cells], np.ones_like(areas)], axis=2))
+        result.append(sums[:, :3] / sums[:, 3:])
+    return np.concatenate(result)
 
 
 def deepest(bodies, u):

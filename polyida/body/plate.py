@@ -124,7 +124,7 @@ class Plate:
     element : "wachspress" or "virtual"
         Virtual elements of first order take any simple polygon and do not lock in plane strain as nu goes to 1/2.
     tau : float, > 0
-        Stabilisation of virtual elements: stiffness, relative to t tr(C), of the deformations that a cell's constant F does not contain.
+        Stabilisation of virtual elements and, half as large, of quadratic cells: stiffness, relative to t tr(C), of the deformations that a cell's constant F does not contain.
         The limit under mesh refinement is the same for every tau; on coarse meshes a larger tau is stiffer in bending (tip of a cantilever
         with 2 cells through the thickness: 3.5 % too far with 0.1, 43 % too short with 0.5).
     velocity : (2,) float, m/s
@@ -132,8 +132,8 @@ class Plate:
     spin : float, rad/s
         About the centre of mass at the start.
     order : 1 or 2, optional
-        2: quadratic cells, with a middle node on each side, which the plate adds if its mesh has none. A tenth of the cells is enough where the
-        plate bends. `mesh` is then the mesh with these nodes. Default: that of the mesh, 1 unless it has middle nodes.
+        2: quadratic cells, with a middle node on each side, which the plate adds if its mesh has none. A tenth of the coordinates is enough where
+        the plate bends, and plane strain does not lock as nu goes to 1/2. `mesh` is then the mesh with these nodes. Default: that of the mesh, 1 unless it has middle nodes.
 
     Raises
     ------

@@ -230,7 +230,7 @@ def pod_modes(run: "Trajectory", name: str, count: int = 5) -> np.ndarray:
         raise InputError(f"pod_modes: the run has no plate {name!r}; known: {', '.join(map(repr, drawn)) or 'none'}")
     whole("pod_modes", "count", count)
     body, moved = drawn[name], []
-    weights = np.add.reduceat(body.operator.mass, body.operator.indptr[:-1])
+    weights = _nodal_masses(body.operator, body.plate.order)
     weights = weights / weights.sum()
     rest = complex_of_pairs(body.points)
     rest = rest - weights @ rest
@@ -292,12 +292,21 @@ def missing_fields(run: "Trajectory", name: str, count: int = 3) -> np.ndarray:
         gravity = complex(*(float(g(float(run.t[k])) if callable(g) else g) for g in model.gravity))
         _, d = placed.body.missing(moved, a, gravity)
         corrections.append(complex_of_pairs(d.reshape(-1, 2)))
-    ones = np.ones(placed.body.matrices.operator.n_nodes)
-    roots = np.sqrt(placed.body.matrices.mass @ ones)
+    matrices = placed.body.matrices
+    scale = matrices.plate.material.rho * matrices.plate.thickness
+    roots = np.sqrt(scale * _nodal_masses(matrices.operator, matrices.plate.order))
     fields, sizes, _ = np.linalg.svd(roots[:, None] * np.array(corrections).T, full_matrices=False)
     if (independent := int((sizes > NOTHING * (sizes[0] or 1.0)).sum()) if sizes[0] else 0) < count:
         raise InputError(f"missing_fields: {name!r} lacks {independent} fields in this run, not {count}")
     return pairs_of((fields[:, :count] / roots[:, None]).T)
+
+
+def _nodal_masses(operator, order):
+    """Positive masses of the nodes over rho t, (N,): sums of rows; of order 2, where some are negative, in proportion to the diagonal."""
+    if order == 1:
+        return np.add.reduceat(operator.mass, operator.indptr[:-1])
+    own = np.repeat(np.arange(operator.n_nodes), np.diff(operator.indptr)) == operator.indices
+    return operator.mass[own] * (operator.mass.sum() / operator.mass[own].sum())
 
 
 class PlateMatrices:

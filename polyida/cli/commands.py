@@ -204,8 +204,8 @@ def run(
     settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
     with document(json) as set_document:
         if resume:
-            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator}
-            values |= {} if scene else {"cells": cells, "order": order}
+            of_scene = {} if scene else {"cells": cells, "order": order}
+            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator} | of_scene
             if wrong := [name for name, value in values.items() if value is not None]:
                 reason = "--resume continues with the integrator, settings and place of the file"
                 raise InputError(f"run: --{wrong[0].replace('_', '-')} has no place here: {reason}")

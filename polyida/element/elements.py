@@ -36,11 +36,12 @@ MANY = 10  # corners; with more, one point for each fan triangle gives modes of 
 THINNEST = 1e-14  # area of a cell over its squared circumference
 
 
-def lighter(element, kept):
+def lighter(element, kept, order=1):
     """Return the element with less mass at some nodes: in each cell what they lose is shared by the nodes that keep theirs.
 
     m_ij is multiplied by the smaller share of both nodes, and diagonals make up for it, so that the mass of a cell stays, and M is positive
-    definite. Cells without a node that keeps its mass stay as they are.
+    definite. Cells without a node that keeps its mass stay as they are. Cells of order 2, whose rows sum to negative numbers at corners, get a
+    diagonal mass in proportion to their diagonal where a node is light.
     """
     if kept is None:
         return element
@@ -49,6 +50,11 @@ def lighter(element, kept):
         areas, means, gradients, weights, mass, *rest = element(corners, cells, nodes)
         whole = kept[nodes] == 1.0
         share = np.where(whole.any(axis=0), kept[nodes], 1.0)
+        if order == 2:
+            light = share.min(axis=0) < 1.0
+            lumped = np.einsum("iic->ic", mass)
+            lumped = lumped * (mass.sum(axis=(0, 1)) / lumped.sum(axis=0))
+            mass = np.where(light, np.eye(len(nodes))[..., None] * lumped[:, None], mass)
         left = mass * np.minimum(share[:, None], share[None])
         lost = (mass - left).sum(axis=1)
         moved = np.where(whole, lost + np.where(whole, 0.0, lost).sum(axis=0) / np.maximum(whole.sum(axis=0), 1), 0.0)
@@ -128,7 +134,10 @@ def _wachspress(corners, cells, nodes, many=MANY):
     points = (centroid + corners + follower) / 3
     if len(corners) > many:
         points, weights = near, np.concatenate([weights / 3] * 3)
-    _, gradients = _with_gradients(corners, follower, sines, points)
+    shapes, normals, heights = _shapes(corners, follower, sines, points)
+    slopes = normals / heights[:, :, None]
+    slopes = slopes + np.roll(slopes, 1, axis=1)
+    gradients = shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
 
@@ -138,19 +147,11 @@ def wachspress_of_three(corners, cells, nodes):
     return _wachspress(corners, cells, nodes, many=0)
 
 
-def _with_gradients(corners, follower, sines, points):
-    """Shape functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c)."""
-    shapes, normals, heights = _shapes(corners, follower, sines, points)
-    slopes = normals / heights[:, :, None]
-    slopes = slopes + np.roll(slopes, 1, axis=1)
-    return shapes, shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
-
-
 def wachspress_functions(corners, points):
-    """Wachspress functions (p, n, c) and their gradients (p, n, 2, c) at points (p, 2, c) of strictly convex cells."""
+    """Wachspress functions (p, n, c) at points (p, 2, c) of strictly convex cells."""
     edges = after(corners) - corners
     edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
-    return _with_gradients(corners, after(corners), cross(before(edges), edges), points)
+    return _shapes(corners, after(corners), cross(before(edges), edges), points)[0]
 
 
 def _shapes(corners, follower, sines, points):

@@ -56,7 +56,8 @@ class Contact(Joint):
     contact_mass : float, in [0.01, 1]
         Share of its mass that each node of a in contact keeps; the nodes behind it in the same cells take the rest. 0.1 for a full plate that
         meets a line with restitution 0: otherwise each impact annuls the kinetic energy of the nodes, and the plate bounces too low. A change
-        of the model, which refinement makes smaller.
+        of the model, which refinement makes smaller. Quadratic cells with such nodes have a diagonal mass in proportion to that of their matrix:
+        its rows sum to negative numbers at corners.
     name : str, optional
 
     Raises

@@ -156,7 +156,7 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
             f"Polygons go into {able}"
         )
     named = dict(mesh.sections), dict(mesh.supports), dict(mesh.loads)
-    scaled = mesh if size == 1.0 else PolygonMesh(mesh.points / size, mesh.nodes, mesh.offsets, *named)
+    scaled = mesh if size == 1.0 else PolygonMesh(mesh.points / size, mesh.nodes, mesh.offsets, *named, mesh.order)
     put(f"mesh file {path}", path, overwrite, lambda temporary: kind.write(scaled, temporary))
     # sections of the boundary are found again by read
     automatic = sections.automatic(mesh.points, mesh.boundary_edges)

@@ -34,7 +34,7 @@ def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
     Returns
     -------
     PolygonMesh
-        With the sections of the mesh that lie on its boundary. Loads and supports of files are left out.
+        Of the same order, with the sections of the mesh that lie on its boundary. Loads and supports of files are left out.
 
     Raises
     ------
@@ -56,6 +56,8 @@ def refine(mesh: PolygonMesh, cells: ArrayLike) -> PolygonMesh:
             f"refine: cells = {cells!r:.80} must be indices from 0 to {mesh.n_cells - 1}, or a mask of all {mesh.n_cells} cells"
         )
     chosen[array] = True
+    if mesh.order == 2:
+        return refine(mesh.linear, chosen).quadratic
     try:
         new = _blended(mesh, np.where(chosen, PARTS, 1))
     except InputError:
@@ -107,6 +109,8 @@ def _divided(mesh, chosen):
 
 def remeshed(mesh, cells):
     """A mesh of the same outline and sections of about `cells` equal cells."""
+    if mesh.order == 2:
+        return remeshed(mesh.linear, cells).quadratic
     outer, *holes = outline_of(mesh)
     return _with_sections(polygonize(Outline(outer, holes), cells), mesh)
 

@@ -73,6 +73,10 @@ class PeakStress(TimeMean):
     def _bodies(self, model):
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
+        if quadratic := [name for name, body in known.items() if body.plate.order == 2]:
+            raise InputError(
+                f"PeakStress: {quadratic[0]!r} has quadratic cells, order = 2; only the stress of linear ones is differentiated"
+            )
         return [CellStress(body, self.power) for body in chosen("PeakStress", model, self.plate, known)]
 
     def _evaluator(self, model, span):
