@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.element.operator import build
 from polyida.element import quadratic as element
+from polyida.element.operator import build
 from polyida.mesh.mesher import polygonize
-
 
 quadratic = partial(element.quadratic, tau=0.1)
 
@@ -42,7 +41,9 @@ def test_area_and_mass_of_a_ring_converge_with_order_4():
 
 def test_area_of_a_disc_converges_with_order_4():
     meshes = [disc(cells) for cells in (24, 96)]
-    sides = [np.linalg.norm(mesh.points[mesh.boundary_edges[:, 1]] - mesh.points[mesh.boundary_edges[:, 0]], axis=1).max() for mesh in meshes]
+    sides = [
+        np.linalg.norm(mesh.points[mesh.boundary_edges[:, 1]] - mesh.points[mesh.boundary_edges[:, 0]], axis=1).max() for mesh in meshes
+    ]
     errors = [abs(mesh.area - np.pi) for mesh in meshes]
     assert errors[1] < abs(meshes[1].linear.area - np.pi) / 100
     assert np.log(errors[0] / errors[1]) / np.log(sides[0] / sides[1]) > 3.5
