@@ -259,7 +259,7 @@ def rigid_pendulum(meshed=True):
     scene, names = Scene(gravity=GRAVITY), ("upper", "lower")
     if meshed:
         mesh = rectangle(LENGTH, HEIGHT, cells=8, seed=1)
-        bodies = [Rigid(Plate(mesh, RUBBER, THICKNESS, origin=(k * LENGTH, 0.0), name=name, order=order)) for k, name in enumerate(names)]
+        bodies = [Rigid(Plate(mesh, RUBBER, THICKNESS, origin=(k * LENGTH, 0.0), name=name)) for k, name in enumerate(names)]
         sides = [(body.section("left"), body.section("right")) for body in bodies]
     else:
         inertia, points = PLATE_MASS * (LENGTH**2 + HEIGHT**2) / 12, {"left": (-LENGTH / 2, 0.0), "right": (LENGTH / 2, 0.0)}
