@@ -59,6 +59,7 @@ def elastica(kind, element, through, load, slenderness=50):
 def csm1(kind, element, through, clamp):
     """Turek and Hron's CSM1: a beam behind a cylinder under its own weight, clamped on its arc or straight."""
     mesh = mesh_of(kind, BEAM_END - STRAIGHT_CLAMP, 0.02, through)
+    mesh = mesh.quadratic if element == "quadratic" else mesh  # so that its sides follow the arc
     mesh = bent_to_the_cylinder(mesh) if clamp == "arc" else mesh
     model, plate = clamped(mesh, Material(1.4e6, 0.4, 1000.0, plane="strain"), element, gravity=(0.0, -2.0))
     tip = plate.node((plate.mesh.points[:, 0].max(), 0.0)).nodes[0]
