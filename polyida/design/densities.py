@@ -216,8 +216,8 @@ def threshold(mesh: PolygonMesh, rho: ArrayLike, at: float = 0.5, keep: Iterable
     new = np.full(mesh.n_nodes, -1)
     new[used] = number
     named = {name: np.sort(rest) for name, old in mesh.sections.items() if (rest := new[old][new[old] >= 0]).size}
-    at_nodes = [{int(new[node]): pair for node, pair in pairs.items() if new[node] >= 0} for pairs in (mesh.supports, mesh.loads)]
-    return PolygonMesh(points, nodes, offsets, named, *at_nodes)
+    supports, loads = ({int(new[node]): pair for node, pair in pairs.items() if new[node] >= 0} for pairs in (mesh.supports, mesh.loads))
+    return PolygonMesh(points, nodes, offsets, named, supports, loads)
 
 
 def neighbours(mesh):

@@ -44,7 +44,8 @@ class Contact(Joint):
         The point; of a section of a plate and of `body.edges(...)`, every node; of `Rigid` plates without the nodes within straight lines.
     b : Attachment or Ground
         Without radius: a point of the line with its direction; the points of a stay on the left of it, above `ground.at(point)`. With radius: the
-        centre of the circle. A section of a plate, full, `Reduced` or `Rigid`, or `body.edges(...)`: its edges.
+        centre of the circle. A section of a plate, full, `Reduced` or `Rigid`, or `body.edges(...)`: its edges. A side of a quadratic cell counts
+        as two straight edges.
     restitution : float
         e in [0, 1]. For rigid bodies: a node of an elastic plate rebounds by the waves in the plate.
     friction : float
