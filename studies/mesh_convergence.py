@@ -5,7 +5,7 @@ up.
 from functools import cache
 
 from mesh_convergence import cases
-from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
+from mesh_convergence.selection import MEMBERS, MOVING, POLYGONS, QUADRATIC, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.literature import EXTENSION
 from polyida.show.style import INK, legend_above, marker_style
@@ -29,6 +29,8 @@ def fine_cantilever():
 def run(case, kind, element, through, **options):
     if case == "spin-up":
         return cases.spin_up(options["nx"], through, options["h"])
+    if case in MOVING:
+        return cases.moving(case, element, options["cells"])
     if case == "cantilever":
         options = {"known": fine_cantilever()}
     return getattr(cases, case)(kind, element, through, **options)
@@ -88,13 +90,72 @@ def joints(rows):
 
 def rates(rows):
     result = {}
-    for member in MEMBERS:
+    for member in MEMBERS + QUADRATIC:
         name, runs = "_".join(member), by_size(rows, case="cantilever", **of_member(member))
         result[f"cantilever_order_{name}"] = -2 * fit_slope(column(runs, "dof"), column(runs, "deviation"))
         if row := finest(rows, case="frequencies", **of_member(member)):
             result[f"bending_frequency_error_{name}"] = abs(row["bending_errors"][0])
             result[f"axial_frequency_error_{name}"] = max(map(abs, row["axial_errors"]))
     return result
+
+
+AIMS = {"swing": 3e-6, "motor": 1e-3}  # errors of meshes: m of the tip, and of the deflection
+
+
+def moving_runs(rows, case):
+    """{element: (n, CPU time s, error, CPU time of a step over n)} against the finest quadratic mesh, which is left out."""
+    known = by_size(rows, case=case, element="quadratic")
+    if not known:
+        return {}
+    tip, result = column(known, "tip")[-1], {}
+    angle = cases.profile.quintic(0.0, cases.np.pi / 4, duration=1.0)(0.6)
+    rigid = cases.np.array([cases.np.cos(angle), cases.np.sin(angle)])
+    scale = 1.0 if case == "swing" else float(cases.np.hypot(*(tip - rigid)))
+    for element in MOVING[case]:
+        runs = [row for row in by_size(rows, case=case, element=element) if row is not known[-1]]
+        errors = [float(cases.np.hypot(*cases.np.subtract(row["tip"], tip))) / scale for row in runs]
+        costs = [row["step_cpu_s"] / row["dof"] for row in runs]
+        result[element] = [row["dof"] for row in runs], [row["cpu_s"] for row in runs], errors, costs
+    return result
+
+
+def cpu_at(seconds, errors, aim):
+    """CPU time, s, to an error, by a straight line in logarithms between runs, or through the last two."""
+    for i in range(1, len(errors)):
+        if errors[i] <= aim or i == len(errors) - 1:
+            slope = cases.np.log(seconds[i] / seconds[i - 1]) / cases.np.log(errors[i] / errors[i - 1])
+            return float(seconds[i] * (aim / errors[i]) ** slope)
+    return float("nan")
+
+
+def motions(rows):
+    """CPU times of linear over quadratic meshes at equal errors, orders of errors, and CPU time of a step and coordinate."""
+    result = {}
+    for case, aim in AIMS.items():
+        runs = moving_runs(rows, case)
+        if not all(len(runs.get(element, ((),))[0]) > 1 for element in ("wachspress", "quadratic")):
+            continue
+        times = [cpu_at(*runs[element][1:3], aim) for element in ("wachspress", "quadratic")]
+        result[f"{case}_cpu_ratio"] = times[0] / times[1]
+        result[f"{case}_step_cost_ratio"] = runs["quadratic"][3][-1] / runs["wachspress"][3][-1]
+        for element, (n, _, errors, _) in runs.items():
+            result[f"{case}_order_{element}"] = -2 * fit_slope(n, errors)
+    return result
+
+
+@study_figure
+def motion_figure(rows):
+    """Errors of the tip in motion against n and CPU time, linear and quadratic cells."""
+    fig, axes = panels(4, height=2.3)
+    for row, (case, title) in enumerate({"swing": "double plate", "motor": "plate of 50:1 with a motor"}.items()):
+        for i, (element, (n, seconds, errors, _)) in enumerate(moving_runs(rows, case).items()):
+            for axis, x in zip(axes[2 * row : 2 * row + 2], (n, seconds)):
+                loglog(axis, x, errors, i, element)
+        for axis, label in zip(axes[2 * row : 2 * row + 2], ("degrees of freedom", "CPU time, s")):
+            axis.set(title=title, xlabel=label, ylabel="error of the tip, m" if case == "swing" else "error over deflection")
+            target_line(axis, AIMS[case], f"{AIMS[case]:g}")
+    legend_above(fig, axes, 3)
+    return line_picture(fig, "motion")
 
 
 def aim_notes(rows):
@@ -197,7 +258,7 @@ def convergence_figure(rows):
     }
     fig, axes = panels(len(cases), height=2.3)
     for axis, (title, wanted) in zip(axes, cases.items()):
-        for i, member in enumerate(MEMBERS):
+        for i, member in enumerate(MEMBERS + QUADRATIC):
             runs = by_size(rows, **of_member(member), **wanted)
             loglog(axis, column(runs, "dof"), column(runs, "deviation"), i, ", ".join(member))
             more = [row for row in runs if row.get("above")]
@@ -264,11 +325,19 @@ STUDY = Study(
     "meshes and elements against reference solutions",
     tasks,
     run,
-    (elastica, csm1, spin_up, joints, rates),
-    (convergence_figure, joint_figure, spin_up_figure),
+    (elastica, csm1, spin_up, joints, rates, motions),
+    (convergence_figure, motion_figure, joint_figure, spin_up_figure),
     COLUMNS,
     notes=(aim_notes, csm1_notes, elastica_notes, joint_notes, locking_notes, rate_notes),
-    headline=("elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"),
+    headline=(
+        "elastica_1_error",
+        "elastica_10_error",
+        "csm1_error",
+        "spin_up_extension_error",
+        "swing_cpu_ratio",
+        "motor_cpu_ratio",
+        "swing_step_cost_ratio",
+    ),
 )
 
 if __name__ == "__main__":

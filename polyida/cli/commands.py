@@ -19,6 +19,7 @@ INTERRUPTED = 130  # exit code that the shell expects after Ctrl-C
 EXAMPLES = {
     "polyida compare double-plate": "three integrators on one scene: a table and a report",
     "polyida compare double-plate --cells 400": "the same with a finer mesh",
+    "polyida compare double-plate --cells 40 --order 2": "the same with quadratic cells",
     "polyida run my_scene.py:build": "a scene of yours, in my_scene.py: `def build(): ... return scene`",
     "polyida list": "names of scenes, integrators and studies",
     "polyida COMMAND --help": "more on each command",

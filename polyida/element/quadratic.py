@@ -18,77 +18,125 @@ triangle around the centroid has the moments of the cell up to degree 2, and its
 volume then has three conditions in each cell, which do not lock as nu goes to 1/2. All that is not quadratic in a cell has the stabilisation of
 virtual elements, tau / 2 times tr(C) |x - Q x|^2 / 2 with the least-squares fit Q of a quadratic field to the nodes: triangles, which are T6, have none.
 Each cell is computed in the coordinates with unit second moments: slender cells cost no digits.
+
+Curved sides are parabolas. The functions psi map the cell of straight sides to the curved one (isoparametric); the right side above is
+integrated along the parabolas, and the weights of int psi_i are changed a little so that the area and its first and second moments are exact:
+linear fields then have exact gradients, and the mass has the inertia of the body.
 """
 
 import numpy as np
 
 from polyida.element.elements import convex_sines, wachspress_functions
-from polyida.element.operator import after, before, cross, measures, second_moments
+from polyida.element.operator import after, before, cross, measures
 from polyida.errors import InputError
+from polyida.mesh.topology import SIDE, SIDE_SLOPES
 
 NEAR, FAR = 0.445948490915965, 0.091576213509771  # Strang, Fix 1973: six points of a triangle, degree 4
 SHARES = np.array([np.roll([1.0 - 2.0 * share, share, share], k) for share in (NEAR, FAR) for k in range(3)])
 WEIGHTS = np.repeat([0.223381589678011, 0.109951743655322], 3)
-STRAIGHT = 1e-9  # distance of a middle node from the middle of its side, relative to the side
+STRAIGHT = 1e-9  # distance of a middle node from the middle of its side, relative to the extent of its cell
+LEAST = 0.1  # of the determinant of the map to curved sides, 1 where they are straight, and of the slope of a side along its chord
+DEEPEST = 0.1  # sine of the angle by which two curved sides may overlap beside their corner
+STEP = 1e-30  # of derivatives by complex numbers, which have no round-off
 
 
 def quadratic(corners, cells, nodes, tau):
     """Areas (c,), mean gradients (2n, 2, c), gradients (3, 2n, 2, c), weights (3, c), mass and stabilisation (2n, 2n, c) of cells of 2n nodes."""
     convex_sines(corners[::2], cells, nodes[::2])
-    _require_straight(corners[::2], corners[1::2], cells, nodes[1::2])
-    vertices, area, from_cell = _with_unit_moments(corners)
+    nodes, area, from_cell = _with_unit_moments(corners)
+    _require_open_corners(nodes, cells)
     size = 1.0 / np.linalg.det(from_cell)
-    points, weights = _rule(vertices)
-    shapes = _functions(vertices, points)
+    shapes, weights = _shapes_and_weights(nodes, cells)
     mass = np.matmul((shapes * (weights * size)[:, None]).transpose(2, 1, 0), shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
-    moments = _flux(vertices)
+    moments = _flux(nodes)
     total = np.einsum("pc,pnc->nc", weights, shapes)
     moments[:, 1, 0] -= total
     moments[:, 2, 1] -= total
     moments = np.einsum("nkec,ced->nkdc", moments, from_cell) * (size / area)
-    places = _places(vertices)
+    places = _places(nodes)
     linear = np.concatenate([np.ones_like(places[:, :1]), places], axis=1)
     gradients = np.einsum("pkc,nkdc->pndc", linear, moments)
-    return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau / 2 * _unfitted(vertices)
+    return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau / 2 * _unfitted(nodes)
+
+
+def _along_sides(nodes):
+    """Points (g, n, 2, c) along the parabolas of the sides, and their pieces dx."""
+    sides = np.stack([nodes[::2], nodes[1::2], after(nodes[::2])], axis=1)
+    return [np.einsum("gj,njdc->gndc", functions, sides) for functions in (SIDE, SIDE_SLOPES)]
+
+
+def _moments(nodes):
+    """int (1, x, y, xx, xy, yy) over the cells, (6, c)."""
+    x, dx = _along_sides(nodes)
+    return np.einsum("gnkc,gnc->kc", _monomials(x), cross(x, dx)) / np.array([2.0, 3.0, 3.0, 4.0, 4.0, 4.0])[:, None]
+
+
+def _monomials(points):
+    """1, x, y, xx, xy, yy at points (..., 2, c): (..., 6, c)."""
+    x, y = points[..., 0, :], points[..., 1, :]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-2)
 
 
 def _with_unit_moments(corners):
-    """(vertices (n, 2, c) in coordinates with unit second moments about the centroid, areas (c,), their slopes in x and y (c, 2, 2))."""
-    vertices = corners[::2] - corners[::2].mean(axis=0)
-    area, centroid, _ = measures(vertices)
-    vertices = vertices - centroid
-    slopes = np.linalg.inv(np.linalg.cholesky((second_moments(vertices) / area).transpose(2, 0, 1)))
-    return np.einsum("cde,nec->ndc", slopes, vertices), area, slopes
+    """(nodes (2n, 2, c) in coordinates with unit second moments about the centroid, areas (c,), their slopes in x and y (c, 2, 2))."""
+    nodes = corners - corners[::2].mean(axis=0)
+    area, *first = _moments(nodes)[:3]
+    nodes = nodes - first / area
+    xx, xy, yy = _moments(nodes)[3:] / area
+    slopes = np.linalg.inv(np.linalg.cholesky(np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)))
+    return np.einsum("cde,nec->ndc", slopes, nodes), area, slopes
 
 
-def _places(vertices):
+def _require_open_corners(nodes, cells):
+    """Raise InputError for a middle node near a corner, where its side turns back, and for sides that overlap beside their corner."""
+    start, middle, end = nodes[::2], nodes[1::2], after(nodes[::2])
+    leaving, arriving, chord = 4 * middle - 3 * start - end, before(start - 4 * middle + 3 * end), end - start
+    ahead = np.minimum((leaving * chord).sum(axis=1), (after(arriving) * chord).sum(axis=1)) > LEAST * (chord**2).sum(axis=1)
+    length = np.sqrt((leaving**2).sum(axis=1) * (arriving**2).sum(axis=1))
+    wrong = np.flatnonzero(~(ahead & (cross(arriving, leaving) > -DEEPEST * length)).all(axis=0))
+    if wrong.size:
+        raise InputError(f"cell {cells[wrong[0]]}: its sides are curved too strongly; a middle node must lie near the middle of its side")
+
+
+def _shapes_and_weights(nodes, cells):
+    """Functions (p, 2n, c) and weights (p, c) of degree 4 over the cells."""
+    vertices = nodes[::2]
+    points, weights = _rule(vertices)
+    shapes, curve = _functions(vertices, points), nodes[1::2] - (vertices + after(vertices)) / 2
+    if not (curve**2).sum(axis=1).max() > STRAIGHT**2:
+        return shapes, weights
+    steps = [STEP * 1j * np.eye(2)[axis][:, None] for axis in (0, 1)]
+    slopes = [np.einsum("pnc,ndc->pdc", _functions(vertices, points + step).imag / STEP, nodes) for step in steps]
+    determinant = cross(*slopes)
+    wrong = np.flatnonzero(~(determinant > LEAST).all(axis=0))
+    if wrong.size:
+        raise InputError(f"cell {cells[wrong[0]]}: its sides are curved too strongly, or turn it inside out; use smaller cells there")
+    weights, monomials = weights * determinant, _monomials(np.einsum("pnc,ndc->pdc", shapes, nodes))
+    square = np.einsum("pc,pkc,plc->ckl", weights, monomials, monomials, optimize=True)
+    missing = _moments(nodes) - np.einsum("pc,pkc->kc", weights, monomials)
+    change = np.linalg.solve(square, missing.T[..., None])[..., 0]  # the smallest one relative to the weights
+    return shapes, weights * (1.0 + np.einsum("pkc,ck->pc", monomials, change))
+
+
+def _places(nodes):
     """The three points (3, 2, c) in these coordinates, the first one towards the first corner."""
-    start = vertices[0] / np.sqrt((vertices[0] ** 2).sum(axis=0))
+    start = nodes[0] / np.sqrt((nodes[0] ** 2).sum(axis=0))
     turned = np.exp(2j * np.pi * np.arange(3) / 3)[:, None] * (start[0] + 1j * start[1]) * np.sqrt(2.0)
     return np.stack([turned.real, turned.imag], axis=1)
 
 
 def to_nodes(corners):
     """Weights (2n, 3, c) by which linear fields at the three points are extrapolated to the nodes of cells."""
-    vertices = _with_unit_moments(corners)[0]
-    nodes = np.stack([vertices, (vertices + after(vertices)) / 2], axis=1).reshape(2 * len(vertices), *vertices.shape[1:])
-    return (1.0 + np.einsum("ndc,pdc->npc", nodes, _places(vertices))) / 3.0
-
-
-def _require_straight(vertices, middles, cells, nodes):
-    """Raise InputError for a middle node that is not at the middle of its side."""
-    sides = after(vertices) - vertices
-    away = middles - (vertices + after(vertices)) / 2
-    wrong = (away**2).sum(axis=1) > STRAIGHT**2 * (sides**2).sum(axis=1)
-    if wrong.any():
-        k = np.flatnonzero(wrong.any(axis=0))[0]
-        raise InputError(f"cell {cells[k]}: the middle node {nodes[np.argmax(wrong[:, k]), k]} is not at the middle of its side")
+    nodes = _with_unit_moments(corners)[0]
+    return (1.0 + np.einsum("ndc,pdc->npc", nodes, _places(nodes))) / 3.0
 
 
 def _rule(vertices):
-    """Points (p, 2, c) and weights (p, c) of degree 4: six for each triangle of the fan around the origin."""
-    fan = cross(vertices, after(vertices)) / 2
-    points = [share[1] * vertices + share[2] * after(vertices) for share in SHARES]
+    """Points (p, 2, c) and weights (p, c) of degree 4 over straight cells: six for each triangle of the fan around the centroid."""
+    _, centroid, _ = measures(vertices)
+    arms = vertices - centroid
+    fan = cross(arms, after(arms)) / 2
+    points = [centroid + share[1] * arms + share[2] * after(arms) for share in SHARES]
     return np.concatenate(points), np.concatenate([weight * fan for weight in WEIGHTS])
 
 
@@ -123,27 +171,21 @@ def _functions(vertices, points):
     return shapes.reshape(*lam.shape[:2], 2 * n).transpose(1, 2, 0)
 
 
-def _flux(vertices):
-    """oint psi p n ds for p = 1, x, y, (2n, 3, 2, c), by Simpson's rule."""
-    sides = after(vertices) - vertices
-    normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)
-
-    def times(places):
-        """p at one place of each side, times the normal of the side's length."""
-        return np.stack([normals, *(places[:, k, None] * normals for k in (0, 1))], axis=1)
-
-    flux = np.empty((2 * len(vertices), *times(vertices).shape[1:]))
-    flux[::2] = (times(vertices) + before(times(after(vertices)))) / 6
-    flux[1::2] = 4 * times((vertices + after(vertices)) / 2) / 6
+def _flux(nodes):
+    """oint psi p n ds for p = 1, x, y, (2n, 3, 2, c)."""
+    x, dx = _along_sides(nodes)
+    normals = np.stack([dx[:, :, 1], -dx[:, :, 0]], axis=2)
+    parts = np.einsum("gj,gnkc,gndc->jnkdc", SIDE, _monomials(x)[:, :, :3], normals, optimize=True)
+    flux = np.empty((len(nodes), *parts.shape[2:]))
+    flux[::2] = parts[0] + before(parts[2])
+    flux[1::2] = parts[1]
     return flux
 
 
-def _unfitted(vertices):
+def _unfitted(nodes):
     """The projection (2n, 2n, c) of nodal values on what no quadratic field fits."""
-    n, places = len(vertices), vertices.transpose(2, 0, 1)
-    if n == 3:
+    count, places = len(nodes), nodes.transpose(2, 0, 1)
+    if count == 6:
         return np.zeros((6, 6, len(places)))
-    middles = (places + np.roll(places, -1, axis=1)) / 2
-    nodes = np.stack([places, middles], axis=2).reshape(len(places), 2 * n, 2)
-    basis = np.linalg.qr(_quadratics(nodes, nodes).transpose(0, 2, 1))[0]
-    return (np.eye(2 * n) - basis @ basis.transpose(0, 2, 1)).transpose(1, 2, 0)
+    basis = np.linalg.qr(_quadratics(places, places).transpose(0, 2, 1))[0]
+    return (np.eye(count) - basis @ basis.transpose(0, 2, 1)).transpose(1, 2, 0)

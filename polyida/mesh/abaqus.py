@@ -143,7 +143,9 @@ class _File:
         supports = {node: (1 in axes, 2 in axes) for node, axes in self.fixed.items() if axes & {1, 2}}
         sections = assembly.sections()
         notes = self.notes + [note for instance in assembly.instances.values() for note in instance.notes] + assembly.notes
-        return RawMesh(np.array(assembly.points), assembly.cells, sections, supports, self.forces, tuple(dict.fromkeys(notes)))
+        middles = np.concatenate(assembly.middles) if assembly.middles else None
+        notes = tuple(dict.fromkeys(notes))
+        return RawMesh(np.array(assembly.points), assembly.cells, sections, supports, self.forces, notes, middles=middles)
 
     def _assembled(self):
         """The assembly of the file, or one of its only part."""

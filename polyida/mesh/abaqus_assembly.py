@@ -15,7 +15,7 @@ class Assembly:
     def __init__(self):
         self.instances, self.sets = {}, {}  # by their names in capitals
         self.element_sets = {}  # {name in capitals: {(instance, number of an element): None}}
-        self.points, self.cells, self.notes = [], [], []
+        self.points, self.cells, self.middles, self.notes = [], [], [], []
         self.references = set()  # numbers of the assembly's own nodes
         self.turned = set()
 
@@ -24,6 +24,7 @@ class Assembly:
         self.instances[instance.name.upper()] = instance
         self.points += instance.points
         self.cells += [instance.first + cells for cells in instance.cells]
+        self.middles += [instance.first + sides for sides in instance.middles]
         self.turned.update(instance.first + node for node in instance.turned)
 
     def sections(self):

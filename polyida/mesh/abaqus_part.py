@@ -9,6 +9,7 @@ from copy import copy
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.mesh.raw import sides_of
 
 PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|M3D|SFM3D|DC2D|AC2D|R3D|STRI|S)([34689])")  # with the number of nodes
 AXISYMMETRIC = re.compile(r"CAX|CGAX|DCAX|DCCAX|ACAX|MAX|MGAX|SAX|SFMAX|SFMGAX|RAX|COHAX|GKAX|CINAX|FAX")
@@ -45,7 +46,8 @@ class Part:
         self.name, self.part = name, name  # part: of which it is an instance
         self.notes = []
         self.points, self.labels, self.places = [], [], {}  # labels: numbers of the points in the file; places: the inverse
-        self.cells, self.elements = [], {}  # elements: nodes by number, as numbers of the file
+        self.cells, self.elements = [], {}  # elements: corners by number, as numbers of the file
+        self.middles = []  # rows of both corners and the middle node of the sides of elements of order 2
         self.lower = set()  # the elements that are lines and points
         self.node_sets, self.element_sets = {}, {}  # {name in capitals: (name, {member: None})}
         self.turned = set()  # nodes whose supports and loads have directions of their own
@@ -203,7 +205,7 @@ class Part:
                 shift = i * node_step + j * line_node_step
                 number = master + i * step + j * line_step
                 self._add_element(number, [node + shift for node in self.elements[master]])
-                self.cells.append(np.array([self._corners(number)]))
+                self.cells.append(np.array([self._places(number, self.elements[number])]))
                 chosen.append(number)
             chosen.append(master)
         if name := options.get("ELSET"):
@@ -259,20 +261,21 @@ class Part:
         flat = [int(part) for row in rows for part in row]
         if len(flat) % (count + 1):
             raise InputError(f"elements of type {kind} have a number and {count} nodes; {len(flat)} numbers are no multiple")
-        table = np.array(flat, dtype=np.int64).reshape(-1, count + 1)[:, : CORNERS[count] + 1].tolist()
+        table, corners = np.array(flat, dtype=np.int64).reshape(-1, count + 1).tolist(), CORNERS[count]
         for number, *nodes in table:
-            self._add_element(number, nodes)
-        self.cells.append(np.array([self._corners(number) for number, *_ in table]))
-        if count > CORNERS[count]:
-            self.notes.append(f"{len(table)} {kind} became their corners, curved edges straight")
+            self._add_element(number, nodes[:corners])
+        self.cells.append(np.array([self._places(number, nodes[:corners]) for number, *nodes in table]))
+        if count > corners:
+            middles = np.array([self._places(number, nodes[corners : 2 * corners]) for number, *nodes in table])
+            self.middles.append(sides_of(self.cells[-1], middles))
         if not kind.startswith(("CPS", "CPE")) and not self.by_meshio:
             self.notes.append(f"of elements of type {kind}, which are not plane stress or strain, only the shape is used")
 
-    def _corners(self, number):
-        for node in self.elements[number]:
+    def _places(self, number, nodes):
+        for node in nodes:
             if node not in self.places:
                 raise InputError(f"element {number} names {self._missing(str(node))}")
-        return [self.places[node] for node in self.elements[number]]
+        return [self.places[node] for node in nodes]
 
     # --- sets
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.mesh import cleanup, topology
 from polyida.mesh.domains import Domain, Moved, Rectangle, meet, project
-from polyida.mesh.polygon_mesh import PolygonMesh
+from polyida.mesh.polygon_mesh import PolygonMesh, moved
 from polyida.mesh.raw import counted
 from polyida.mesh.sections import ON_CIRCLE, automatic
 from polyida.validation import is_whole, named_keywords, positive, vector2
@@ -24,6 +24,7 @@ BY_CHANCE = 12  # places where cells fail to follow the boundary, up to which ot
 SAMPLES = 20_000  # points that estimate the area of a domain
 # of an edge from one wall to another that continues it: distance of its middle from the boundary over its length; 1 - cosine of the normals
 TANGENT = 0.1
+DEEPEST = 0.3  # distance of a middle node on a wall from its straight side, over the side's length: that of an arc of 120 degrees
 FARTHEST = 1e6  # sizes from the origin: beyond, the round-off of the walls reaches the mesher's tolerances
 
 
@@ -42,7 +43,7 @@ def _whole(function, name, value, least):
 
 
 @named_keywords
-def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) -> PolygonMesh:
+def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40, order: int = 1) -> PolygonMesh:
     """Return a mesh of convex polygons of a domain.
 
     Boundary nodes lie on the walls; corners of the domain are exact.
@@ -56,6 +57,8 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
         Of the random start; the same seed gives the same mesh, bit by bit.
     iterations : int, >= 1
         Largest number of Lloyd iterations.
+    order : 1 or 2
+        2: with a middle node on each side, for quadratic plates; those of the boundary lie on the walls, so that sides are curved.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) 
         )
     near = Moved(domain, -shift) if shift.any() else domain
     try:
-        return numbered(voronoi_polygons(near, cells, seed, iterations), shift)
+        return _of_order("polygonize", order, numbered(voronoi_polygons(near, cells, seed, iterations), shift), domain)
     except Unresolved as error:
         told = f"polygonize: cells = {cells} are too few to follow the boundary of the domain; use more cells"
         if len(error.places):
@@ -109,6 +112,28 @@ def _narrowest(domain, places, cells, shift):
     return width[first], places[first] + shift
 
 
+def _of_order(function, order, mesh, domain=None):
+    """The mesh with middle nodes if the order is 2; those of the boundary are on the walls of a domain."""
+    if _whole(function, "order", order, 1) > 2:
+        raise InputError(f"{function}: order = {order!r} must be 1 or 2")
+    if order == 1:
+        return mesh
+    mesh = mesh.quadratic
+    if domain is None:
+        return mesh
+    sides, points = mesh.boundary_edges.reshape(-1, 4)[:, [0, 1, 3]], np.array(mesh.points)
+    start, middle, end = points[sides].transpose(1, 0, 2)
+    size, length, best = float(np.max(domain.upper - domain.lower)), np.hypot(*(end - start).T), middle.copy()
+    least = np.full(len(sides), np.inf)
+    for wall in domain.walls:
+        foot = project(middle, wall)
+        away, off = np.hypot(*(foot - middle).T), np.maximum(np.abs(wall.distance(start)), np.abs(wall.distance(end)))
+        nearer = (off < 1e-9 * size) & (away < np.minimum(least, DEEPEST * length))
+        best[nearer], least[nearer] = foot[nearer], away[nearer]
+    points[sides[:, 1]] = best
+    return moved(mesh, points)
+
+
 def numbered(polygons, shift=0.0):
     """The PolygonMesh of polygons moved by `shift`, with nodes in an order of small bandwidth and automatic sections."""
     points, nodes, offsets, _ = topology.renumber(polygons.points, polygons.nodes, polygons.offsets)
@@ -118,7 +143,7 @@ def numbered(polygons, shift=0.0):
 
 @named_keywords
 def rectangle(
-    length: float, height: float, cells: int, seed: int = 0, iterations: int = 40, origin: "ArrayLike" = (0.0, 0.0)
+    length: float, height: float, cells: int, seed: int = 0, iterations: int = 40, origin: "ArrayLike" = (0.0, 0.0), order: int = 1
 ) -> PolygonMesh:
     """Return a polygon mesh of the rectangle 0 <= x <= length, |y| <= height/2, symmetric about y = 0.
 
@@ -135,6 +160,8 @@ def rectangle(
         Largest number of Lloyd iterations.
     origin : (2,) float, m
         Translation of the mesh.
+    order : 1 or 2
+        2: with a middle node on each side, for quadratic plates.
 
     Returns
     -------
@@ -157,7 +184,7 @@ def rectangle(
     sizes = np.diff(half.offsets)
     offsets = np.concatenate([[0], np.cumsum(np.r_[sizes, sizes[::-1]])])
     points, nodes, offsets, _ = topology.renumber(points, np.concatenate([half.nodes, image[half.nodes[::-1]]]), offsets)
-    return PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height))
+    return _of_order("rectangle", order, PolygonMesh(points + origin, nodes, offsets, _sides(points, length, height)))
 
 
 def _sides(points, length, height):
@@ -167,7 +194,7 @@ def _sides(points, length, height):
 
 
 @named_keywords
-def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0)) -> PolygonMesh:
+def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0), order: int = 1) -> PolygonMesh:
     """Return nx by ny equal quadrilaterals of the rectangle 0 <= x <= length, |y| <= height/2.
 
     Parameters
@@ -176,6 +203,8 @@ def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = 
     nx, ny : int, >= 1
     origin : (2,) float, m
         Translation of the mesh.
+    order : 1 or 2
+        2: with a middle node on each side, for quadratic plates.
 
     Returns
     -------
@@ -187,16 +216,16 @@ def quads(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = 
     InputError
         For wrong values.
     """
-    return _structured("quads", length, height, nx, ny, origin)
+    return _of_order("quads", order, _structured("quads", length, height, nx, ny, origin))
 
 
 @named_keywords
-def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0)) -> PolygonMesh:
+def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike" = (0.0, 0.0), order: int = 1) -> PolygonMesh:
     """Return the rectangles of `quads`, each cut into two triangles by alternating diagonals.
 
     Parameters
     ----------
-    length, height, nx, ny, origin
+    length, height, nx, ny, origin, order
         As of `quads`.
 
     Returns
@@ -209,7 +238,7 @@ def triangles(length: float, height: float, nx: int, ny: int, origin: "ArrayLike
     InputError
         For wrong values.
     """
-    return _structured("triangles", length, height, nx, ny, origin, cut=True)
+    return _of_order("triangles", order, _structured("triangles", length, height, nx, ny, origin, cut=True))
 
 
 def _structured(function, length, height, nx, ny, origin, cut=False):

@@ -11,10 +11,11 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.raw import RawMesh
+from polyida.mesh.raw import RawMesh, sides_of
 from polyida.mesh.sections import edges_within
 
 CORNERS = {"triangle": 3, "quad": 4}
+OF_ORDER_2 = ("triangle6", "triangle7", "quad8", "quad9")
 LOWER = {"vertex": 0, "line": 1}
 PREFIX = "section:"
 WHOLE = re.compile(rb"(?<![\w.+-])\d{8,}(?![\w.])")
@@ -32,10 +33,13 @@ def reader(kind, advice=""):
             raise InputError(f"it cannot be read as {kind}: its $ParametricNodes are not known; save with Mesh.SaveParametric = 0 in Gmsh")
         _require_sane(content, kind)
         data = _quietly(lambda meshio: getattr(meshio, kind).read(str(path)), f"read as {kind}", advice)
-        plane, notes, foreign = [], [], set()
+        plane, middles, notes, foreign = [], [], [], set()
         for block in data.cells:
             family = _family(block.type)
-            if family in CORNERS and block.type != family:
+            if block.type in OF_ORDER_2:
+                corners = CORNERS[family]
+                middles.append(sides_of(block.data[:, :corners], block.data[:, corners : 2 * corners]))
+            elif family in CORNERS and block.type != family:
                 notes.append(f"{len(block.data)} {block.type} became {family}s of their corners, curved edges straight")
             if family == "polygon" or family in CORNERS:
                 plane.append(np.asarray(block.data, dtype=np.int64)[:, : CORNERS.get(family)])
@@ -43,7 +47,7 @@ def reader(kind, advice=""):
                 foreign.add(block.type)
         if foreign:
             raise InputError(f"holds cells of type {', '.join(sorted(foreign))}; only plane triangles, quads and polygons can be used")
-        return RawMesh(data.points, plane, _named_points(data), notes=tuple(notes))
+        return RawMesh(data.points, plane, _named_points(data), notes=tuple(notes), middles=np.concatenate(middles) if middles else None)
 
     return read
 

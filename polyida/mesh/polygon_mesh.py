@@ -129,12 +129,18 @@ class PolygonMesh:
     @cached_property
     def cell_areas(self) -> np.ndarray:
         """(n_cells,), m^2."""
-        return topology.areas(self.points, self.nodes, self.offsets)
+        return self._measures[0]
 
     @cached_property
     def cell_centroids(self) -> np.ndarray:
         """(n_cells, 2), m."""
-        return topology.centroids(self.points, self.nodes, self.offsets)
+        return self._measures[1]
+
+    @cached_property
+    def _measures(self):
+        """Areas and centroids of the cells."""
+        cells = self.points, self.nodes, self.offsets
+        return topology.curved_measures(*cells) if self.order == 2 else (topology.areas(*cells), topology.centroids(*cells))
 
     @cached_property
     def area(self) -> float:

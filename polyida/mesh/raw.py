@@ -40,6 +40,8 @@ class RawMesh:
         Size of the file's unit, if known.
     first : int
         Number of the first point.
+    middles : (k, 3) int, optional
+        Both corners and the middle point of sides of elements of order 2. If all sides have one, the mesh has order 2.
     """
 
     points: np.ndarray
@@ -50,6 +52,12 @@ class RawMesh:
     notes: tuple = ()
     metres: float | None = None
     first: int = 0
+    middles: np.ndarray | None = None
+
+
+def sides_of(corners, middles):
+    """Rows (k, 3) of both corners and the middle of the sides of cells (m, n), whose middles (m, n) follow their first corners."""
+    return np.stack([corners, np.roll(corners, -1, axis=1), middles], axis=2).reshape(-1, 3)
 
 
 def unit_size(unit, of_file=None):
@@ -88,7 +96,8 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         raise InputError(f"points have shape {points.shape}, they must have 2 or 3 coordinates")
     nodes, points = nodes - raw.first, np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
     _require_range(nodes, offsets, len(points), raw.first)
-    points = _flat(points, np.unique(nodes), notes)
+    middles = np.zeros((0, 3), np.int64) if raw.middles is None else np.asarray(raw.middles, np.int64) - raw.first
+    points = _flat(points, np.unique(np.concatenate([nodes, middles[:, 2]])), notes)
     target = _merged(points, np.unique(nodes), tolerance, notes)
     used, nodes = np.unique(target[nodes], return_inverse=True)
     # drop corners equal to the one before, and cells with fewer than three corners
@@ -115,16 +124,25 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
     place = np.full(len(points), -1)
     place[used] = np.arange(len(used))
     place = place[target]
-    unused = np.flatnonzero(place < 0)
+    unused = np.setdiff1d(np.flatnonzero(place < 0), middles[:, 2])
     if unused.size:
         notes.append(f"left out {counted(unused.size, 'point')} of no cell, the first at {points[unused[0]].tolist()}")
-    points = points[used] if scale == 1.0 else points[used] * scale
+    points = points if scale == 1.0 else points * scale
+    at_middles, points = points[middles[:, 2]], points[used]
     if numbered:
         renumbered, new_nodes, new_offsets, number = topology.renumber(points, nodes, offsets)
         if topology.half_bandwidth(new_nodes, new_offsets) < 0.8 * topology.half_bandwidth(nodes, offsets):
             points, nodes, offsets, place = renumbered, new_nodes, new_offsets, np.where(place >= 0, number[place], -1)
         else:
             nodes, offsets = topology.sorted_cells(nodes, offsets)
+    sides, first = np.unique(np.sort(place[middles[:, :2]], axis=1), axis=0, return_index=True)
+    order = 1
+    if np.array_equal(sides, topology.edges(nodes, offsets, len(points))):
+        place[middles[first, 2]] = len(points) + np.arange(len(first))
+        nodes, offsets = topology.inserted(nodes, offsets, sides, len(points) + np.arange(len(first)))
+        points, order = np.concatenate([points, at_middles[first]]), 2
+    elif len(middles):
+        notes.append("elements of order 2 became their corners, curved edges straight: not all sides have one middle node")
     # sections of the boundary, of supports and loads, and with priority those of the file
     supports = {n: tuple(np.any(rows, axis=0).tolist()) for n, rows in _at_nodes("supports", raw, place, bool).items()}
     loads = {n: tuple(np.sum(rows, axis=0).tolist()) for n, rows in _at_nodes("loads", raw, place, float).items()}
@@ -147,7 +165,7 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         else:
             notes.append(f"left out section {name!r}, of which no point is a corner of a cell")
     automatic = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
-    mesh = PolygonMesh(points, nodes, offsets, automatic | named, supports, loads)
+    mesh = PolygonMesh(points, nodes, offsets, automatic | named, supports, loads, order)
     return mesh, notes + _unjoined(mesh)
 
 

@@ -67,8 +67,8 @@ def _format_of(path, name):
 def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
     """Return the mesh in a file of triangles, quadrilaterals and polygons.
 
-    Close points are merged, unused points and repeated corners dropped, clockwise cells reversed, elements of higher order reduced to their
-    corners; one MeshWarning lists all changes, and nodes within an edge, where cells are not joined. Nodes are renumbered if that reduces the bandwidth by a fifth; cells are sorted by their nodes.
+    Close points are merged, unused points and repeated corners dropped, clockwise cells reversed. Elements of order 2 keep their middle nodes
+    if all cells have them (`mesh.order`), else they are reduced to their corners, as are elements of higher order; one MeshWarning lists all changes, and nodes within an edge, where cells are not joined. Nodes are renumbered if that reduces the bandwidth by a fifth; cells are sorted by their nodes.
 
     Parameters
     ----------
@@ -147,6 +147,8 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
     if kind.write is None:
         raise InputError(f"mesh file {path} is of a format that can only be read")
     sizes = np.diff(mesh.offsets)
+    if mesh.order == 2:
+        raise InputError(f"mesh file {path}: meshes of order 2 are not written; write mesh.linear, the mesh of its corners")
     if kind.largest is not None and sizes.max() > kind.largest:
         able = ", ".join(suffix for suffix, known in FORMATS.items() if known.write and known.largest is None)
         raise InputError(

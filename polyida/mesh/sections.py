@@ -77,8 +77,11 @@ def select(mesh, selector):
         ordered.append(chain[::-1] if reverse else chain)
     ordered.sort(key=lambda chain: mesh.points[chain, axis].min())
     order = np.array([node for chain in ordered for node in chain], dtype=np.int32)
-    half = 0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1)
-    shares = half[:, None] * (np.where(mesh.middle_nodes[edges], 4.0 / 3.0, 2.0 / 3.0) if mesh.order == 2 else np.ones(2))
+    if mesh.order == 2:
+        edges = sides_within(mesh, nodes)
+        shares = side_shares(mesh.points[edges])
+    else:
+        shares = np.repeat(0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1), 2)
     lengths = np.bincount(edges.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)[order]
     if not lengths.sum() > 0.0:
         return Section(order, lengths, name, np.full(len(order), 1.0 / len(order)))
@@ -86,7 +89,7 @@ def select(mesh, selector):
     if len(chains) == 1 and _is_rim(mesh.points, *chains[0]):
         arms = mesh.points[order] - mesh.points[order[0]]
         arms = arms - weights @ arms
-        weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms)))
+        weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms, mesh.middle_nodes[order])))
     return Section(order, lengths, name, weights)
 
 
@@ -111,6 +114,12 @@ def sides_within(mesh, nodes):
     inside[nodes] = True
     sides = mesh.boundary_edges.reshape(-1, 4)[:, [0, 1, 3]]
     return sides[inside[sides].all(axis=1)]
+
+
+def side_shares(sides):
+    """Lengths (k, 3) of sides (k, 3, 2) of order 2 at their nodes: one sixth at a corner and four at the middle if the side is straight."""
+    _, dx = topology.parabolas(sides)
+    return np.einsum("gj,gk->kj", topology.SIDE, np.linalg.norm(dx, axis=2))
 
 
 def edges_within(mesh, nodes):
@@ -145,15 +154,21 @@ def signed_area(corner):
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def centre(rim):
-    """Return the centre of a hole, (2,): of the circle through the corners of its rim if four or more lie on one, else of its area."""
+def centre(rim, middles=None):
+    """Return the centre of a hole, (2,): of the circle through the corners of its rim if four or more lie on one, else of its area.
+
+    middles (n,): True for the middle nodes of sides of order 2.
+    """
     middle = rim.mean(axis=0)
     arms = rim - middle
     solution = np.linalg.lstsq(np.column_stack([2.0 * arms, np.ones(len(arms))]), (arms**2).sum(axis=1), rcond=None)[0]
     radii = np.hypot(*(arms - solution[:2]).T)
     if len(rim) >= ON_CIRCLE and np.ptp(radii) <= ROUND * radii.mean():
         return middle + solution[:2]
-    return topology.centroids(rim, np.arange(len(rim)), np.array([0, len(rim)]))[0]
+    cell = np.arange(len(rim)), np.array([0, len(rim)])
+    if middles is None or not middles.any():
+        return topology.centroids(rim, *cell)[0]
+    return topology.curved_measures(np.roll(rim, -1, axis=0) if middles[0] else rim, *cell)[1][0]
 
 
 def automatic(points, boundary):

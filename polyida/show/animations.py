@@ -131,8 +131,9 @@ class FramePicture:
         from matplotlib.collections import LineCollection, PathCollection
         from matplotlib.path import Path as Outline
 
-        self.run, (self.nodes, offsets), self.edges = run, plates.closed(run.model), plates.edges(run.model)
-        self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
+        self.run, self.lines = run, plates.curves(run.model)
+        self.nodes, offsets = plates.closed(self.lines.nodes, self.lines.offsets)
+        self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.lines.edges), 2, 2))
         boxes = np.array([bounds(plates.places(run, k)) for k in frames])
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         self.clock = dict(zip(frames, plates.clock(run, frames)))
@@ -157,8 +158,8 @@ class FramePicture:
         """Frame k as an RGB image."""
         from PIL import Image
 
-        positions = self.run.node_positions(k)
-        self.corners[:], self.ends[:] = positions[self.nodes], positions[self.edges]
+        positions = self.lines.places(self.run.node_positions(k))
+        self.corners[:], self.ends[:] = positions[self.nodes], positions[self.lines.edges]
         self.cells.set_array(self.stress[k])
         self.sticks.set_segments(plates.sticks(self.run, k))
         self.title.set_text(literal(self.clock[k]))

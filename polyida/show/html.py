@@ -194,14 +194,17 @@ class Movie:
 
         run = self.run
         plates.require_run("movie", run, overwrite=False)
-        nodes, offsets = plates.connectivity(run.model)
-        edges, shown = plates.edges(run.model), np.arange(int(nodes.max(initial=-1)) + 1)
+        lines = plates.curves(run.model)
+        nodes, offsets, edges = lines.nodes, lines.offsets, lines.edges
+        shown = np.arange(int(nodes.max(initial=-1)) + 1)
         if outline_only := len(shown) * MIN_FRAMES > MAX_POINTS:
             shown, nodes, offsets = np.unique(edges), nodes[:0], offsets[:1]
             edges = np.searchsorted(shown, edges)
         sticks = len(plates.sticks(run, 0))
         frames = plates.spread(run, int(np.clip(MAX_POINTS // (len(shown) + 2 * sticks + 1), MIN_FRAMES, MAX_FRAMES)))
-        points = np.array([np.concatenate([run.node_positions(k)[shown], plates.sticks(run, k).reshape(-1, 2)]) for k in frames])
+        points = np.array(
+            [np.concatenate([lines.places(run.node_positions(k))[shown], plates.sticks(run, k).reshape(-1, 2)]) for k in frames]
+        )
         stress = np.array([[] if outline_only else run.von_mises(k) / 1e3 for k in frames])
         (low, high), top = bounds(points.reshape(-1, 2)), colour_limit([*stress])
         size = (high - low).max() or 1.0

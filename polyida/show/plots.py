@@ -59,11 +59,11 @@ def mesh(model):
     if model is None or not model.drawn:
         raise InputError(f"{type(model).__name__} has no plates, so there is no mesh to draw")
     with settings():
-        cells = plates.polygons(model, model.drawn_points)
+        cells = plates.curves(model).polygons(model.drawn_points)
         low, high = bounds(np.concatenate(cells))
         new, axes = figure(6.4, height_to_scale(low, high, 6.4, 0.75))
         nodes, offsets = plates.connectivity(model)
-        count = np.diff(offsets)
+        count = np.diff(offsets) // np.concatenate([np.full(body.mesh.n_cells, body.mesh.order) for body in model.drawn])
         colours = np.array(list(CORNER_COLOURS.values()))[np.clip(count, 4, 7) - 4]
         axes.add_collection(PolyCollection(cells, facecolors=colours, edgecolors=PALETTE[0], linewidths=0.4, label="mesh"))
         show_to_scale(axes, low, high)
@@ -106,13 +106,14 @@ def draw_frames(axes, run, frames):
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
-    shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
+    lines = plates.curves(run.model)
+    shapes = [lines.polygons(run.node_positions(k)) for k in frames]
     stress = [run.von_mises(k) / 1e3 for k in frames]
     raster = sum(map(len, shapes)) > MAX_VECTOR_POLYGONS
     style = {"cmap": "viridis", "clim": (0, colour_limit(stress)), "edgecolors": "face", "linewidths": 0.2, "rasterized": raster}
     for k, cells, values in zip(frames, shapes, stress):
         drawn = axes.add_collection(PolyCollection(cells, array=values, label=f"t = {run.t[k]:.6g} s", **style))
-        edges = plates.outlines(run.model, run.node_positions(k))
+        edges = lines.outlines(run.node_positions(k))
         outline = Path(edges.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(edges)))  # one artist draws ten times as fast as lines
         axes.add_patch(PathPatch(outline, fill=False, edgecolor=INK, linewidth=0.4, capstyle="round", rasterized=raster))
     for k in frames:
@@ -513,7 +514,7 @@ def drawing(run):
     if not len(run) or not plates.drawable(run.model):
         return ""
     last = len(run) - 1
-    edges, sticks = plates.outlines(run.model, run.node_positions(last)), plates.sticks(run, last)
+    edges, sticks = plates.curves(run.model).outlines(run.node_positions(last)), plates.sticks(run, last)
     if len(edges) + len(sticks) > MAX_SEGMENTS or not (np.isfinite(edges).all() and np.isfinite(sticks).all()):
         return ""
     low, high = bounds(np.concatenate([edges, sticks]).reshape(-1, 2))

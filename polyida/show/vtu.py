@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["vtu"]
 COLLECTION = "run.pvd"
+KINDS = {(3, 1): "triangle", (4, 1): "quad", (6, 2): "triangle6", (8, 2): "quad8"}  # by the nodes of a cell and its order
 JOURNAL = ".polyida-{}.frames"  # names of the frames that a process is writing
 FRAME = re.compile(r"frame-[a-z]?\d+\.vtu")
 
@@ -179,12 +180,15 @@ class _CellBlocks:
     def __init__(self, model):
         nodes, offsets = plates.connectivity(model)
         corners = np.diff(offsets)
-        kinds = np.unique(corners)
-        self.order = [np.flatnonzero(corners == count) for count in kinds]
-        self.cells = [
-            ({3: "triangle", 4: "quad"}.get(int(count), "polygon"), nodes[offsets[cells][:, None] + np.arange(count)])
-            for count, cells in zip(kinds, self.order)
-        ]
+        orders = np.concatenate([np.full(body.mesh.n_cells, body.mesh.order) for body in plates.bodies(model)])
+        kinds = np.unique(np.column_stack([corners, orders]), axis=0).tolist()
+        self.order = [np.flatnonzero((corners == count) & (orders == order)) for count, order in kinds]
+        self.cells = []
+        for (count, order), cells in zip(kinds, self.order):
+            kind, places = KINDS.get((count, order), "polygon"), np.arange(count)
+            if order == 2 and kind != "polygon":  # VTK lists the corners first
+                places = np.concatenate([places[::2], places[1::2]])
+            self.cells.append((kind, nodes[offsets[cells][:, None] + places]))
         cells = [body.mesh.n_cells for body in plates.bodies(model)]
         self.plate = np.repeat(np.arange(len(cells)), cells)
 

@@ -5,12 +5,16 @@ Each returns {"dof": n, "deviation": relative error, ...}: the largest error of 
 
 import numpy as np
 
+from polyida import profile
 from polyida.body.plate import Material, Plate
+from polyida.body.rigid_body import PointMass
 from polyida.force.loads import PointLoad
 from polyida.integrate.static import static
-from polyida.joint.joints import Clamp
+from polyida.joint.attachment import ground
+from polyida.joint.joints import AngleMotor, Clamp, Revolute
 from polyida.linear.saddle import KKT
 from polyida.mesh import PolygonMesh, quads, rectangle, triangles
+from polyida.problems import plates
 from polyida.scene import Scene
 
 ELASTICA = {1: (0.05643323628337693, 0.3017207737998131), 10: (0.5549955977537513, 0.8106090248802965)}  # u / L, w / L
@@ -27,12 +31,17 @@ def mesh_of(kind, length, height, through):
     return {"quads": quads, "triangles": triangles}[kind](length, height, along, through)
 
 
+def element_of(name):
+    """The arguments of a plate of the element "wachspress", "virtual" or "quadratic"."""
+    return {"order": 2} if name == "quadratic" else {"element": name}
+
+
 def clamped(mesh, material, element, gravity=(0.0, 0.0), thickness=1.0, load=None, at="right", clamp="left"):
     """(model, plate): one plate on `mesh`, clamped at a section, with a dead load (fx, fy), N, on an attachment named
     "load".
     """
     scene = Scene(gravity=gravity)
-    plate = scene.add(Plate(mesh, material, thickness, name="plate", element=element))
+    plate = scene.add(Plate(mesh, material, thickness, name="plate", **element_of(element)))
     scene.add(Clamp(plate.section(clamp), name="clamp"))
     scene.add(PointLoad(plate.node(at) if isinstance(at, tuple) else plate.section(at), load or (0.0, 0.0), name="load"))
     return scene.build(), plate
@@ -50,9 +59,10 @@ def elastica(kind, element, through, load, slenderness=50):
 def csm1(kind, element, through, clamp):
     """Turek and Hron's CSM1: a beam behind a cylinder under its own weight, clamped on its arc or straight."""
     mesh = mesh_of(kind, BEAM_END - STRAIGHT_CLAMP, 0.02, through)
+    mesh = mesh.quadratic if element == "quadratic" else mesh  # so that its sides follow the arc
     mesh = bent_to_the_cylinder(mesh) if clamp == "arc" else mesh
     model, plate = clamped(mesh, Material(1.4e6, 0.4, 1000.0, plane="strain"), element, gravity=(0.0, -2.0))
-    tip = plate.node((mesh.points[:, 0].max(), 0.0)).nodes[0]
+    tip = plate.node((plate.mesh.points[:, 0].max(), 0.0)).nodes[0]
     moved = static(model, steps=2).q.reshape(-1, 2)[tip]
     return result(model, moved / CSM1[clamp] - 1) | {"moved": moved}
 
@@ -62,7 +72,7 @@ def bent_to_the_cylinder(mesh):
     x, y = mesh.points.T
     begin = np.sqrt(CYLINDER**2 - y**2)
     stretched = begin + (BEAM_END - begin) * x / x.max()
-    return PolygonMesh(np.stack([stretched, y], axis=1), mesh.nodes, mesh.offsets, mesh.sections)
+    return PolygonMesh(np.stack([stretched, y], axis=1), mesh.nodes, mesh.offsets, mesh.sections, order=mesh.order)
 
 
 def extrapolated(coarse, fine, clamp, order=2):
@@ -156,6 +166,47 @@ def spin_up(nx, ny, h, rho_inf=0.9):
         "w": deflection[keep],
         "cpu_s": run.cpu_seconds,
     }
+
+
+H = 5e-4  # s, the step of the motions
+
+
+def moving(case, element, cells):
+    """Place of a tip and CPU time of a motion: "swing", the double plate, or "motor", a plate of 50:1 that a motor turns. n and steps."""
+    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+    from polyida.run.solve import solve
+
+    scene, t_end = (swing(element, cells), 1.0) if case == "swing" else (motor(element, cells), 0.6)
+    model = scene.build()
+    runs = [solve(model, t_end, GeneralizedAlpha(h=H), output=[t_end]) for _ in range(2)]  # the first one may load kernels
+    if not runs[1].success:
+        raise RuntimeError(runs[1].message)
+    cpu = min(run.cpu_seconds for run in runs)
+    return {"dof": model.n, "tip": runs[1].position("tip")[-1].tolist(), "cpu_s": cpu, "step_cpu_s": cpu / round(t_end / H)}
+
+
+def swing(element, cells):
+    """The double plate."""
+    scene = Scene(gravity=plates.GRAVITY)
+    mesh, end = rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), ground
+    for k, name in enumerate(("upper", "lower")):
+        plate = scene.add(Plate(mesh, plates.RUBBER, plates.THICKNESS, origin=(k * plates.LENGTH, 0.0), name=name, **element_of(element)))
+        scene.add(Revolute(end, plate.section("left"), name=f"joint of {name}"))
+        end = plate.section("right")
+    scene.add(PointMass(end, plates.TIP_MASS, name="tip"))
+    return scene
+
+
+def motor(element, cells):
+    """A plate of 50:1 that a motor turns by 45 degrees within 1 s."""
+    scene = Scene()
+    plate = scene.add(
+        Plate(rectangle(1.0, 0.02, cells=cells, seed=1), Material(1e9, 0.3, 1100.0), 0.01, name="plate", **element_of(element))
+    )
+    scene.add(Revolute(ground, plate.section("left"), name="joint"))
+    scene.add(AngleMotor(ground, plate.section("left"), angle=profile.quintic(0.0, np.pi / 4, duration=1.0), name="motor"))
+    scene.add(PointMass(plate.section("right"), 0.5, name="tip"))
+    return scene
 
 
 def result(model, errors):

@@ -2,6 +2,11 @@
 
 MEMBERS = (("polygons", "wachspress"), ("quads", "wachspress"), ("triangles", "wachspress"), ("polygons", "virtual"), ("quads", "virtual"))
 POLYGONS, QUADS = MEMBERS[:1], MEMBERS[1:2]
+QUADRATIC = (("polygons", "quadratic"), ("quads", "quadratic"))  # with half as many cells through the thickness
+MOVING = {  # polygons of a plate in motion
+    "swing": {"wachspress": (40, 160, 500, 1000), "virtual": (40, 160, 500, 1000), "quadratic": (10, 20, 30, 80, 160)},
+    "motor": {"wachspress": (40, 160, 640, 2560), "virtual": (40, 160, 640, 2560), "quadratic": (10, 20, 40, 160)},
+}
 SLENDER = 200  # L / h of an elastica whose shear is 16 times less than at 50
 
 QUICK = {
@@ -41,6 +46,15 @@ def tasks(quick):
     selection += grid("csm1", QUADS, sizes["csm1 fine"][1:], clamps[:1] if quick else clamps)
     selection += grid("cantilever", MEMBERS, sizes["cantilever"]) + grid("frequencies", MEMBERS, sizes["frequencies"])
     selection += grid("compliance", POLYGONS, sizes["compliance"], [{"at": at} for at in ("node", "section")])
+    for case in ("elastica", "cantilever", "csm1", "frequencies"):
+        halves = sorted({n // 2 for n in sizes[case]} - {0})[: 3 if quick else 5]
+        selection += grid(case, QUADRATIC, halves, {"elastica": loads, "csm1": clamps}.get(case, ({},)))
+    for case, elements in MOVING.items():
+        selection += [
+            {"case": case, "kind": "polygons", "element": element, "through": 0, "cells": count}
+            for element, cells in elements.items()
+            for count in (cells[:-1] if quick else cells)
+        ]
     return selection + [grid("spin-up", QUADS, (ny,), [{"nx": nx, "h": h}])[0] for nx, ny, h in sizes["spin-up"]]
 
 

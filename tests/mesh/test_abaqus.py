@@ -113,15 +113,16 @@ def test_a_section_of_middle_nodes_is_said_to_be_left_out(inp):
 
 
 @pytest.mark.parametrize("kind, corners", [("CPS6M", 3), ("S8R", 4), ("M3D9", 4)])
-def test_quadratic_elements_become_their_corners(inp, kind, corners):
+@pytest.mark.filterwarnings("ignore::polyida.mesh.MeshWarning")
+def test_quadratic_elements_keep_their_middle_nodes(inp, kind, corners):
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[:corners]
     middle = 0.5 * (square + np.roll(square, -1, axis=0)) + 0.01
     points = np.concatenate([square, middle, [[0.5, 0.5]]])[: int(kind[-2] if kind[-1] in "MR" else kind[-1])]
     rows = [f"{i}, {x}, {y}, 0." for i, (x, y) in enumerate(points, 1)]
     element = "1, " + ", ".join(str(i + 1) for i in range(len(points)))
-    with pytest.warns(MeshWarning, match=f"1 {kind} became their corners, curved edges straight") as said:
-        mesh = read(inp("\n".join(["*NODE", *rows, f"*ELEMENT, TYPE={kind}", element])))
-    assert mesh.n_nodes == corners and mesh.area == pytest.approx(0.5 if corners == 3 else 1.0) and len(said) == 1
+    mesh = read(inp("\n".join(["*NODE", *rows, f"*ELEMENT, TYPE={kind}", element])))
+    assert mesh.order == 2 and mesh.n_nodes == 2 * corners and mesh.linear.area == pytest.approx(0.5 if corners == 3 else 1.0)
+    assert mesh.points[mesh.middle_nodes] == pytest.approx(mesh.points[mesh.nodes[1::2]][np.argsort(mesh.nodes[1::2])])
 
 
 def test_sets_of_lines_are_sections_and_those_of_cells_are_not(inp):

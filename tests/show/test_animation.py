@@ -47,5 +47,5 @@ def test_a_frame_has_the_plates_where_the_run_has_them_on_one_scale(run):
         corners = np.concatenate([path.vertices[:-1] for path in picture.cells.get_paths()])
         assert corners == pytest.approx(run.node_positions(k)[plates.connectivity(run.model)[0]])
         assert np.asarray(picture.cells.get_array()) == pytest.approx(run.von_mises(k) / 1e3)
-        assert np.array(picture.outline.get_segments()) == pytest.approx(plates.outlines(run.model, run.node_positions(k)))
+        assert np.array(picture.outline.get_segments()) == pytest.approx(plates.curves(run.model).outlines(run.node_positions(k)))
         assert picture.title.get_text() == f"t = {run.t[k]:.3f} s"

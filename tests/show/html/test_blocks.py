@@ -169,7 +169,7 @@ def test_of_a_mesh_too_fine_for_a_page_the_outline_moves(run, monkeypatch):
     monkeypatch.setattr(html, "MAX_POINTS", 100)
     data, _ = html.Movie(run).data()
     places, stress = unpacked(data, run)
-    edges = plates.edges(run.model)
+    edges = plates.curves(run.model).edges
     assert data["offsets"] == [0] and stress.size == 0 and len(data["t"]) == html.MIN_FRAMES
     size = np.ptp(np.array([run.node_positions(k) for k in range(len(run.t))]), axis=(0, 1)).max()
     last = places[-1][np.array(data["edges"])] * size / html.POSITIONS
