@@ -107,7 +107,7 @@ def moving_runs(rows, case):
     known = by_size(rows, case=case, element="quadratic")
     if not known:
         return {}
-    tip, result = column(known, "tip")[-1], {}
+    tip, result = cases.np.array(known[-1]["tip"]), {}
     angle = cases.profile.quintic(0.0, cases.np.pi / 4, duration=1.0)(0.6)
     rigid = cases.np.array([cases.np.cos(angle), cases.np.sin(angle)])
     scale = 1.0 if case == "swing" else float(cases.np.hypot(*(tip - rigid)))
@@ -120,16 +120,16 @@ def moving_runs(rows, case):
 
 
 def cpu_at(seconds, errors, aim):
-    """CPU time, s, to an error, by a straight line in logarithms between runs, or through the last two."""
+    """CPU time, s, to an error, by a straight line in logarithms; without a run that reaches it that of the finest run, a lower bound."""
     for i in range(1, len(errors)):
-        if errors[i] <= aim or i == len(errors) - 1:
-            slope = cases.np.log(seconds[i] / seconds[i - 1]) / cases.np.log(errors[i] / errors[i - 1])
-            return float(seconds[i] * (aim / errors[i]) ** slope)
-    return float("nan")
+        if errors[i] <= aim < errors[i - 1]:
+            share = cases.np.log(aim / errors[i - 1]) / cases.np.log(errors[i] / errors[i - 1])
+            return float(seconds[i - 1] * (seconds[i] / seconds[i - 1]) ** share)
+    return seconds[-1]
 
 
 def motions(rows):
-    """CPU times of linear over quadratic meshes at equal errors, orders of errors, and CPU time of a step and coordinate."""
+    """CPU times of linear over quadratic meshes at equal errors (at least, if no linear mesh reaches it), orders of errors, and CPU time of a step and coordinate."""
     result = {}
     for case, aim in AIMS.items():
         runs = moving_runs(rows, case)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mesh_convergence import cases
 
 import polyida as pi
+from mesh_convergence import cases
 
 CSM1 = (-7.18767e-3, -66.1023e-3)  # m, Turek and Hron 2006
 COOK = 23.964  # vertical displacement of the middle of the free side, plane stress, E = 1, nu = 1/3: the usual value of converged meshes
