@@ -1,20 +1,21 @@
 """A model as a table of C functions. Drivers call them by address, and are compiled once for all models.
 
 Each function has the signature `int64 f(int64 workspace, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
-prepared instants, and addresses of contiguous float64 arrays. SELECT takes a slot and ADJOINT a step in place of the instant, PREPARE and TURN
+prepared instants, and six values: addresses of contiguous float64 arrays, 0 for one that is not asked for; `known`, `from_zero` and `back` are
+flags, `slot` is a number. SELECT takes a slot and ADJOINT a step in place of the instant, PREPARE and TURN
 the first instant of a step. It returns a status (errors.REASONS). A driver needs some of the entries only.
 
 | entry | arguments | action |
 |---|---|---|
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
 | BEGIN | q, v, times | store the state at which a step begins; times: as of PREPARE |
-| CONSTRAINTS | q, dq, dv, phi, rate | phi and rate at q; by increments: from those at the step's start and the increments of q and v |
-| FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; 0 if the caller of the driver computes it |
+| CONSTRAINTS | q, dq, dv, phi, rate | phi and rate at q; of tables by increments: from those at the step's start, which phi and rate hold, and the changes dq - h v_0 and dv |
+| FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; no entry (address 0) if the caller of the driver computes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
-| RATE | q, v, rate, known | `phi_q v + phi_t`; known: True at the q of the last REACTION of this stage |
+| RATE | q, v, rate, known | `phi_q v + phi_t`; known: True if B is that of the last REACTION of this stage |
 | PROJECT | rows, x, from_zero | change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | status of a state: accepted or rejected |
-| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0 if they are computed when they are asked for |
+| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; no entry (address 0) if they are computed when they are asked for |
 | MIDDLE | states, lam, r, phi | r in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
 | STRAINS | past, now, state, numbers | state = 0: begin a step whose unknowns are without strains (assembly/condensation.py), else end it: fill the rows of the strains in state |
 
@@ -22,13 +23,13 @@ Further entries serve the s stages of Radau IIA. D is the diagonal of M over its
 
 | entry | arguments | action |
 |---|---|---|
-| PREPARE | times | take (h, t and times of the instants, s + 1) of a step; 0 if all steps of a stretch are known before |
+| PREPARE | times | take (h, t and times of the instants, s + 1) of a step; no entry (address 0) if all steps of a stretch are known before |
 | REACTION | q, mu, dv, known | dv += D^-1 B^T mu; known: True if B is that of ROWS |
 | ROWS | q, v, a, known | compute the rows of the middle stage; a is read if phi'' is a row; known: True if B is that of the last RESIDUAL |
 | TURN | r, back | rotate the residuals (s, n) into the frame of the middle stage, or corrections back; 0 without frames |
-| REAL, PAIR | r, rows, lam, dq, multipliers | the correction of a mode, radau/step.py; rows and multipliers (2, m), lam (m,) of the middle stage |
-| INERTIA | v, a, r, p, q, rows | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; rows (2, m): of ROWS, times v, or B v in place of a second block that is not there; p and rows may be 0 |
-| MATRICES | q, v, a, lam, slot, c | compute K, C and M of a state, or the factors with c as of SELECT, stored under a number; 0 if the caller of the driver computes them |
+| REAL, PAIR | r, closing, lam, dq, multipliers | the correction of a mode, radau/step.py; closing and multipliers (2, m), lam (m,) of the middle stage |
+| INERTIA | v, a, r, p, q, closing | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; closing (2, m): the rows of ROWS times v, or B v in place of a second block that is not there; p and closing may be 0 |
+| MATRICES | q, v, a, lam, slot, c | compute K, C and M of a state, or the factors with c as of SELECT, stored under a number; no entry (address 0) if the caller of the driver computes them |
 | SELECT | slot, c | use those of a number; c: of the real mode, real and imaginary part of the complex one, 0 without one |
 
 IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in some of its forms phi'' is a row.

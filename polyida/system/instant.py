@@ -40,7 +40,7 @@ def constraints(model, instant, q, dq, dv, phi, rate):
 
 @part
 def rate(model, instant, q, v, out, known):
-    """out = B v + phi_t; known: True if B is that of the last `reaction`."""
+    """out = B v + phi_t; known: True if B is that of the last `reaction` of this stage."""
     functions, workspace = model
     return call(functions[table.RATE], (workspace, instant, q, v, out, known))
 
@@ -61,7 +61,7 @@ def project(model, instant, rows, x, from_zero):
 
 @part
 def accept(model, instant, q):
-    """Whether the model accepts q."""
+    """Status of q: accepted (DONE) or rejected, and why."""
     functions, workspace = model
     return call(functions[table.ACCEPT], (workspace, instant, q))
 
@@ -153,7 +153,7 @@ def solve_pair(model, instant, r, closing, lam, dq, multipliers):
 
 @part
 def inertia(model, instant, v, a, r, p, q, closing):
-    """Fill r = C v + M a, p = M v unless p is None, and closing (2, m), unless it is None: the rows of `rows` times v."""
+    """Fill r = C v + M a, p = M v unless p is None, and closing (2, m), unless it is None: the rows of `rows` times v, or B v as a second block that is not there."""
     functions, workspace = model
     return call(functions[table.INERTIA], (workspace, instant, v, a, r, p, q, closing))
 
@@ -167,7 +167,7 @@ def matrices(model, instant, q, v, a, lam, slot, numbers):
 
 @part
 def select(model, slot, numbers):
-    """Use the matrices of a slot; numbers: c of the real mode, real and imaginary part of that of the complex one, 0 without one."""
+    """Use the matrices of a slot; numbers: c of the real mode, real and imaginary part of that of the complex one, 0 without one. No status."""
     functions, workspace = model
     if functions[table.SELECT]:
         call(functions[table.SELECT], (workspace, slot, numbers))
