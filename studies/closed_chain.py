@@ -64,6 +64,12 @@ def notes(rows):
     return missed + sorted({f"left out: {one['skipped']}" for one in rows if one.get("skipped")})
 
 
+def _label(side):
+    """The package and the method of a side."""
+    package = "polyida" if side in OURS else "solve_ivp" if side in BY_IVP else ""
+    return f"{package} {side}".strip()
+
+
 @study_figure
 def draw(rows):
     """Error against CPU time of all sides, a panel for each chain."""
@@ -73,7 +79,7 @@ def draw(rows):
         for i, side in enumerate(SIDES):
             runs = [one for found in pick(rows, links=links, side=side) for one in found.get("runs", ()) if one["outcome"] == "done"]
             if runs:
-                axis.loglog(column(runs, "cpu_s"), column(runs, "error_rad"), label=side, **marker_style(i))
+                axis.loglog(column(runs, "cpu_s"), column(runs, "error_rad"), label=_label(side), **marker_style(i))
         axis.set(xlabel=f"CPU time, s, {links} links", ylabel="error of q, rad")
     legend_above(fig, axes)
     return line_picture(fig, "closed-chain")
