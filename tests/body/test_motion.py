@@ -130,9 +130,10 @@ def test_what_fits_the_joints_is_taken_as_it_is(scenes, kind):
     side = bar.at("left") if kind == "rigid body" else bar.section("left")
     scene.add(pi.Revolute(pi.ground, side, name="hinge"))
     scene.add(pi.AngleMotor(pi.ground, side, pi.profile.polynomial([0.0, SPIN]), name="drive"))
+    model = scene.build()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        state = pi.consistent_state(scene.build())
+        state = pi.consistent_state(model)
     free = pi.Scene()
     free.add(BODIES[kind](scenes, velocity=velocity, spin=SPIN))
     assert np.allclose(state.v, pi.consistent_state(free.build()).v, atol=1e-13)
