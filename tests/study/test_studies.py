@@ -119,6 +119,13 @@ def made_up(name, task):
         curves = {"t": T, "energy": [0.0, 1e-9, 1e-9, 1e-9], "force": [0.0, 1.0, 0.0, 0.0], "bottom": [1.0, 0.0, 0.0, 1.0]}
         plate = dict.fromkeys(("cost_of_contact", "iterations_in_contact", "iterations_without", "solves_in_contact", "factors", "n"), 2)
         return work | off | plate | dict.fromkeys(random, 1e-9) | curves | {"error_q": size, "events": 2, "energy_change": 1e-9}
+    if name == "closed_chain":
+        if task["side"] == "derive":
+            return {"derive_s": 1.0, "first_s": 2.0}
+        return {"runs": [{"setting": "made up", "outcome": "done", "cpu_s": 1e-4 / x, "error_rad": x} for x in (1e-5, 1e-7)]}
+    if name == "mesh_convergence" and task["case"] in ("swing", "motor"):
+        error = (1.0 if task["element"] == "quadratic" else 10.0) / task["cells"] ** 2
+        return {"dof": task["cells"], "tip": [1.0, error], "cpu_s": 1e-3 * task["cells"], "step_cpu_s": 1e-6 * task["cells"]}
     if name == "mesh_convergence":
         moved = {"moved": [-7e-3, -66e-3], "bending_errors": [1e-3] * 3, "axial_errors": [1e-3] * 2, "compliance": 1.0 + size}
         return work | moved | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}
