@@ -106,14 +106,15 @@ def draw_frames(axes, run, frames):
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
+    positions = [run.node_positions(k) for k in frames]
     lines = plates.curves(run.model)
-    shapes = [lines.polygons(run.node_positions(k)) for k in frames]
+    shapes = [lines.polygons(at) for at in positions]
     stress = [run.von_mises(k) / 1e3 for k in frames]
     raster = sum(map(len, shapes)) > MAX_VECTOR_POLYGONS
     style = {"cmap": "viridis", "clim": (0, colour_limit(stress)), "edgecolors": "face", "linewidths": 0.2, "rasterized": raster}
-    for k, cells, values in zip(frames, shapes, stress):
+    for k, at, cells, values in zip(frames, positions, shapes, stress):
         drawn = axes.add_collection(PolyCollection(cells, array=values, label=f"t = {run.t[k]:.6g} s", **style))
-        edges = lines.outlines(run.node_positions(k))
+        edges = lines.outlines(at)
         outline = Path(edges.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(edges)))  # one artist draws ten times as fast as lines
         axes.add_patch(PathPatch(outline, fill=False, edgecolor=INK, linewidth=0.4, capstyle="round", rasterized=raster))
     for k in frames:
