@@ -309,7 +309,7 @@ def place_states(parts, plates, few, speed, without_strains):
 
 
 def _warn_of_locking(name, plate):
-    """LockingWarning for plane strain, nu near 1/2 and cells with few corners, and for thin plates whose linear cells bend wrongly."""
+    """LockingWarning for plane strain, nu near 1/2 and cells with few corners, and for thin plates whose cells bend wrongly."""
     material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
     if plate.order == 1 and material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
         warnings.warn(
@@ -321,12 +321,11 @@ def _warn_of_locking(name, plate):
         return
     stiffness = bending_stiffness(plate)
     if not SOFT < stiffness < STIFF:
+        remedy = f"so few linear {plate.element} cells across; use order=2, or more cells"
+        if plate.order == 2:
+            remedy = "so long curved sides; use more cells along it, or straight sides: mesh.linear with order=2"
         so = f"{stiffness:.2g} times as stiff" if stiffness > 1.0 else f"{1.0 / stiffness:.2g} times as soft"
-        warnings.warn(
-            f"{name}: this thin plate bends about {so} as it should with so few linear {plate.element} cells across; use order=2, or more cells",
-            LockingWarning,
-            stacklevel=5,
-        )
+        warnings.warn(f"{name}: this thin plate bends about {so} as it should with {remedy}", LockingWarning, stacklevel=5)
 
 
 def extent_of(plates, few):

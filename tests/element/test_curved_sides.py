@@ -1,5 +1,6 @@
 """Quadratic cells with curved sides: measures converge with order 4, the linear patch test stays exact, bad sides are named."""
 
+import warnings
 from functools import partial
 
 import numpy as np
@@ -95,3 +96,17 @@ def test_a_side_that_is_curved_too_strongly_names_its_cell(bump):
     points[middle, 0] += 0.45 if bump < 0 else 0.0
     with pytest.raises(pi.InputError, match="cell"):
         build(pi.mesh.moved(mesh, points), quadratic)
+
+
+@pytest.mark.parametrize("count, told", [(4, True), (16, False)])
+def test_a_thin_arc_of_long_curved_cells_is_said_to_be_too_soft(count, told):
+    straight = pi.mesh.quads(1.5, 0.04, count, 1, order=2)
+    angle, radius = straight.points[:, 0], 1.0 + straight.points[:, 1]
+    points = np.column_stack([radius * np.cos(angle), -radius * np.sin(angle)])
+    mesh = pi.mesh.PolygonMesh(points, straight.nodes, straight.offsets, order=2)
+    scene = pi.Scene()
+    scene.add(pi.Plate(mesh, pi.Material(E=1e6, nu=0.3, rho=1e3), 0.01, name="arc"))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        scene.build()
+    assert any(issubclass(one.category, pi.LockingWarning) and "curved sides" in str(one.message) for one in found) == told
