@@ -403,7 +403,7 @@ class Trajectory:
         (cells,) or (nodes,) float, Pa
         """
         q, model = self._frame("von_mises", frame), self._scene("von_mises")
-        if at != "cells":
+        if not is_one_of(at, ("cells",)):
             stress = self.stress(frame, at)
             return von_mises(stress, _across(model, [body.mesh.n_nodes for body in model.drawn]) * (stress[:, 0] + stress[:, 1]))
         stress = model.stress(q, np.asarray(self.v[frame], float), at_points=True)

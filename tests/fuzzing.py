@@ -12,6 +12,7 @@ from fractions import Fraction
 from functools import cache
 
 import numpy as np
+from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 import polyida as pi
 
@@ -209,6 +210,7 @@ GOOD |= dict.fromkeys(("nx", "ny"), 2)
 GOOD |= dict.fromkeys(("force", "traction", "impulse"), (1.0, 0.0))
 
 PLATES = {"model": plate_model}
+ANGLE = dynamicsymbols("angle")
 CALLS = {  # what else a good call takes
     "RigidBody": {"points": {"left": (0.0, 0.0)}},
     "AngleMotor": {"angle": 0.0},
@@ -290,6 +292,9 @@ CALLS = {  # what else a good call takes
     "study.Result": {"rows": [{"a": 1.0}]},
     "study.Study": {"name": "mine", "title": "Mine", "tasks": lambda: list, "run": lambda: dict, "figures": lambda: dict},
     "show.RunPlots": {},
+    "symbolic.lagrangian": {"L": ANGLE.diff() ** 2 / 2 - ANGLE**2, "q": [ANGLE], "compiled": False},
+    "symbolic.equations": {"M": [[2.0]], "g": [3 * ANGLE], "q": [ANGLE], "compiled": False},
+    "symbolic.mechanics": {"method": lambda: LagrangesMethod(ANGLE.diff() ** 2 / 2 - ANGLE**2, [ANGLE]), "compiled": False},
     "show.animation": {"path": "a.gif", "frames": 2, "overwrite": True},
     "show.save": {"figure": lambda: pi.show.figure()[0], "path": "a.png"},
     "export.vtu": {"overwrite": True, "run": plate_run},
@@ -367,6 +372,7 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
     *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
     *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
     "threads",  # of the whole process
+    "RunPlots.expressions",  # of models of sympy
     "Events.index",  # of every sequence: it raises for what is not there
     "Profile.at",  # in every step
     "ErrorBars.plot_cells",  # takes estimates of the mesh

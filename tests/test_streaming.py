@@ -386,7 +386,7 @@ LIMITED = """
 def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
     path = tmp_path / "run.h5"
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIMITED), path, "3000000", f"{{'out': {str(path)!r}}}"],
+        [sys.executable, "-W", "ignore", "-c", textwrap.dedent(LIMITED), path, "3000000", f"{{'out': {str(path)!r}}}"],
         capture_output=True,
         text=True,
         check=True,

@@ -1,6 +1,7 @@
 """From a user's expressions to those of a model: symbols for t, q, v, a, lam, x and the values, and checks of what is given."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import sympy as sp
 from sympy.core.function import AppliedUndef, UndefinedFunction
@@ -14,11 +15,23 @@ T = sp.Symbol("t", real=True)
 WORDS = {0: "coordinates", 1: "velocities", 2: "accelerations"}
 
 
+def entries(part, name, value):
+    """The entries of a list, a tuple or a matrix. Raises InputError."""
+    if not isinstance(value, (sp.Basic, str, Mapping)) or isinstance(value, sp.MatrixBase):
+        with suppress(TypeError, RuntimeError):
+            return list(value)
+    raise InputError(f"{part}: {name} = {value!r:.80} must be a list of expressions")
+
+
 def listed(part, name, value):
     """A list of expressions from a list, a tuple or a matrix with one column. Raises InputError."""
-    if isinstance(value, (sp.Basic, str, Mapping)) and not isinstance(value, sp.MatrixBase):
-        raise InputError(f"{part}: {name} = {value!r:.80} must be a list of expressions")
-    return [expression_of(part, f"{name}[{k}]", one) for k, one in enumerate(value)]
+    return [expression_of(part, f"{name}[{k}]", one) for k, one in enumerate(entries(part, name, value))]
+
+
+def rows_of(part, name, value):
+    """The rows of a matrix of expressions. Raises InputError."""
+    rows = value.tolist() if isinstance(value, sp.MatrixBase) else entries(part, name, value)
+    return [listed(part, f"{name}[{k}]", row) for k, row in enumerate(rows)]
 
 
 def expression_of(part, name, value):

@@ -8,7 +8,7 @@ import sympy as sp
 from polyida.errors import InputError
 from polyida.symbolic.derivation import Equations
 from polyida.symbolic.derivatives import Derivative, jacobian, symmetric_jacobian
-from polyida.symbolic.expressions import Symbols, T, expression_of, listed
+from polyida.symbolic.expressions import Symbols, T, entries, expression_of, listed, rows_of
 from polyida.symbolic.model import model_of
 from polyida.symbolic.sums import as_sum
 
@@ -44,18 +44,16 @@ def equations(M, g, q, phi, psi, states, values, potential, compiled, part="symb
     """
     s, given = _symbols(part, q, states, values), {}
     n = len(s.q)
-    try:
-        M = sp.Matrix(M)
-    except (TypeError, ValueError):
-        raise InputError(f"{part}: M = {M!r:.80} must be a matrix of expressions") from None
+    M = rows_of(part, "M", M)
     g = listed(part, "g", g)
-    if M.shape != (n, n) or len(g) != n:
-        raise InputError(f"{part}: M has the shape {M.shape} and g {len(g)} entries; of {n} coordinates they are ({n}, {n}) and {n}")
+    if [len(row) for row in M] != [n] * n or len(g) != n:
+        shape = len(M), *sorted({len(row) for row in M})
+        raise InputError(f"{part}: M has the shape {shape} and g {len(g)} entries; of {n} coordinates they are ({n}, {n}) and {n}")
     for i in range(n):
         for j in range(n):
-            given[f"M[{i}, {j}]"] = M[i, j]
+            given[f"M[{i}, {j}]"] = M[i][j]
     given |= {f"g[{k}]": one for k, one in enumerate(g)}
-    mass = [[s.read(f"M[{i}, {j}]", M[i, j], 0) for j in range(n)] for i in range(n)]
+    mass = [[s.read(f"M[{i}, {j}]", M[i][j], 0) for j in range(n)] for i in range(n)]
     force = [s.read(f"g[{k}]", one) for k, one in enumerate(g)]
     rates, rows = _rates(s, states, given), _rows(s, phi, psi, given)
     if potential is not None:
@@ -108,7 +106,7 @@ def _symbols(part, q, states, values):
         raise InputError(f"{part}: states = {states!r:.80} must be a dictionary {{state: its derivative}}")
     if isinstance(q, (str, sp.Expr)) or not hasattr(q, "__iter__"):
         raise InputError(f"{part}: q = {q!r:.80} must be a list of coordinates")
-    return Symbols(part, [*q], [*(states or ())], {} if values is None else values)
+    return Symbols(part, entries(part, "q", q), [*(states or ())], {} if values is None else values)
 
 
 def _moving(s):
