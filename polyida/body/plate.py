@@ -128,20 +128,22 @@ class Plate:
         does not contain, in quadratic cells of those that no quadratic field fits.
         The limit under mesh refinement is the same for every tau; on coarse meshes a larger tau is stiffer in bending (tip of a cantilever
         with 2 cells through the thickness, virtual elements: 3.5 % too far with 0.1, 43 % too short with 0.5). One layer of 10 quadratic
-        quadrilaterals in a free beam of 20:1 has its third frequency 11 % too low with 0.1 and 0.9 % with 0.35; with 30 polygons it is right within 0.3 %.
+        quadrilaterals in a free beam of 20:1 has its third frequency 11 % too low with 0.1 and 0.9 % with 0.35; with 30 polygons it
+        is right within 0.5 %.
     velocity : (2,) float, m/s
         Of the centre of mass at the start; see `pi.consistent_state`.
     spin : float, rad/s
         About the centre of mass at the start.
     order : 1 or 2, optional
-        2: quadratic cells, with a middle node on each side, which the plate adds if its mesh has none. A tenth of the coordinates is enough where
-        the plate bends, and plane strain does not lock as nu goes to 1/2. `mesh` is then the mesh with these nodes. Default: that of the mesh, 1 unless it has middle nodes.
+        2: quadratic cells, with a middle node on each side, which the plate adds if its mesh has none; `mesh` is then the mesh with these nodes.
+        A tenth of the coordinates is enough where the plate bends, and plane strain does not lock as nu goes to 1/2. Default: that of the mesh,
+        1 unless it has middle nodes.
 
     Raises
     ------
     InputError
-        For a wrong value, an unknown element, virtual elements of order 2, or a cell that is a sliver; for Wachspress elements also for a cell that is not strictly
-        convex or has more than 16 corners.
+        For a wrong value, an unknown element, virtual elements of order 2, or a cell that is a sliver; for Wachspress elements also for a cell
+        that is not strictly convex or has more than 16 corners.
     """
 
     mesh: PolygonMesh

@@ -104,8 +104,6 @@ def _apart(whole, kept, k):
 def _symbols(part, q, states, values):
     if states is not None and not isinstance(states, Mapping):
         raise InputError(f"{part}: states = {states!r:.80} must be a dictionary {{state: its derivative}}")
-    if isinstance(q, (str, sp.Expr)) or not hasattr(q, "__iter__"):
-        raise InputError(f"{part}: q = {q!r:.80} must be a list of coordinates")
     return Symbols(part, entries(part, "q", q), [*(states or ())], {} if values is None else values)
 
 
