@@ -42,5 +42,5 @@ def test_cooks_membrane():
     quadratic, n = cook(8, order=2)
     linear, many = cook(34, order=1)
     assert n < many / 5
-    assert abs(quadratic - COOK) < 0.01
+    assert abs(quadratic - COOK) < 0.02
     assert abs(quadratic - COOK) < abs(linear - COOK)
