@@ -34,6 +34,7 @@ LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
 UNIQUE = 1e-7  # of `Slips.uniqueness`: below it forces are errors of the state, 1e7 times as large
 AT_ONCE = 10  # changes of one row at one time
+SHORTER = 1 / 8  # of a step whose forces end a status that the consistent ones do not end: the next step
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
@@ -65,6 +66,7 @@ class Modes(Happenings):
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
         self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
         self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
+        self.pieces = np.zeros(3)  # length and end of a piece of the motion, and the length from which it is whole again; 0: it is whole
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -80,14 +82,20 @@ class Modes(Happenings):
 
     def whole_state(self, state):
         state = super().whole_state(state)
-        return replace(state, memory=state.memory | {"status": self.status.astype(float)}) if state.restart else state
+        if not state.restart:
+            return state
+        return replace(state, memory=state.memory | self._memory())
+
+    def _memory(self):
+        """What a run goes on with: of events, of the statuses and of the pieces of a motion."""
+        return {"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float), "pieces": self.pieces}
 
     def spread(self, state):
         return replace(super().spread(state), lam=self._all_forces(state))
 
     def stretches(self, state, t_end, counts):
         memory = dict(state.memory)
-        self.status = np.asarray(memory.pop("status"), np.int64)
+        self.status, self.pieces = np.asarray(memory.pop("status"), np.int64), np.array(memory.pop("pieces", np.zeros(3)))
         self._set_mode(state.t, state.q, state.v)
         return super().stretches(replace(state, memory=memory), t_end, counts)
 
@@ -118,13 +126,27 @@ class Modes(Happenings):
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
-            yield from super()._motion(before, t_end, counts)
+            yield from self._in_pieces(before, t_end, counts)
         except (StepFailure, SingularSystem) as error:  # a step across the end of a unique force may have no solution
             ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slips) and self.step else None
             self.at, error = (ahead, self.mode.singular()) if ahead else (self.at, error)
             if not isinstance(error, SingularSystem):
                 raise
             raise StepFailure("singular", str(error), self.at.t) from None
+
+    def _in_pieces(self, before, t_end, counts):
+        """The motion of a mode; behind a step whose forces were not the consistent ones in pieces, which begin short and grow."""
+        while True:
+            length, end, longest = self.pieces
+            if length and end <= before.t:
+                length = 2.0 * length if end else length
+                self.pieces = np.array([length, before.t + length, longest]) if length < longest else np.zeros(3)
+            end, part = self.pieces[1] or t_end, None
+            for part in super()._motion(before, min(end, t_end), counts):
+                yield part
+            if isinstance(part, Change) or end >= t_end:
+                return
+            before = State(self.at.t, self.at.q, self.at.v, self.at.a, self.at.lam, self.at.memory | {"polynomials": 1.0})
 
     def _uniqueness(self, before, state):
         """What is positive while friction that slips has a unique force; rows press in the directions that they had before."""
@@ -329,7 +351,10 @@ class Modes(Happenings):
             free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"
             word = WORDS.get(int(self.status[k]), free)
             happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
-        self._require_progress(t, np.union1d(changed, np.flatnonzero(hit)) if len(changed) or hit.any() else fired)
+        same = not (len(changed) or hit.any())
+        advances = self._require_progress(t, fired if same else np.union1d(changed, np.flatnonzero(hit)), same)
+        # forces of the step that are not the consistent ones, as of mesh modes that it does not resolve
+        self.pieces = np.array([SHORTER * self.step, 0.0, max(self.step, self.pieces[2])]) if same and not advances else np.zeros(3)
         self.happened.happened += happened
         moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
         self.values = np.array([self.value(event, moment) for event in self.events])
@@ -337,11 +362,7 @@ class Modes(Happenings):
         begins = np.where(contacts.contact, self.status == 0, self.status >= SLIPS_UP)
         begins &= self.values <= np.where(contacts.contact, size, still)
         self.sides, self.sizes = np.where(begins, 0.0, 1.0), np.abs(self.values)
-        return (
-            replace(behind, memory={"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float)}, restart=True),
-            happened,
-            "",
-        )
+        return replace(behind, memory=self._memory(), restart=True), happened, ""
 
     def _hit(self, state):
         """True for the contacts that have closed and approach."""
@@ -363,9 +384,10 @@ class Modes(Happenings):
                 begins[k] = np.sign(lam[self.whole.row_laws[k].row])
         return begins
 
-    def _require_progress(self, t, rows):
-        """Raise StepFailure if rows change too often, in all or at one time."""
-        if t > self.last + 1e-12 * max(1.0, abs(t)):
+    def _require_progress(self, t, rows, same):
+        """True if a change is behind the last one; raises StepFailure if rows change too often, in all or at one time."""
+        advances = t > self.last + 1e-12 * max(1.0, abs(t))
+        if advances:
             self.counts[1], self.last = 0, t
         self.counts[:, rows] += 1
         for limit, counts, why in ((MOST, self.counts[0], "changed"), (AT_ONCE, self.counts[1], "changed at one time")):
@@ -373,6 +395,7 @@ class Modes(Happenings):
                 name = self.contacts.names[int(np.argmax(counts))]
                 advice = "use polyida.NonsmoothAlpha(h=...), which steps through"
                 raise StepFailure("events", f"the contact or friction of {name!r} {why} more than {limit} times; {advice}", t)
+        return advances
 
 
 def _ahead(state, t):
