@@ -21,14 +21,16 @@ import numpy as np
 
 from polyida.errors import InputError, StepFailure
 from polyida.event import Events, Happened
+from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts
-from polyida.integrate.start import on_velocity
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
+from polyida.model.differences import beside
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
-from polyida.run.events import NODES, Change, Happenings
+from polyida.run.events import NODES, OFFSET, Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
@@ -66,6 +68,7 @@ class Modes(Happenings):
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
         self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
         self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
+        self.seen = set()  # statuses at the time of the last change
         self.pieces = np.zeros(3)  # length and end of a piece of the motion, and the length from which it is whole again; 0: it is whole
 
     def start(self, state):
@@ -156,7 +159,7 @@ class Modes(Happenings):
         """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
         # speeds that are round-off of the motion so far: at rest, and without gravity, a state gives no size for them
         self.contacts.speed = max(self.contacts.speed, float(np.abs(before.v).max(initial=0.0)))
-        hit = super()._first(before, after)
+        hit = self._jumped(before) or super()._first(before, after)
         watched = self._first_watched(before, after)
         if watched and (hit is None or watched[0] <= hit[0]):
             hit = watched
@@ -169,6 +172,27 @@ class Modes(Happenings):
             raise self.mode.singular()
         self.at, self.step = after, after.t - before.t
         return hit
+
+    def _behind(self, t, q, v):
+        """(t, v) with the forces behind a jump at t: beside a kink, with the outputs of controllers that sample."""
+        return beside(t, 1.0) if at_kink(self.whole, t) else t, self.whole.sampled(t, q, v)
+
+    def _with_forces_behind(self, state):
+        """A state of the mode, with the accelerations and multipliers behind a jump of forces at its time."""
+        t, v = self._behind(state.t, state.q, state.v)
+        if t == state.t and v is state.v:
+            return state
+        a, lam = consistent_acceleration(self.mode, t, state.q, v)
+        return State(state.t, state.q, state.v, a, lam, restart=False)
+
+    def _jumped(self, before):
+        """(time, numbers of the rows) whose status a jump of forces at the start of a step ends, or None."""
+        state = self._with_forces_behind(before)
+        if state is before:
+            return None
+        values = np.array([self.value(event, state) for event in self.events])
+        rows = np.flatnonzero((values < -OFFSET * np.maximum(self.sizes, np.abs(values))) & (self.values > 0.0) & (self.status < SLIPS_UP))
+        return (before.t, rows.tolist()) if len(rows) else None
 
     def _first_watched(self, before, after):
         """(time, numbers of the rows) at which equations begin to move rows at rest in a step, or no longer move rows of friction, or None."""
@@ -311,7 +335,8 @@ class Modes(Happenings):
         dwells: rows that equations hold at rest from now on.
         """
         contacts = self.contacts
-        a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins, dwells=dwells)
+        behind, sampled = self._behind(t, q, v)
+        a, lam, p, status = contacts.accelerations(behind, q, sampled, closed, begins=begins, dwells=dwells)
         rates = self.whole.phi_rate(t, q, v)[contacts.rows]
         bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
         slips = ~contacts.contact & (np.abs(rates) > contacts.still(v))
@@ -325,6 +350,7 @@ class Modes(Happenings):
         if not self._uniqueness(state, state) > 0.0:  # the event is of forces within round-off of that point
             self.at, self.step = state, 0.0
             raise self.mode.singular()
+        state = self._with_forces_behind(state)
         contacts, t, q = self.contacts, state.t, state.q
         rates, old, hit = self.whole.phi_rate(t, q, state.v)[contacts.rows], self.status.copy(), self._hit(state)
         size, still = TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
@@ -351,10 +377,13 @@ class Modes(Happenings):
             free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"
             word = WORDS.get(int(self.status[k]), free)
             happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
-        same = not (len(changed) or hit.any())
-        advances = self._require_progress(t, fired if same else np.union1d(changed, np.flatnonzero(hit)), same)
-        # forces of the step that are not the consistent ones, as of mesh modes that it does not resolve
-        self.pieces = np.array([SHORTER * self.step, 0.0, max(self.step, self.pieces[2])]) if same and not advances else np.zeros(3)
+        rows = np.union1d(changed, np.flatnonzero(hit))
+        advances, now = self._require_progress(t, rows if len(rows) else fired), self.status.tobytes()
+        self.seen = {old.tobytes()} if advances else self.seen
+        # the same statuses again: forces of the step were not the consistent ones, as of mesh modes that it does not resolve
+        again = now in self.seen and not (advances or hit.any())
+        self.seen.add(now)
+        self.pieces = np.array([SHORTER * self.step, 0.0, max(self.step, self.pieces[2])]) if again else np.zeros(3)
         self.happened.happened += happened
         moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
         self.values = np.array([self.value(event, moment) for event in self.events])
@@ -384,7 +413,7 @@ class Modes(Happenings):
                 begins[k] = np.sign(lam[self.whole.row_laws[k].row])
         return begins
 
-    def _require_progress(self, t, rows, same):
+    def _require_progress(self, t, rows):
         """True if a change is behind the last one; raises StepFailure if rows change too often, in all or at one time."""
         advances = t > self.last + 1e-12 * max(1.0, abs(t))
         if advances:
