@@ -139,7 +139,7 @@ class Drawn:
             self.ends = [body.at("m")]
         else:
             material = pi.Material(10 ** self.random.uniform(6.0, 8.0), 0.3, DENSITY, viscosity=1e-4)
-            motion = {"origin": (0.0, 0.05), "angle": self.random.uniform(-0.1, 0.1), "velocity": velocity, "spin": spin}
+            motion = {"origin": (0.0, 0.09), "angle": self.random.uniform(-0.1, 0.1), "velocity": velocity, "spin": spin}
             plate = pi.Plate(pi.mesh.quads(0.3, 0.1, 3, 1), material, 0.02, name="body", **motion)
             body = self.scene.add(plate if self.kind == "full" else pi.Reduced(plate, modes=3))
             self.scene.add(pi.Contact(body.section("bottom"), FLOOR, friction=self.mu, name="floor"))
