@@ -25,6 +25,7 @@ WAYS = {
     "nonsmooth alpha": pi.NonsmoothAlpha(h=2.5e-4),
     "Moreau-Jean": pi.MoreauJean(h=2.5e-4),
 }
+COARSE = "Radau IIA, coarse", "alpha, tolerance"
 REASONS = {"no unique force": "singular friction", "impacts": "impacts that accumulate"}  # in messages: why no integrator of events goes on
 
 
@@ -128,7 +129,7 @@ class Drawn:
     def thrown(self):
         """A body that is thrown on a rough floor: rigid with three corners, or a plate with those of its lower side."""
         restitution = float(self.random.uniform(0.0, 1.0) * (self.random.random() < 0.5))
-        velocity, spin = tuple(self.random.uniform(-1.0, 1.0, 2)), self.random.uniform(-5.0, 5.0)
+        velocity, spin = (self.random.uniform(-1.0, 1.0), self.random.uniform(-1.5, 0.0)), self.random.uniform(-5.0, 5.0)
         if self.kind == "rigid":
             points = {name: tuple(self.random.uniform(-0.3, 0.3, 2)) for name in "abc"}
             place = (0.0, 0.02 - min(y for _, y in points.values()))
@@ -139,7 +140,8 @@ class Drawn:
             self.ends = [body.at("m")]
         else:
             material = pi.Material(10 ** self.random.uniform(6.0, 8.0), 0.3, DENSITY, viscosity=1e-4)
-            motion = {"origin": (0.0, 0.09), "angle": self.random.uniform(-0.1, 0.1), "velocity": velocity, "spin": spin}
+            angle = self.random.uniform(-0.1, 0.1)
+            motion = {"origin": (0.0, 0.055 + 0.3 * abs(angle)), "angle": angle, "velocity": velocity, "spin": spin}
             plate = pi.Plate(pi.mesh.quads(0.3, 0.1, 3, 1), material, 0.02, name="body", **motion)
             body = self.scene.add(plate if self.kind == "full" else pi.Reduced(plate, modes=3))
             self.scene.add(pi.Contact(body.section("bottom"), FLOOR, friction=self.mu, name="floor"))
