@@ -110,7 +110,9 @@ def friction_notes(rows):
         lines.append(f"a flexible slider-crank from rest: Radau IIA ends {len(pick(starts, outcome='done'))} of {len(starts)} runs")
     if laws := pick(rows, part="laws"):
         runs, stated, stops, far = (sum(column(laws, key)) for key in ("runs", "stated", "stops", "far"))
-        lines.append(f"random scenes with laws: {runs:g} runs, {stated:g} end for a stated reason, {stops:g} for another one, {far:g} end {FAR:g} m apart")
+        lines.append(
+            f"random scenes with laws: {runs:g} runs, {stated:g} end for a stated reason, {stops:g} for another one, {far:g} end {FAR:g} m apart"
+        )
     return lines
 
 

@@ -29,11 +29,7 @@ def bars(mu):
     return scene
 
 
-SCENES = {
-    "guide, 40 cells": lambda mu: plate_crank(mu, 40),
-    "guide, 400 cells": lambda mu: plate_crank(mu, 400),
-    "ten bars": bars,
-}
+SCENES = {"guide, 40 cells": lambda mu: plate_crank(mu, 40), "guide, 400 cells": lambda mu: plate_crank(mu, 400), "ten bars": bars}
 
 
 def tasks(quick):
@@ -70,4 +66,9 @@ def start(modes, mu, x, end=0.03):
     """A run of Radau IIA from rest with the tolerance x."""
     begin = process_time()
     run = pi.solve(plate_crank(mu, modes=modes).build(), end, pi.RadauIIA(rtol=x))
-    return {"cpu_s": process_time() - begin, "steps": run.counts.steps, "events": len(run.events), "outcome": "done" if run.success else run.message}
+    return {
+        "cpu_s": process_time() - begin,
+        "steps": run.counts.steps,
+        "events": len(run.events),
+        "outcome": "done" if run.success else run.message,
+    }

@@ -134,7 +134,9 @@ class Drawn:
             points = {name: tuple(self.random.uniform(-0.3, 0.3, 2)) for name in "abc"}
             place = (0.0, 0.02 - min(y for _, y in points.values()))
             points = {"m": (0.0, 0.0)} | points
-            body = self.scene.add(pi.RigidBody(mass=1.0, inertia=0.02, points=points, origin=place, velocity=velocity, spin=spin, name="body"))
+            body = self.scene.add(
+                pi.RigidBody(mass=1.0, inertia=0.02, points=points, origin=place, velocity=velocity, spin=spin, name="body")
+            )
             for name in "abc":
                 self.scene.add(Kerb(FLOOR, body.at(name), restitution=restitution, mu=self.mu, name=name))
             self.ends = [body.at("m")]
