@@ -38,6 +38,7 @@ LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
 UNIQUE = 1e-7  # of `Slips.uniqueness`: below it forces are errors of the state, 1e7 times as large
 AT_ONCE = 10  # changes of one row at one time
+LONG_AGO = 1e-6  # s: kinks and samples at the start of a run count
 SHORTER = 1 / 8  # of a step whose forces end a status that the consistent ones do not end: the next step
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
@@ -119,6 +120,8 @@ class Modes(Happenings):
         memory = dict(state.memory)
         self.status, self.pieces = np.asarray(memory.pop("status"), np.int64), np.array(memory.pop("pieces", np.zeros(3)))
         self._set_mode(state.t, state.q, state.v)
+        span = state.t - LONG_AGO, t_end
+        self.jumps = bool(tuple(self.whole.kinks(*span))) or any(True for _ in self.whole.samples(*span))
         return super().stretches(replace(state, memory=memory), t_end, counts)
 
     def value(self, event, state):
@@ -207,7 +210,7 @@ class Modes(Happenings):
 
     def _jumped(self, before):
         """(time, numbers of the rows) whose status a jump of forces at the start of a step ends, or None."""
-        state = self._with_forces_behind(before)
+        state = self._with_forces_behind(before) if self.jumps else before
         if state is before:
             return None
         values = np.array([self.value(event, state) for event in self.events])
