@@ -503,14 +503,3 @@ def test_random_mechanisms_with_laws(seed, end):
     runs = [pi.solve(model, end, method) for method in (pi.RadauIIA(rtol=1e-4), pi.NonsmoothAlpha(h=2.5e-4))]
     assert [run.message for run in runs if not run.success] == []
     assert np.abs(places(drawn, runs[0]) - places(drawn, runs[1])).max() < 1e-3
-
-
-def test_outputs_of_controllers_are_held_where_friction_changes():
-    """Slip begins within the first step: the state there has the output of the sample at the start, not one between it and that before."""
-    drawn = Drawn(521)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", pi.LockingWarning)
-        run = pi.solve(drawn.scene.build(), 2e-3, pi.GeneralizedAlpha(h=5e-4))
-    assert run.success and len(run.events)
-    outputs = run.states("drive")[1:, -1]
-    assert np.ptp(outputs) < 1e-12 * np.abs(outputs).max()
