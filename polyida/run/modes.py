@@ -27,8 +27,8 @@ from polyida.integrate.start import on_velocity
 from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
-from polyida.model.row_laws import Slips
-from polyida.run.events import NODES, Change, Happenings
+from polyida.model.row_laws import Slipping, Slips, pressing
+from polyida.run.events import NODES, OFFSET, Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
@@ -37,6 +37,8 @@ AT_ONCE = 10  # changes of one row at one time
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
+CERTAIN = 0.5  # of `Slipping.contraction`: below it no look at friction's uniqueness is needed
+LONGEST = 64.0  # steps that are taken before they are looked at
 NONE = np.zeros(0, np.int64)
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
@@ -52,9 +54,13 @@ class RowEvent:
 
 
 class Modes(Happenings):
-    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure."""
+    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure.
 
-    def __init__(self, model, method, happened=None):
+    compiled: False if friction that slips is to be in Python, as the adjoint needs it.
+    """
+
+    def __init__(self, model, method, happened=None, compiled=True):
+        self.compiled = compiled
         self.whole, self.method, self.contacts = guard(model), method, Contacts(guard(model))
         if self.whole.is_scene and self.whole.edge_rows:
             names = ", ".join(law.name for law in self.whole.row_laws if law.row in [rows.first for rows in self.whole.edge_rows])
@@ -64,6 +70,7 @@ class Modes(Happenings):
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
         self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
+        self.pressing = pressing(self.whole, self.whole.row_laws)
         self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
 
     def start(self, state):
@@ -107,7 +114,70 @@ class Modes(Happenings):
             return -float(self._all_forces(state)[law.row])
         return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
 
+    def _quiet(self, before, stretch):
+        """As of all events: steps whose functions stay away from zero by more than half of what they change within two steps.
+
+        A motion's first step, those near an end of unique friction, and those of rows with shared forces or held by equations are looked into.
+        """
+        known, self.known = self.known, None
+        self.states = list(stretch)  # those of Radau IIA compute their forces when these are asked for, and keep them
+        if self.shared.size or self.watched.size or self.fixed.any() or not self._certain(before, stretch.last):
+            self.mode.longest_stretch = 1
+            return np.zeros(len(stretch), bool)
+        self.ahead = self._values(stretch, self.mode.spread(stretch.lam, self.width))
+        ends = np.vstack([self.values if known is None else known, self.values, self.ahead])
+        around = np.array([ends[:-2], ends[1:-1], ends[2:]])
+        least, change = (self.sides * around).min(axis=0), np.ptp(around, axis=0)
+        quiet = (least > OFFSET * np.maximum(self.sizes, least)) & (2.0 * least > change)
+        quiet = quiet.all(axis=1)
+        quiet[0] &= known is not None
+        self.known = ends[-2]
+        moves = np.abs(self.ahead[-1] - ends[-2])
+        left = np.min(np.abs(self.ahead[-1]) / np.where(moves > 0.0, moves, 1e-300), initial=LONGEST)
+        self.mode.longest_stretch = int(max(1, min(2 * self.mode.longest_stretch, left))) if quiet.all() else 1
+        return quiet
+
+    def _pass(self, part, done):
+        values = self.ahead[:done]
+        self.values = values[-1]
+        self.sizes = np.maximum(self.sizes, np.abs(values).max(axis=0, initial=0.0))
+        self.contacts.speed = max(self.contacts.speed, float(np.abs(part.v).max(initial=0.0)))
+        self.at, self.step = part.last, float(part.t[-1] - part.t[-2]) if len(part) > 1 else self.step
+
+    def _values(self, stretch, lam):
+        """The functions of the rows at the ends of a stretch, (k, rows with laws); lam: of all rows."""
+        contacts, status, result = self.contacts, self.status, np.ones((len(lam), len(self.events)))
+        phi, rates = self.whole.phi_of_frames(stretch.t, stretch.q, stretch.v)
+        slips, sticks = np.isin(status, list(SIGNS)), (status == STICKS) & ~contacts.contact
+        signs = np.where(status == SLIPS_UP, 1.0, -1.0)
+        own = lam[:, contacts.rows]
+        bounds = contacts.constant + contacts.mu * np.sqrt(lam**2 @ self.pressing)
+        closed = contacts.contact & (status == CLOSED)
+        for rows, values in (
+            (slips, signs * rates[:, contacts.rows]),
+            (sticks, bounds - np.abs(own)),
+            (closed, -own),
+            (contacts.contact & ~closed, phi[:, contacts.rows]),
+        ):
+            result[:, rows] = values[:, rows]
+        return np.where(self.held, 1.0, result)
+
+    def _certain(self, before, after):
+        """True if friction that slips has certainly a unique force up to `after`: it did where it was found last, and changes slowly."""
+        if not isinstance(self.mode, Slipping):
+            return True
+        t, value, speed, until = self.unique
+        if after.t > until:
+            now = self.mode.contraction(after.t, after.q)
+            speed = abs(now - value) / (after.t - t) if after.t > t else 0.0
+            span = min(2.0 * (after.t - t), (CERTAIN - now) / speed if speed else np.inf)
+            self.unique = after.t, now, speed, after.t + span
+            value = max(value, now)
+        return value < CERTAIN
+
     def _motion(self, before, t_end, counts):
+        self.known, self.mode.longest_stretch = None, 1
+        self.unique = before.t, self.mode.contraction(before.t, before.q) if isinstance(self.mode, Slipping) else 0.0, 0.0, before.t
         self.at, self.step = before, self.method.fixed_step()
         if self.started:
             self._settled_at_rest(before)
@@ -120,7 +190,7 @@ class Modes(Happenings):
                 raise self.mode.singular()
             yield from super()._motion(before, t_end, counts)
         except (StepFailure, SingularSystem) as error:  # a step across the end of a unique force may have no solution
-            ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slips) and self.step else None
+            ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slipping) and self.step else None
             self.at, error = (ahead, self.mode.singular()) if ahead else (self.at, error)
             if not isinstance(error, SingularSystem):
                 raise
@@ -128,7 +198,7 @@ class Modes(Happenings):
 
     def _uniqueness(self, before, state):
         """What is positive while friction that slips has a unique force; rows press in the directions that they had before."""
-        return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slips) else 1.0
+        return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slipping) else 1.0
 
     def _first(self, before, after):
         """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
@@ -138,7 +208,7 @@ class Modes(Happenings):
         watched = self._first_watched(before, after)
         if watched and (hit is None or watched[0] <= hit[0]):
             hit = watched
-        ahead = self._singular(before, after) if isinstance(self.mode, Slips) else None
+        ahead = self._singular(before, after) if isinstance(self.mode, Slipping) else None
         if ahead and (ahead.t > after.t or (hit and hit[0] < ahead.t)):
             rows = hit[1] if hit else np.flatnonzero(self.status >= SLIPS_UP)
             ahead = ahead if all(self._lasts(k, before, ahead) for k in rows) else None
@@ -279,9 +349,17 @@ class Modes(Happenings):
         rows = np.sort(np.concatenate([contacts.equations, contacts.rows[kept]]))
         key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
         if key not in self.modes:
-            self.modes[key] = Slips(self.whole, rows, slips) if slips else self.whole.with_rows(rows)
+            self.modes[key] = self._slipping(rows, slips) if slips else self.whole.with_rows(rows)
         self.mode, self._forces, self._held = self.modes[key], (None, None), (None, None)
         self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
+
+    def _slipping(self, rows, slips):
+        """The model in which these rows are equations and others slip, `slips`."""
+        if not (self.whole.is_scene and self.compiled):
+            return Slips(self.whole, rows, slips)
+        from polyida.assembly.slipping import SlippingScene
+
+        return SlippingScene.of(self.whole, rows, slips)
 
     def _settled(self, t, q, v, closed, begins=0.0, dwells=NONE):
         """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest.
