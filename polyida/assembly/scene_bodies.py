@@ -7,7 +7,6 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import with_callbacks
 from polyida.assembly.placement import PlacedPlate
 from polyida.assembly.relaxation import fields_at_points, pull_at_points
@@ -156,11 +155,10 @@ class Constraints(Model):
         return rates
 
     def phi_of_frames(self, t, q, v):
-        times = np.asarray(t, float)
-        phi, rates = np.empty((2, len(times), self.m))
-        frames = [np.ascontiguousarray(x, float).reshape(len(times), -1, 2) for x in (q, v)]
-        scratch = np.empty((3, self.n_points, 2)), np.empty((2, self.m))
-        joints.rows_of_frames(self.arrays.links, drive_table(self, times, (times[0], times[-1])), *frames, *scratch, phi, rates)
+        phi, rates = np.empty((2, len(t), self.m))
+        drives = np.array([self.drives(one) for one in t]) if self.profiles else np.zeros((len(t), 0, 3))
+        frames = [np.ascontiguousarray(x, float).reshape(len(t), -1, 2) for x in (q, v)]
+        joints.rows_of_frames(self.arrays.links, drives, *frames, np.empty((3, self.n_points, 2)), np.empty((2, self.m)), phi, rates)
         return phi, rates
 
     def phi_rate_q(self, t, q, v):

@@ -207,7 +207,8 @@ class Slipping:
         """Set origin and slips."""
         self.origin, self.slips, contacts = origin, slips, [law.row for law in origin.row_laws if law.is_contact]
         self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
-        self.rubbing, self.sign = [law.row for law, _ in slips], np.array([sign for _, sign in slips])
+        self.rubbing = [law.row for law, _ in slips]
+        self.constant, self.slope = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
         self.presses = pressing(origin, [law for law, _ in slips])
 
     def pressures(self, lam, rows):
@@ -226,9 +227,8 @@ class Slipping:
         """lam of all rows of `origin`, (..., m)."""
         result = np.zeros((*np.shape(lam)[:-1], self.origin.m))
         result[..., self.columns] = lam
-        signed = np.where(self.on_contact, -(result @ self.presses), np.sqrt(result**2 @ self.presses))
-        constant, mu = np.array([(law.constant, law.mu) for law, _ in self.slips]).T
-        result[..., self.rubbing] = self.sign * (constant + mu * signed)
+        pressures = np.where(self.on_contact, -(result @ self.presses), np.sqrt(result**2 @ self.presses))
+        result[..., self.rubbing] = self.constant + self.slope * pressures
         return result
 
     def columns_of_forces(self, t, q, lam):

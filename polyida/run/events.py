@@ -184,19 +184,25 @@ class WholeStretch(Stretch):
 
     a = property(lambda self: self.source.a)
     spent = property(lambda self: self.source.spent)
-    last = property(lambda self: self.state(len(self) - 1))
 
     @cached_property
     def lam(self):
         """The multipliers of all rows, (k, width)."""
-        return self.happenings.mode.spread(self.source.lam, self.happenings.width)
+        return self.last.lam[None] if len(self) == 1 else self.happenings.mode.spread(self.source.lam, self.happenings.width)
+
+    @cached_property
+    def last(self):
+        """The last State."""
+        return self.happenings.whole_state(self.source.last)
 
     def state(self, k):
         """The State number k, counted from 0."""
-        return self.happenings.whole_state(self.source.state(k))
+        return self.last if k == len(self) - 1 else self.happenings.whole_state(self.source.state(k))
 
     def part(self, first, end, every=1):
         """The Stretch of the states from number `first` to before `end`, or of each `every`-th of them."""
+        if first == 0 and end >= len(self) and every == 1:
+            return self
         return WholeStretch(self.happenings, self.source.part(first, end, every))
 
 
