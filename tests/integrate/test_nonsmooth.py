@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from nonsmooth.random_scenes import kept
 from nonsmooth.references import PENDULUM, PENDULUM_STICKS, bounces, rest_of_bounces
-from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, rocking_block
+from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, rocking_block, slider_crank
 
 RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=5e-3), pi.IDA(rtol=1e-9)
 
@@ -421,3 +421,11 @@ def test_the_speed_of_a_motor_may_jump(method, tolerance):
     run = pi.solve(scene.build(), 0.4, method(h=2e-3))
     assert run.energy.work["motor"][-1] == pytest.approx(4.905 * np.sin(2.0), abs=tolerance)
     assert np.abs(run.v[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3)], ids=lambda x: type(x).__name__)
+def test_a_step_in_which_friction_slips_takes_the_iterations_of_one_without(method):
+    """Newton's method knows the slopes of friction in the forces that press; the factor of the first step serves them all."""
+    with_friction, without = (pi.solve(slider_crank(mu).build(), 0.04, method).counts for mu in (0.2, 0.0))
+    assert with_friction.newton_iterations <= without.newton_iterations + 0.5 * without.steps
+    assert with_friction.factorizations <= without.factorizations + 2
