@@ -63,7 +63,7 @@ class _Motions:
         model = self.whole = guard(run.model)
         first = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
         if model.row_laws:
-            self.happenings = Modes(model, declared(run.integrator))
+            self.happenings = Modes(model, declared(run.integrator), compiled=False)
             impact = self.happenings.contacts.impact
             self.happenings.contacts.impact = lambda *arguments: self._noted(impact, arguments)
         else:

@@ -57,6 +57,29 @@ class Coupling(NamedTuple):
 
 
 @pack
+class Slips(NamedTuple):
+    """Rows of friction that slip in a mode, none of phi: `lam = sign (c + mu |lam_on|)`. The first fields are those of Links."""
+
+    row_start: np.ndarray
+    row_columns: np.ndarray
+    row_slopes: np.ndarray
+    product_row: np.ndarray
+    product_first: np.ndarray
+    product_second: np.ndarray
+    product_drive: np.ndarray
+    product_rate: np.ndarray
+    vector_rest: np.ndarray
+    vector_start: np.ndarray
+    vector_points: np.ndarray
+    vector_weights: np.ndarray
+    constant: np.ndarray  # sign c
+    mu: np.ndarray  # sign mu
+    on_contact: np.ndarray  # True if one contact presses: |lam_on| is -lam_on then, of either sign
+    on_start: np.ndarray  # starts of the rows in `on`
+    on: np.ndarray  # rows of phi that press
+
+
+@pack
 class Links(NamedTuple):
     """The points that joints and masses hold on to, `dz = A u`, and the rows of phi (joints.py)."""
 
@@ -86,6 +109,7 @@ class Links(NamedTuple):
     vector_points: np.ndarray
     vector_weights: np.ndarray  # (., 2) complex
     coupling: Coupling | None = None
+    slips: Slips | None = None
 
 
 @pack

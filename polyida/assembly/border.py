@@ -6,9 +6,9 @@ The unknowns x are multipliers and forces on components of points. They cause th
 | unknown | column of E | row of F |
 |---|---|---|
 | w, forces on active components | a unit vector | a row of C, the curvature of the rows of phi and the slopes of force elements |
-| lam, multipliers of phi | a row of Bz = phi_z | the same row of Bz |
+| lam, multipliers of phi | a row of Bz = phi_z, and the slope of friction that it presses | the same row of Bz |
 
-I_w is the unit matrix on w. All numbers of E and F are in one array: Bz, 1, C. Their indices are called slots.
+I_w is the unit matrix on w. All numbers of E and F are in one array: Bz, 1, C, slopes of friction. Their indices are called slots.
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class Border(NamedTuple):
     active: components with an unknown w. points: of body n from point_start[n] on. block: index at which the matrix of each body begins; it is
     square, of 2 components for each point. rows, columns: unknowns in F and E of body n, from row_start[n] and column_start[n] on; their
     entries begin at row_entry and column_entry and have components within the body and slots. into: where the values of each pair of row
-    and column of a body are, from into_start on.
+    and column of a body are, from into_start on. slip_row, slip_component: of the slopes of friction, the row that presses and the component.
     """
 
     elimination: Elimination
@@ -51,20 +51,23 @@ class Border(NamedTuple):
     column_slot: np.ndarray
     into_start: np.ndarray
     into: np.ndarray
+    slip_row: np.ndarray
+    slip_component: np.ndarray
 
 
 @pack
 class BorderWorkspace(NamedTuple):
     """Values of a system, float or complex.
 
-    slots: numbers of E and F; slopes, curvature: views of it, Bz and C. blocks: matrices of the bodies. matrix, values: of the
+    slots: numbers of E and F; slopes, curvature, friction: views of it, Bz, C and slopes of friction. blocks: matrices of the bodies. matrix, values: of the
     elimination, and its factors. right: right-hand side. x: unknowns. Scratch: row (columns,), responses (components, columns) of one body; left
-    and terms of each equation, its left-hand side and the sum of the sizes of its terms.
+    and terms of each equation, its left-hand side and the sum of the sizes of its terms; slip_rows, slopes of the rows of friction.
     """
 
     slots: np.ndarray
     slopes: np.ndarray
     curvature: np.ndarray
+    friction: np.ndarray
     blocks: np.ndarray
     matrix: np.ndarray
     values: np.ndarray
@@ -74,10 +77,11 @@ class BorderWorkspace(NamedTuple):
     responses: np.ndarray
     left: np.ndarray
     terms: np.ndarray
+    slip_rows: np.ndarray
 
 
 def border(model, active=True, rows=True):
-    """The Border of a scene. active, rows: True for the unknowns w and lam."""
+    """The Border of a scene. active, rows: True for the unknowns w and lam; without w it is that of the masses alone, without friction."""
     s, bodies = model.arrays.links, body_of_points(model)
     number, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
     points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
@@ -108,6 +112,9 @@ def border(model, active=True, rows=True):
             if s.row_slopes[e] != 0 or turning[e]:
                 add(forces, first + k, s.row_columns[e], e)
                 add(equations, first + k, s.row_columns[e], e)
+    slip_row, slip_component = slip_entries(s.slips) if active and rows else np.zeros((2, 0), np.int64)
+    for e, (row, component) in enumerate(zip(slip_row.tolist(), slip_component.tolist())):
+        add(forces, first + row, component, slots + 1 + 4 * len(s.coupling.columns) + e)
     order = elimination(first + m, [sorted({*force, *equation}) for force, equation in zip(forces, equations)])
     into = [_grid(order, list(equation), list(force)) for force, equation in zip(forces, equations)]
     return Border(
@@ -120,7 +127,19 @@ def border(model, active=True, rows=True):
         *_listed(forces),
         starts(into),
         np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
+        slip_row,
+        slip_component,
     )
+
+
+def slip_entries(slips):
+    """(rows of phi, components) of the slopes of friction in the order of `slip_slopes`."""
+    columns, rows, components = np.split(slips.row_columns, slips.row_start[1:-1]), [], []
+    for k in range(len(slips.mu)):
+        for row in slips.on[slips.on_start[k] : slips.on_start[k + 1]]:
+            rows += [row] * len(columns[k])
+            components += columns[k].tolist()
+    return np.array(rows, np.int64), np.array(components, np.int64)
 
 
 def _grid(order, rows, columns):
@@ -149,13 +168,14 @@ def border_workspace(model, pattern, dtype=float):
     """A BorderWorkspace of a Border."""
     s, count = model.arrays.links, len(pattern.elimination.diagonal)
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
-    slots = np.zeros(first + blocks, dtype)
+    slots = np.zeros(first + blocks + len(pattern.slip_row), dtype)
     slots[first - 1] = 1.0
     wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.point_start, pattern.column_start))
     return BorderWorkspace(
         slots,
         slots[: first - 1],
-        slots[first:].reshape(-1, 2, 2),
+        slots[first : first + blocks].reshape(-1, 2, 2),
+        slots[first + blocks :],
         np.zeros(pattern.block[-1], dtype),
         *np.zeros((2, pattern.elimination.start[-1]), dtype),
         np.zeros(count, dtype),
@@ -164,6 +184,7 @@ def border_workspace(model, pattern, dtype=float):
         np.zeros((wide, columns), dtype),
         np.zeros(count, dtype),
         np.zeros(count),
+        np.zeros(len(s.slips.row_columns), dtype),
     )
 
 

@@ -4,6 +4,8 @@
 [ S + A^T C A    A^T Bz^T ] [ dq   ]     [ r   ]     S = c_m M + K of the plates, A: q -> points, C = curvature of the rows
 [ Bz A           0        ] [ dlam ] = - [ phi ]         + c_m masses at points, Bz = phi_z
 ```
+Where friction slips, the slopes of its forces in the multipliers that press are added to A^T Bz^T.
+
 `S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T at each node: the factor of an elastic plate stays valid while it turns. Joints act through
 few points z = A q: the border costs `X = S^-1 A^T` once for each factor, and one small sparse system (border.py) for each solve. X is as old as
 the factor, but `G = A X` uses the same X: therefore dq satisfies `Bz A dq = -phi` to round-off. S, r and phi may be complex; S is then
@@ -217,6 +219,8 @@ def solve(links, factored, work, drives, rotation, dz, lam, r, phi, c_m, dq, dla
         else:
             work.border.curvature[:] = 0.0
         joints.joint_curvature(links, drives, lam, work.border.curvature)
+        if work.border.friction.shape[0]:
+            joints.slip_slopes(links.slips, drives, dz, lam, work.border.slip_rows, work.border.friction)
         add_masses(links, c_m, work.border.curvature)
     joints.point_values(links, dq, work.moved)
     if not solve_multipliers(links, factored, work, phi, dlam):
@@ -401,6 +405,9 @@ def solve_multipliers(links, factored, work, phi, dlam):
         work.point_forces[component >> 1, component & 1] = work.border.x[i]
     put(1.0, work.border.x[count:], dlam)
     joints.add_rows(links, work.border.slopes, dlam, work.point_forces)
+    for e in range(work.border.friction.shape[0]):
+        i = factored.border.slip_component[e]
+        work.point_forces[i >> 1, i & 1] += work.border.friction[e] * dlam[factored.border.slip_row[e]]
     return True
 
 

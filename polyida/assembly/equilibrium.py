@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.assembly import compact
 from polyida.assembly.arrays import cells_of, material_of
-from polyida.assembly.joints import joint_forces, point_values, spread
+from polyida.assembly.joints import joint_forces, point_values, slip_forces, spread
 from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
 from polyida.element import kernels, two_field
 from polyida.element.operator import Blocks
@@ -62,6 +62,7 @@ def add_loads_and_joints(plates, links, drives, u, a, lam, phi, dz, forces, r):
         forces[f, 1] = links.point_mass[f] * (dz[f, 1] - links.gravity[1])
     point_values(links, u, dz)
     cosine = joint_forces(links, drives, dz, lam, phi, forces)
+    slip_forces(links.slips, drives, dz, lam, forces)
     spread(links, forces, r)
     return cosine
 

@@ -155,6 +155,48 @@ def joint_forces(links, drives, dz, lam, phi, forces):
     return least
 
 
+@leaf
+def pressure(slips, lam, k):
+    """|lam_on| of row k that slips."""
+    first, end = slips.on_start[k], slips.on_start[k + 1]
+    if slips.on_contact[k]:
+        return -lam[slips.on[first]]
+    squares = 0.0
+    for j in range(first, end):
+        squares += lam[slips.on[j]] ** 2
+    return np.sqrt(squares)
+
+
+@part
+def slip_forces(slips, drives, dz, lam, forces):
+    """forces += the friction of rows that slip."""
+    for k in range(slips.mu.shape[0]):
+        friction = slips.constant[k] + slips.mu[k] * pressure(slips, lam, k)
+        for e in range(slips.row_start[k], slips.row_start[k + 1]):
+            i = slips.row_columns[e]
+            forces[i >> 1, i & 1] += slips.row_slopes[e] * friction
+    for p in range(slips.product_row.shape[0]):
+        k = slips.product_row[p]
+        friction = slips.constant[k] + slips.mu[k] * pressure(slips, lam, k)
+        c, n, _, _ = turn(slips, p, drives)
+        ex, ey, _, _ = factors(slips, p, c, n, dz)
+        push(slips, slips.product_second[p], friction * ex, friction * ey, forces)
+
+
+@part
+def slip_slopes(slips, drives, dz, lam, rows, values):
+    """values = the derivatives of `slip_forces` in the multipliers that press, one after the other; rows: scratch for the slopes of the rows."""
+    joint_jacobian(slips, drives, dz, rows)
+    at = 0
+    for k in range(slips.mu.shape[0]):
+        size = pressure(slips, lam, k)
+        for j in range(slips.on_start[k], slips.on_start[k + 1]):
+            share = -1.0 if slips.on_contact[k] else (lam[slips.on[j]] / size if size > 0.0 else 0.0)
+            for e in range(slips.row_start[k], slips.row_start[k + 1]):
+                values[at] = slips.mu[k] * share * rows[e]
+                at += 1
+
+
 @part
 def add_shifts(links, values, order, rows):
     """Add a derivative of the profiles to that derivative (0: phi, 1: rate, 2: bias) of the rows that they shift. values (profiles, 3)."""
@@ -270,6 +312,18 @@ def joint_rate_jacobian(links, drives, dz, vz, slopes):
         gx, gy = gx + speed * fy, gy - speed * fx
         slope(links, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
         slope(links, f, k, ux - speed * ey, uy + speed * ex, slopes)
+
+
+@entry
+def rows_of_frames(links, drives, qs, vs, points, spare, phi, rates):
+    """Fill phi and its rate (frames, m) in frames qs and vs (frames, pairs, 2). points (3, points, 2), spare (2, m): scratch."""
+    dz, vz, forces = points[0], points[1], points[2]
+    for f in range(qs.shape[0]):
+        point_values(links, qs[f], dz)
+        point_values(links, vs[f], vz)
+        zero(spare[0])
+        joint_forces(links, drives[f], dz, spare[0], phi[f], forces)
+        joint_rates(links, drives[f], dz, vz, spare[0], rates[f], spare[1])
 
 
 @entry

@@ -168,6 +168,13 @@ class Constraints(Model):
         joints.joint_rates(self._links(dz), self.drives(t), dz, self.dz(v), *rates)
         return rates
 
+    def phi_of_frames(self, t, q, v):
+        phi, rates = np.empty((2, len(t), self.m))
+        drives = np.array([self.drives(one) for one in t]) if self.profiles else np.zeros((len(t), 0, 3))
+        frames = [np.ascontiguousarray(x, float).reshape(len(t), -1, 2) for x in (q, v)]
+        joints.rows_of_frames(self.arrays.links, drives, *frames, np.empty((3, self.n_points, 2)), np.empty((2, self.m)), phi, rates)
+        return phi, rates
+
     def phi_rate_q(self, t, q, v):
         return self._rates_q(t, q, v, 1)
 

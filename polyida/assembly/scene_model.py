@@ -96,9 +96,9 @@ class SceneModel(SceneBodies):
         if redundant == "least-norm" and late is None:
             self._leave_out_redundant(0.0, np.zeros(self.n))
 
-    def _use_parts(self, held, left_out=()):
-        """Take from the parts all that depends on which of them act; held and left_out as of `_assemble`."""
-        self._assemble(held, left_out)
+    def _use_parts(self, held, left_out=(), sliding=()):
+        """Take from the parts all that depends on which of them act; arguments as of `_assemble`."""
+        self._assemble(held, left_out, sliding)
         links, size = self.arrays.links, np.diff(self.arrays.links.vector_start)
         elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.few if placed.elastic]
         self.needs = Needs(
@@ -182,12 +182,17 @@ class SceneModel(SceneBodies):
         if key not in self._modes:
             if len(self._modes) >= KEPT:
                 self._modes.clear()
-            held, left_out = self._assembled
-            numbers = np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
-            mode = self._modes[key] = self._copy({"pattern", "first_pairs", *OF_FACTORS})
-            mode._use_parts(held, [*left_out, *np.delete(numbers, key).tolist()])
-            mode.row_laws, mode.columns = (), np.array(key, np.int64)
+            self._modes[key] = self._copy({"pattern", "first_pairs", *OF_FACTORS})
+            self._modes[key].keep_rows(key)
         return self._modes[key]
+
+    def keep_rows(self, rows, sliding=()):
+        """Make this copy of a model one with only these rows of phi, a list; sliding: SlidingRows with the numbers that rows of phi had."""
+        held, left_out = self._assembled
+        numbers = np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
+        sliding = [row._replace(number=int(numbers[row.number])) for row in sliding]
+        self._use_parts(held, [*left_out, *np.delete(numbers, rows).tolist()], sliding)
+        self.row_laws, self.columns = (), np.array(rows, np.int64)
 
     def _copy(self, kept):
         """A copy without what is derived, but for these names."""
@@ -197,14 +202,14 @@ class SceneModel(SceneBodies):
     def _late_joints(self):
         return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
 
-    def _assemble(self, held, left_out=()):
+    def _assemble(self, held, left_out=(), sliding=()):
         """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`.
 
-        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold.
+        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold. sliding: SlidingRows.
         """
         self._assembled = held, list(left_out)
         of_bodies = self.bodies, self.few, self.states, self.strains, self.places
-        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
+        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held, sliding)
         self._driven = None, None
         self.arrays, points, table, drives, self.laws, self.callbacks = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))

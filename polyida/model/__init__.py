@@ -118,6 +118,8 @@ class Model:
     remark = ""  # a note for a run's summary
     flexible = False
     extent = None
+    longest_stretch = 1024  # steps that an integrator takes before they are looked at
+    slipping = False  # True for a scene in which friction slips: forces of users of M and phi_q alone are without it
     free_fall = 0.0
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
     bodies = drawn = ()  # its full plates; all bodies with a mesh: full plates, then reduced and rigid ones
@@ -212,6 +214,11 @@ class Model:
         """Return d phi/dt = `phi_q v + phi_t`, (m,)."""
         return self.phi_q(t, q) @ v + self.phi_t(t, q)
 
+    def phi_of_frames(self, t: NDArray, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+        """Return phi and its rate in frames, (frames, m) each."""
+        rates = [self.phi_rate(*at) for at in zip(t, q, v)]
+        return np.array([self.phi(*at) for at in zip(t, q)]), np.array(rates)
+
     def phi_bias(self, t: float, q: NDArray, v: NDArray) -> NDArray:
         """Return `(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
         if not (self.needs.driven or self.needs.phi_q_varies):
@@ -255,9 +262,9 @@ class Model:
         return WithRows(self, rows)
 
     def spread(self, lam: NDArray, width: int) -> NDArray:
-        """Return multipliers of this model, (m,), as those of all `width` rows of a run whose model changes."""
-        result = np.zeros(width)
-        result[self.columns] = lam
+        """Return multipliers of this model, (..., m), as those of all `width` rows of a run whose model changes."""
+        result = np.zeros((*np.shape(lam)[:-1], width))
+        result[..., self.columns] = lam
         return result
 
     @property

@@ -137,7 +137,9 @@ class WithRows(Model):
         return result
 
     def spread(self, lam, width):
-        return self._all(lam)
+        result = np.zeros((*np.shape(lam)[:-1], self.whole.m))
+        result[..., self.kept] = lam
+        return result
 
     def potentials(self, q, v=None):
         return self.whole.potentials(q) if v is None else self.whole.potentials(q, v)
@@ -186,16 +188,28 @@ class WithRows(Model):
         return self.whole.constraint_name(int(self.kept[row]))
 
 
-class Slips(WithRows):
-    """The same, with rows of friction that slip: each acts with `lam = sign (c + mu |lam_on|)`. slips: (RowLaw, sign of its rate) each.
+def pressing(model, laws):
+    """(m, laws): 1 for the rows of a model that press the rows with these laws, else 0."""
+    result = np.zeros((model.m, len(laws)))
+    for k, law in enumerate(laws):
+        result[list(law.on), k] = 1.0
+    return result
 
-    On a contact it is `sign (c - mu lam_on)`, which is smooth where the contact begins to pull, so that its end can be located.
+
+class Slipping:
+    """Mixed into a model in which rows of friction slip: each acts with `lam = sign (c + mu |lam_on|)`.
+
+    On a contact it is `sign (c - mu lam_on)`, which is smooth where the contact begins to pull, so that its end can be located. origin: the model
+    with all rows, of which `columns` are equations. slips: (RowLaw, sign of its rate) each.
     """
 
-    def __init__(self, whole, rows, slips):
-        super().__init__(whole, rows)
-        self.slips, contacts = slips, [law.row for law in whole.row_laws if law.is_contact]
+    def use_slips(self, origin, slips):
+        """Set origin and slips."""
+        self.origin, self.slips, contacts = origin, slips, [law.row for law in origin.row_laws if law.is_contact]
         self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
+        self.rubbing = [law.row for law, _ in slips]
+        self.constant, self.slope = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
+        self.presses = pressing(origin, [law for law, _ in slips])
 
     def pressures(self, lam, rows):
         """(|lam_on| of each slip, its slopes by lam_on) at multipliers of which `rows` press, a list each; those of a contact have signs."""
@@ -206,30 +220,30 @@ class Slips(WithRows):
             else:
                 yield size, lam[on] / size if size else np.zeros(len(on))
 
-    def _all(self, lam):
-        result = super()._all(lam)
-        pressures = self.pressures(result, [list(law.on) for law, _ in self.slips])
-        for (law, sign), (pressure, _) in zip(self.slips, pressures):
-            result[law.row] = sign * (law.constant + law.mu * pressure)
-        return result
+    def spread(self, lam, width):
+        return self.forces_of_all(lam)
 
-    def force(self, t, q, v):
-        force = self.whole.force(t, q, v)
-        for law, sign in self.slips:
-            if law.constant:
-                force = force + sign * law.constant * dense(self.phi_q_of_whole(t, q)[[law.row]])[0]
-        return force
+    def forces_of_all(self, lam):
+        """lam of all rows of `origin`, (..., m)."""
+        result = np.zeros((*np.shape(lam)[:-1], self.origin.m))
+        result[..., self.columns] = lam
+        pressures = np.where(self.on_contact, -(result @ self.presses), np.sqrt(result**2 @ self.presses))
+        result[..., self.rubbing] = self.constant + self.slope * pressures
+        return result
 
     def columns_of_forces(self, t, q, lam):
         """The rows of phi_q, with the friction that grows with their multipliers."""
-        B, forces = dense(self.phi_q_of_whole(t, q)), self._all(lam)
-        columns = B[self.kept]
+        B, forces = dense(self.origin.phi_q(t, q)), self.forces_of_all(lam)
+        columns = B[self.columns]
         pressures = self.pressures(forces, [list(law.on) for law, _ in self.slips])
         for (law, sign), (_, slopes) in zip(self.slips, pressures):
-            shares = np.zeros(self.whole.m)
+            shares = np.zeros(self.origin.m)
             shares[list(law.on)] = slopes
-            columns = columns + sign * law.mu * shares[self.kept][:, None] * B[law.row]
+            columns = columns + sign * law.mu * shares[self.columns][:, None] * B[law.row]
         return columns
+
+    def mass_system(self, t, q):
+        return SlippingMasses(self, super().mass_system(t, q), t, q)
 
     def uniqueness(self, state, lam):
         """What is positive while the friction has a unique force at a state if rows press in the direction of lam, 1 where friction is small.
@@ -237,19 +251,25 @@ class Slips(WithRows):
         It is the determinant of its matrix. Rows of equations may also press in the other direction. If their force has no solution there, it
         ends where they do not press any more, and the share of lam that presses without friction may be the smaller number.
         """
-        masses = SlippingMasses(self, state.t, state.q)
-        least = float(np.linalg.det(masses.slope(lam)))
-        if all(self.on_contact) or np.linalg.det(masses.slope(-lam)) > 0.0:
+        masses = self.mass_system(state.t, state.q)
+        least = masses.determinant(lam)
+        if all(self.on_contact) or masses.determinant(-lam) > 0.0:
             return least
         return min([least, *self._along(self._consistent(state, masses.system), lam)])
 
+    def contraction(self, t, q):
+        """The most by which friction answers a change of itself, through what presses it; below 1 its force is unique in any direction."""
+        masses = self.mass_system(t, q)
+        sizes = [np.linalg.norm(masses.Y[on], axis=0).sum() for on in masses.on]
+        return float((np.abs(masses.mu) * sizes).max(initial=0.0))
+
     def _consistent(self, state, masses):
         """Consistent multipliers at a state, of a system of masses with or without friction."""
-        return masses.solve(self.whole.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v))[1]
+        return masses.solve(self.force(state.t, state.q, state.v), self.phi_bias(state.t, state.q, state.v))[1]
 
     def _along(self, lam, other):
         """The parts of lam along others, for each of the rows that press."""
-        on = [np.isin(self.kept, law.on) for law, _ in self.slips]
+        on = [np.isin(self.columns, law.on) for law, _ in self.slips]
         return [float(lam[rows] @ other[rows] / square) for rows in on if (square := other[rows] @ other[rows])]
 
     def agrees(self, state):
@@ -258,7 +278,7 @@ class Slips(WithRows):
 
     def pressed(self, state, lam):
         """True if all rows that press do so in the direction of lam at a state, too, or would if friction were small."""
-        return min(self._along(self._consistent(state, super().mass_system(state.t, state.q)), lam), default=1.0) > 0.0
+        return min(self._along(self._consistent(state, self.mass_system(state.t, state.q).system), lam), default=1.0) > 0.0
 
     def singular(self):
         """The SingularSystem of friction without a unique force."""
@@ -266,19 +286,35 @@ class Slips(WithRows):
         why = "its friction has no unique force, and only time stepping, polyida.NonsmoothAlpha(h=...), goes on"
         return SingularSystem(f"the matrix of the slip of {names} is singular: {why}")
 
-    def mass_system(self, t, q):
-        return SlippingMasses(self, t, q)
+
+class Slips(Slipping, WithRows):
+    """The same as WithRows, with rows of friction that slip."""
+
+    def __init__(self, whole, rows, slips):
+        super().__init__(whole, rows)
+        self.use_slips(whole, slips)
+
+    _all = Slipping.forces_of_all
+
+    def force(self, t, q, v):
+        force = self.whole.force(t, q, v)
+        for law, sign in self.slips:
+            if law.constant:
+                force = force + sign * law.constant * dense(self.phi_q_of_whole(t, q)[[law.row]])[0]
+        return force
 
 
 class SlippingMasses:
-    """The system of M and phi_q with friction that is proportional to the multipliers, `f = sign mu |lam_on|`, lam linear in f: Newton's method."""
+    """The system of M and phi_q with friction that is proportional to the multipliers, `f = sign mu |lam_on|`, lam linear in f: Newton's method.
 
-    def __init__(self, model, t, q):
-        self.model, self.system = model, super(Slips, model).mass_system(t, q)
-        rows, none = dense(model.phi_q_of_whole(t, q)[[law.row for law, _ in model.slips]]), np.zeros(model.m)
-        solved = [self.system.solve(row, none) for row in rows]
-        self.X, self.Y = (np.array(part).T for part in zip(*solved))
-        place = {int(row): k for k, row in enumerate(model.kept)}
+    system: the same without friction.
+    """
+
+    def __init__(self, model, system, t, q):
+        self.model, self.system = model, system
+        rows = dense(model.origin.phi_q(t, q)[[law.row for law, _ in model.slips]])
+        self.X, self.Y = system.solve(rows.T, np.zeros((model.m, len(rows))))
+        place = {int(row): k for k, row in enumerate(model.columns)}
         self.on = [[place[row] for row in law.on if row in place] for law, _ in model.slips]
         self.mu = np.array([sign * law.mu for law, sign in model.slips])
 
@@ -286,6 +322,10 @@ class SlippingMasses:
         """d(f - mu |lam_on|)/df at lam = dlam + Y f."""
         slopes = [slope @ self.Y[on] for on, (_, slope) in zip(self.on, self.model.pressures(lam, self.on))]
         return np.eye(len(self.on)) - self.mu[:, None] * np.array(slopes)
+
+    def determinant(self, lam):
+        """That of `slope`."""
+        return float(np.linalg.det(self.slope(lam)))
 
     def solve(self, r, phi):
         """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""

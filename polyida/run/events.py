@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import singledispatch
+from functools import cached_property, singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from polyida.model import Model
 from polyida.model.differences import along, jacobian, reach_along
 from polyida.model.guarded import guard
 from polyida.results.motion import reaction_of
-from polyida.run.accepted import accepted
+from polyida.run.accepted import accepted, leading
 from polyida.scene import Scene
 from polyida.validation import floats, is_number
 
@@ -175,6 +175,37 @@ def prepared(part, model, events):
     return model, events
 
 
+class WholeStretch(Stretch):
+    """A Stretch of a mode with the columns of lam of all rows. happenings: Happenings; part: the Stretch of the mode."""
+
+    def __init__(self, happenings, part):
+        self.happenings, self.source = happenings, part
+        self.t, self.q, self.v = part.t, part.q, part.v
+
+    a = property(lambda self: self.source.a)
+    spent = property(lambda self: self.source.spent)
+
+    @cached_property
+    def lam(self):
+        """The multipliers of all rows, (k, width)."""
+        return self.last.lam[None] if len(self) == 1 else self.happenings.mode.spread(self.source.lam, self.happenings.width)
+
+    @cached_property
+    def last(self):
+        """The last State."""
+        return self.happenings.whole_state(self.source.last)
+
+    def state(self, k):
+        """The State number k, counted from 0."""
+        return self.last if k == len(self) - 1 else self.happenings.whole_state(self.source.state(k))
+
+    def part(self, first, end, every=1):
+        """The Stretch of the states from number `first` to before `end`, or of each `every`-th of them."""
+        if first == 0 and end >= len(self) and every == 1:
+            return self
+        return WholeStretch(self.happenings, self.source.part(first, end, every))
+
+
 class Happenings:
     """The events of a run.
 
@@ -253,8 +284,15 @@ class Happenings:
         for stretch in accepted(self.method, self.mode, before, t_end, counts):
             sound, failure = watch.look(stretch) if watch else (len(stretch), None)
             counts.steps -= len(stretch) - sound
-            for part in parted(stretch.part(0, sound), counts):
-                after = part.last
+            stretch = stretch.part(0, sound)
+            quiet, done = self._quiet(before, stretch), 0
+            for part in parted(stretch, counts, lambda: max(1, leading(quiet[done:]))):  # noqa: B023, called within the loop
+                after, first, done = part.last, done, done + len(part)
+                if quiet[first]:
+                    self._pass(part, done)
+                    before = after
+                    yield WholeStretch(self, part)
+                    continue
                 hit = self._first(before, after)
                 if hit is None:
                     before = after
@@ -284,6 +322,10 @@ class Happenings:
         v, columns = state.v.copy(), np.concatenate(held)
         v[columns] = after.v[columns]
         return State(state.t, state.q, v, state.a, state.lam, restart=False)
+
+    def _quiet(self, before, stretch):
+        """True for the steps of a stretch in which certainly nothing happens, (steps,), so that `_first` need not look into them."""
+        return np.zeros(len(stretch), bool)
 
     def _on_root(self, before, after, start, k):
         """A consistent state of a step at which the function of event k is zero; `start` is one near it.

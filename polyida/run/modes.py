@@ -27,11 +27,11 @@ from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts
 from polyida.integrate.start import consistent_acceleration, on_velocity
-from polyida.integrate.state import State, between
+from polyida.integrate.state import State, Stretch, between
 from polyida.linear.lu import SingularSystem
 from polyida.model.differences import beside
 from polyida.model.guarded import guard
-from polyida.model.row_laws import Slips
+from polyida.model.row_laws import Slipping, Slips, pressing
 from polyida.run.events import NODES, OFFSET, Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
@@ -43,6 +43,9 @@ SHORTER = 1 / 8  # of a step whose forces end a status that the consistent ones 
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
+CLOSE = 1e-4  # of the same: a step from there that ends at another solution ends there
+CERTAIN = 0.5  # of `Slipping.contraction`: below it no look at friction's uniqueness is needed
+LONGEST = 64.0  # steps that are taken before they are looked at
 NONE = np.zeros(0, np.int64)
 SIGNS = {SLIPS_UP: 1.0, SLIPS_DOWN: -1.0}
 WORDS = {CLOSED: "closes", STICKS: "sticks", SLIPS_UP: "slips", SLIPS_DOWN: "slips"}
@@ -72,9 +75,13 @@ def timed(method):
 
 
 class Modes(Happenings):
-    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure."""
+    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure.
 
-    def __init__(self, model, method, happened=None):
+    compiled: False if friction that slips is to be in Python, as the adjoint needs it.
+    """
+
+    def __init__(self, model, method, happened=None, compiled=True):
+        self.compiled = compiled
         self.whole, self.method, self.contacts = guard(model), method, Contacts(guard(model))
         if self.whole.is_scene and self.whole.edge_rows:
             names = ", ".join(law.name for law in self.whole.row_laws if law.row in [rows.first for rows in self.whole.edge_rows])
@@ -86,7 +93,8 @@ class Modes(Happenings):
             self.happened.watch_seconds = 0.0
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
-        self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
+        self.last, self.modes, self.mode = -np.inf, {}, self.whole
+        self.pressing = pressing(self.whole, self.whole.row_laws)
         self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
         self.seen = set()  # statuses at the time of the last change
         self.pieces = np.zeros(3)  # length and end of a piece of the motion, and the length from which it is whole again; 0: it is whole
@@ -114,7 +122,7 @@ class Modes(Happenings):
         return {"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float), "pieces": self.pieces}
 
     def spread(self, state):
-        return replace(super().spread(state), lam=self._all_forces(state))
+        return State(state.t, state.q, state.v, state.a, self._all_forces(state), restart=False)
 
     def stretches(self, state, t_end, counts):
         memory = dict(state.memory)
@@ -126,19 +134,71 @@ class Modes(Happenings):
 
     def value(self, event, state):
         """The function of a row at a state of the mode."""
-        contacts, number = self.contacts, event.law
-        status, law = self.status[number], self.whole.row_laws[number]
-        if self.held[number]:
-            return 1.0
-        if status in SIGNS:
-            rates = self._held_rates(state) if self.fixed[number] else self.whole.phi_rate(state.t, state.q, state.v)[contacts.rows]
-            return SIGNS[status] * float(rates[number])
-        if status == STICKS:
-            lam = self._all_forces(state)
-            return float(law.constant + law.mu * np.linalg.norm(lam[list(law.on)]) - abs(lam[law.row]))
-        if status == CLOSED and contacts.contact[number]:
-            return -float(self._all_forces(state)[law.row])
-        return float(self.whole.phi(state.t, state.q)[law.row]) if contacts.contact[number] else 1.0
+        if self._known[0] is not state:
+            values = self._values(Stretch.of(state), self._all_forces(state)[None])[0]
+            for k in np.flatnonzero(self.fixed & ~self.held):
+                values[k] = SIGNS[self.status[k]] * self._held_rates(state)[k]
+            self._known = state, values
+        return float(self._known[1][event.law])
+
+    def _quiet(self, before, stretch):
+        """As of all events: steps whose functions stay away from zero by more than half of what they change within two steps.
+
+        A motion's first step, those near an end of unique friction, those of rows with shared forces or held by equations, and those of runs with
+        kinks and samples are looked into.
+        """
+        earlier, self.earlier = self.earlier, None
+        self.states = list(stretch)  # those of Radau IIA compute their forces when these are asked for, and keep them
+        if self.jumps or self.shared.size or self.watched.size or self.fixed.any() or not self._certain(stretch.last):
+            self.mode.longest_stretch = 1
+            return np.zeros(len(stretch), bool)
+        one = len(stretch) == 1
+        self.ahead = self._values(stretch, self._all_forces(stretch.last)[None] if one else self.mode.spread(stretch.lam, self.width))
+        ends = np.vstack([self.values if earlier is None else earlier, self.values, self.ahead])
+        around = np.array([ends[:-2], ends[1:-1], ends[2:]])
+        least, change = (self.sides * around).min(axis=0), np.ptp(around, axis=0)
+        quiet = (least > OFFSET * np.maximum(self.sizes, least)) & (2.0 * least > change)
+        quiet = quiet.all(axis=1)
+        quiet[0] &= earlier is not None
+        self.earlier = ends[-2]
+        moves = np.abs(self.ahead[-1] - ends[-2])
+        left = np.min(np.abs(self.ahead[-1]) / np.where(moves > 0.0, moves, 1e-300), initial=LONGEST)
+        self.mode.longest_stretch = int(max(1, min(2 * self.mode.longest_stretch, left))) if quiet.all() else 1
+        return quiet
+
+    def _pass(self, part, done):
+        values = self.ahead[:done]
+        self.values = values[-1]
+        self.sizes = np.maximum(self.sizes, np.abs(values).max(axis=0, initial=0.0))
+        self.contacts.speed = max(self.contacts.speed, float(np.abs(part.v).max(initial=0.0)))
+        self.at, self.step = part.last, float(part.t[-1] - part.t[-2]) if len(part) > 1 else self.step
+
+    def _values(self, stretch, lam):
+        """The functions of the rows at the ends of a stretch, (k, rows with laws); lam: of all rows."""
+        contacts, status, result = self.contacts, self.status, np.ones((len(lam), len(self.events)))
+        phi, rates = self.whole.phi_of_frames(stretch.t, stretch.q, stretch.v)
+        own, closed = lam[:, contacts.rows], contacts.contact & (status == CLOSED)
+        for rows, values in (
+            (status >= SLIPS_UP, np.where(status == SLIPS_UP, 1.0, -1.0) * rates[:, contacts.rows]),
+            (status == STICKS, contacts.constant + contacts.mu * np.sqrt(lam**2 @ self.pressing) - np.abs(own)),
+            (closed, -own),
+            (contacts.contact & ~closed, phi[:, contacts.rows]),
+        ):
+            result[:, rows] = values[:, rows]
+        return np.where(self.held, 1.0, result)
+
+    def _certain(self, after):
+        """True if friction that slips has certainly a unique force up to a state: it did where that was found last, and it changes slowly.
+
+        unique: (t, contraction there, time up to which it holds by its last change).
+        """
+        t, value, until = self.unique
+        if isinstance(self.mode, Slipping) and after.t > until:
+            now = self.mode.contraction(after.t, after.q)
+            change = abs(now - value) / (after.t - t)
+            until = after.t + min(2.0 * (after.t - t), (CERTAIN - now) / change if change else np.inf)
+            self.unique, value = (after.t, now, until), max(value, now)
+        return value < CERTAIN
 
     def _motion(self, before, t_end, counts):
         self.at, self.step = before, self.method.fixed_step()
@@ -148,12 +208,14 @@ class Modes(Happenings):
                 self.started = False
                 yield Change(None, *self._change(before, []))
                 return
+        slipping, self.earlier, self.mode.longest_stretch = isinstance(self.mode, Slipping), None, 1
+        self.unique = before.t, self.mode.contraction(before.t, before.q) if slipping else 0.0, before.t
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
             yield from self._in_pieces(before, t_end, counts)
         except (StepFailure, SingularSystem) as error:  # a step across the end of a unique force may have no solution
-            ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slips) and self.step else None
+            ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slipping) and self.step else None
             self.at, error = (ahead, self.mode.singular()) if ahead else (self.at, error)
             if not isinstance(error, SingularSystem):
                 raise
@@ -175,7 +237,7 @@ class Modes(Happenings):
 
     def _uniqueness(self, before, state):
         """What is positive while friction that slips has a unique force; rows press in the directions that they had before."""
-        return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slips) else 1.0
+        return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slipping) else 1.0
 
     @timed
     def _first(self, before, after):
@@ -186,7 +248,7 @@ class Modes(Happenings):
         watched = self._first_watched(before, after)
         if watched and (hit is None or watched[0] <= hit[0]):
             hit = watched
-        ahead = self._singular(before, after) if isinstance(self.mode, Slips) else None
+        ahead = self._singular(before, after) if isinstance(self.mode, Slipping) else None
         if ahead and (ahead.t > after.t or (hit and hit[0] < ahead.t)):
             rows = hit[1] if hit else np.flatnonzero(self.status >= SLIPS_UP)
             ahead = ahead if all(self._lasts(k, before, ahead) for k in rows) else None
@@ -260,9 +322,9 @@ class Modes(Happenings):
         from scipy.optimize import brentq
 
         unique = self._uniqueness(before, after)
-        reached = not unique > UNIQUE
-        ahead = self._singular_ahead(before, after.t - before.t) if reached or not self.mode.agrees(after) else None
-        if ahead is None and reached:
+        reached, agrees = not unique > UNIQUE, self.mode.agrees(after)
+        ahead = self._singular_ahead(before, after.t - before.t) if reached or not agrees else None
+        if ahead is None and (reached or (not agrees and unique < CLOSE)):
             unique_at = lambda t: self._uniqueness(before, between(before, after, t))  # noqa: E731
             ahead = after if unique > 0.0 else between(before, after, brentq(unique_at, before.t, after.t))
         return ahead
@@ -348,9 +410,18 @@ class Modes(Happenings):
         rows = np.sort(np.concatenate([contacts.equations, contacts.rows[kept]]))
         key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
         if key not in self.modes:
-            self.modes[key] = Slips(self.whole, rows, slips) if slips else self.whole.with_rows(rows)
-        self.mode, self._forces, self._held = self.modes[key], (None, None), (None, None)
+            self.modes[key] = self._slipping(t, q, rows, slips) if slips else self.whole.with_rows(rows)
+        self.mode, self._forces, self._held, self._known = self.modes[key], (None, None), (None, None), (None, None)
         self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
+
+    def _slipping(self, t, q, rows, slips):
+        """The model in which these rows are equations and others slip, `slips`; in compiled code unless friction nearly holds by itself at (t, q)."""
+        plain = Slips(self.whole, rows, slips)
+        if not (self.whole.is_scene and self.compiled) or plain.contraction(t, q) >= CERTAIN:
+            return plain
+        from polyida.assembly.slipping import SlippingScene
+
+        return SlippingScene.of(self.whole, rows, slips)
 
     def _settled(self, t, q, v, closed, begins=0.0, dwells=NONE):
         """The State with consistent accelerations, and all columns of lam; sets statuses and mode. begins: directions of slip from rest.

@@ -11,7 +11,7 @@ import polyida as pi
 from nonsmooth.random_laws import Drawn, places
 from nonsmooth.random_scenes import kept
 from nonsmooth.references import PENDULUM, PENDULUM_STICKS, bounces, rest_of_bounces
-from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, plate_crank, rocking_block
+from nonsmooth.scenes import Balls, G, Kerb, incline, on_floor, pendulum, plate_crank, rocking_block, slider_crank
 
 RADAU, ALPHA, IDA = pi.RadauIIA(rtol=1e-9), pi.GeneralizedAlpha(h=5e-3), pi.IDA(rtol=1e-9)
 
@@ -503,3 +503,11 @@ def test_random_mechanisms_with_laws(seed, end):
     runs = [pi.solve(model, end, method) for method in (pi.RadauIIA(rtol=1e-4), pi.NonsmoothAlpha(h=2.5e-4))]
     assert [run.message for run in runs if not run.success] == []
     assert np.abs(places(drawn, runs[0]) - places(drawn, runs[1])).max() < 1e-3
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3)], ids=lambda x: type(x).__name__)
+def test_a_step_in_which_friction_slips_takes_the_iterations_of_one_without(method):
+    """Newton's method knows the slopes of friction in the forces that press; the factor of the first step serves them all."""
+    with_friction, without = (pi.solve(slider_crank(mu).build(), 0.04, method).counts for mu in (0.2, 0.0))
+    assert with_friction.newton_iterations <= without.newton_iterations + 0.5 * without.steps
+    assert with_friction.factorizations <= without.factorizations + 2

@@ -172,7 +172,7 @@ class Steps:
         if self.last is not None:
             self._limit_stretch(self.last.memory)
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
-        most = int(max(1, min(most, self.longest, self.table.longest)))
+        most = int(max(1, min(most, self.longest, self.table.longest, self.model.longest_stretch)))
         to_pause = self.pause - self.counts.steps
         h, n, m = self.method.h, self.model.n, self.model.m
         self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))

@@ -168,7 +168,7 @@ class Steps:
         pause, done = state.memory.get("pause", 0), grid.done
         most = 1 if self.model.switching else max(1, CHUNK_BYTES // (48 * self.model.n))
         while done < grid.count:
-            longest, to_pause = min(most, self.table.longest), pause - self.counts.steps
+            longest, to_pause = min(most, self.table.longest, self.model.longest_stretch), pause - self.counts.steps
             end = min(done + (to_pause if 0 < to_pause < longest else longest), grid.count)
             for ends in self._stretches(grid.times(done, end)):
                 done += len(ends)

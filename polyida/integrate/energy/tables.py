@@ -202,7 +202,7 @@ class EnergyTable(OneFactorScene):
 
     def __init__(self, model):
         compact.provide(model.arrays.compact, compact.MIDDLE)
-        self.complete, options = not (model.bodies or model.strains), {}
+        self.complete, options = not (model.bodies or model.strains or model.slipping), {}
         if self.complete:
             options["inverse"] = model.once(inverse_masses)
         middle_and_end, instants = np.array([0.5, 1.0]), np.arange(3 * INSTANTS)  # instants 2k and 2k + 1: middle and end of step k

@@ -64,7 +64,7 @@ class Steps:
     @property
     def longest(self):
         """Largest number of steps of a stretch."""
-        return min(self.most, self.table.longest)
+        return min(self.most, self.table.longest, self.model.longest_stretch)
 
     @property
     def shares(self):

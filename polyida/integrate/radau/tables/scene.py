@@ -44,7 +44,7 @@ class SceneStages(Scene):
 
     def __init__(self, model, tableau, tied):
         self.tableau, self.tied, s, apart = tableau, tied, tableau.stages, tableau.stages + 1
-        small, instants = model.n_nodes <= FEW_NODES, np.arange(of.STEPS * apart)
+        small, instants = model.n_nodes <= FEW_NODES and not model.slipping, np.arange(of.STEPS * apart)
         self.single = s == 1 or not makes_factors(model)
         options = {
             "stored": scene_factors(model, not self.single),
