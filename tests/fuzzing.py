@@ -237,6 +237,7 @@ CALLS = {  # what else a good call takes
     "von_mises": {"stress": [1.0, 0.0, 0.0]},
     "condition_number": PLATES,
     "modes": PLATES,
+    "buckling": PLATES,
     "linearise": PLATES | {"modes": 1},
     "frequency_response": PLATES
     | {"input": lambda: np.ones(plate_model().n), "output": lambda: np.ones(plate_model().n), "frequencies": [1.0]},
@@ -344,6 +345,7 @@ INSTANCES = {  # an object of each class whose methods users call
     "SceneModel": plate_model,
     "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
+    "Buckling": lambda: pi.buckling(plate_model(), count=1),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
     "FrequencyResponse": lambda: pi.frequency_response(
         plate_model(), None, np.ones(plate_model().n), np.ones(plate_model().n), [1.0, 2.0], modes=1
