@@ -331,6 +331,7 @@ CALLS = {  # what else a good call takes
     "Size.rate": {"x": 0.5},
     "Size.value": {"x": 0.5},
     "Modes.title": {"number": 0},
+    "Buckling.title": {"number": 0},
     "Domain.distance": {"points": MESH.points},
     "Result.report": {"folder": "report", "overwrite": True},
 }
@@ -370,7 +371,19 @@ INSTANCES = {  # an object of each class whose methods users call
 
 NOT_CALLED = {  # handed out, made in every step, or to be derived from
     *("Model", "Integrator", "Joint", "ForceElement", "Controller", "Body", "StepMatrix", "objective.Objective", "mesh.Domain"),
-    *("Trajectory", "Events", "Counts", "Needs", "Modes", "StateSpace", "FrequencyResponse", "ErrorBars", "EquilibriumPath", "Gradient"),
+    *(
+        "Trajectory",
+        "Events",
+        "Counts",
+        "Needs",
+        "Modes",
+        "Buckling",
+        "StateSpace",
+        "FrequencyResponse",
+        "ErrorBars",
+        "EquilibriumPath",
+        "Gradient",
+    ),
     *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
     *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
     "threads",  # of the whole process
