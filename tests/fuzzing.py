@@ -411,6 +411,7 @@ BY_POLYIDA = {  # methods that polyida calls, with values of its own: those of t
     "require_sides",
     "pieces",
     "modes",
+    "summary_of_laws",
     "known_model",
     "angle",
     "from_data",
