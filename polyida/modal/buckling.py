@@ -30,7 +30,7 @@ from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard
 from polyida.reprs import brief
-from polyida.validation import index, is_whole, named_keywords, positive, whole
+from polyida.validation import index, named_keywords, whole
 
 PART = 1e-3  # of the model's extent: displacement over which K' and B' are differences
 SLOPE = 1e-3  # of the load: step of the slope of r and phi, which is exact for dead loads
@@ -98,19 +98,9 @@ class Buckling:
         Figure
             Not to scale.
         """
-        from polyida.show.plates import draw, shapes
-        from polyida.show.style import require_axes
+        from polyida.show.plates import plot_modes
 
-        numbers = list(range(len(self.factors))) if number is None else number if isinstance(number, list) else [number]
-        if not numbers or not all(is_whole(k, 0, len(self.factors) - 1) for k in numbers):
-            raise InputError(
-                f"buckling.plot: number = {number!r} must be the index of one of {len(self.factors)} modes, or a list of these"
-            )
-        scale = positive("buckling.plot", "scale", scale, "no unit")
-        if axes is None:
-            return shapes(self.model, self.state.q, [(self.title(k), self.shapes[k]) for k in numbers], scale)
-        draw(require_axes(axes), self.model, self.state.q, self.shapes[numbers[0]], self.title(numbers[0]), scale)
-        return axes.figure
+        return plot_modes("buckling.plot", self, self.state.q, number, scale, axes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,14 +195,8 @@ def _growing(plain, load, state):
     model, none = plain.model, np.zeros(plain.model.n)
     if load is None:
         return Growing(replace(plain, base=none if state else plain.base), ())
-    names = (
-        [load]
-        if isinstance(load, str)
-        else list(load)
-        if isinstance(load, (list, tuple)) and all(isinstance(one, str) for one in load)
-        else []
-    )
-    if not names:
+    names = [load] if isinstance(load, str) else load
+    if not (isinstance(names, (list, tuple)) and names and all(isinstance(one, str) for one in names)):
         rest = state or State(plain.t, none, none, none, np.zeros(model.m))
         force = input_direction("buckling", model, rest, load).force
         if not force.any():
