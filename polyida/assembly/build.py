@@ -2,12 +2,12 @@
 
 import warnings
 from traceback import extract_tb
-from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, Slips, concatenated, starts
+from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
 from polyida.assembly.compact import BLOCKS, FORCE, Compact, provide
+from polyida.assembly.kept_rows import no_slips
 from polyida.assembly.own_laws import laws_of
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
 from polyida.body.body import Body, points_of
@@ -35,25 +35,14 @@ TYPICAL_STRAIN = 1e-2  # its state has the typical speed of the scene
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells with full integration lock
 
 
-class SlidingRow(NamedTuple):
-    """A row of friction that slips, by its number among all rows, with `lam = constant + mu |lam_on|`, as of Slips."""
-
-    number: int
-    constant: float
-    mu: float
-    on_contact: bool
-    on: list
-
-
 class RowTable:
     """Collects the rows of phi and the velocity rows. labels, units: of each row; rows: {name: slice of its rows}; joints: {name: joint or body}.
 
-    points, drives: number the attachments and the profiles. size: of the scene, m. left_out: numbers, among all rows, of rows to omit; kept:
-    of those to keep, None: all. laws: a RowLaw of each row with a law. edges: EdgeRows.
+    points, drives: number the attachments and the profiles. size: of the scene, m. left_out: numbers, among all rows, of rows to omit.
+    laws: a RowLaw of each row with a law. edges: EdgeRows.
     """
 
-    def __init__(self, points, drives, size, left_out=(), kept=None):
-        self._kept = kept
+    def __init__(self, points, drives, size, left_out=()):
         self._points, self._drives, self._size, self._left_out, self._count = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws, self.edges = [], [], {}, {}, [], [], []
@@ -66,12 +55,12 @@ class RowTable:
             if not rows:
                 raise InputError(f"{name}: rows() of {type(part).__name__}: it must give a list of rows, at least one, or velocity_rows()")
         numbers, edges = {}, None
-        if isinstance(part, Contact) and part.edges and self._keeps(self._count):
+        if isinstance(part, Contact) and part.edges and self._count not in self._left_out:
             edges = EdgeRows(first, part, self._points, self._size)
             self.edges.append(edges)
         for number, row in enumerate(rows):
             self._count += 1
-            if not self._keeps(self._count - 1):
+            if self._count - 1 in self._left_out:
                 continue
             at_rest = _at_rest(row)
             if row.gap and not held and at_rest < -CLOSED * self._size:
@@ -89,9 +78,6 @@ class RowTable:
             self.labels.append(f"{name} {row.label or (number if len(rows) > 1 else '')}".rstrip())
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
-
-    def _keeps(self, number):
-        return number not in self._left_out and (self._kept is None or number in self._kept)
 
     def _append(self, name, row, held):
         """Append a row. Round-off at rest is subtracted, so that phi starts at exactly zero, unless it begins elsewhere (held: True)."""
@@ -354,30 +340,16 @@ def extent_of(plates, few):
     return size if size > SAME_PLACE * (1.0 + np.abs(places).max(initial=0.0)) else 1.0
 
 
-def slips_of(table, sliding):
-    """The Slips of the rows of a RowTable, each a SlidingRow."""
-    arrays = table.arrays()
-    return Slips(
-        **{name: arrays[name] for name in Slips._fields if name in arrays},
-        constant=np.array([row.constant for row in sliding], float),
-        mu=np.array([row.mu for row in sliding], float),
-        on_contact=np.array([row.on_contact for row in sliding], np.bool_),
-        on_start=starts([row.on for row in sliding]),
-        on=concatenated([row.on for row in sliding], np.int64),
-    )
-
-
-def assemble(plates, few, states, strains, places, parts, gravity, size, left_out=(), held=NONE, sliding=()):
+def assemble(plates, few, states, strains, places, parts, gravity, size, left_out=(), held=NONE):
     """(SceneArrays, Points, RowTable, Drives, Laws, [Callbacks of each law]) of the parts, without the rows of phi with the numbers `left_out`.
 
     states, strains: as of `place_states`. gravity: two numbers or profiles, m/s^2. held: {name: joint} of joints that need not hold at rest, in
-    the form in which they hold. sliding: SlidingRows, which are left out too, in their order.
+    the form in which they hold.
     """
     points, drives = Points(places), Drives()
-    table, rubbing = RowTable(points, drives, size, left_out), RowTable(points, drives, size, kept=[row.number for row in sliding])
+    table = RowTable(points, drives, size, left_out)
     for name, joint in of_kind(parts, Joint).items():
-        for one in (table, rubbing) if sliding else (table,):
-            one.add(name, held[name], held=True) if name in held else one.add(name, joint.facing())
+        table.add(name, held[name], held=True) if name in held else table.add(name, joint.facing())
     for placed in few:
         if given_rows(placed.name, placed.body):
             table.add(placed.name, placed.body)
@@ -412,7 +384,7 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
         gravity=np.array(steady(gravity)),
         **table.arrays(),
     )
-    links = links._replace(coupling=coupling_of(links, laws), slips=slips_of(rubbing, sliding))
+    links = links._replace(coupling=coupling_of(links, laws), slips=no_slips(links))
     first = plates[-1].nodes.stop if plates else 0
     compact = compact_of([*few, *states.values()], first, int(fields["body_block"][-1]))
     relaxation = relaxation_of([*plates, *few], strains, (*plates, *few, *states.values())[-1].pairs.stop)

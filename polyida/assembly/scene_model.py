@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.build import CLOSED, assemble, extent_of, of_kind, place_bodies, place_states
+from polyida.assembly.build import CLOSED, assemble, coupling_of, extent_of, of_kind, place_bodies, place_states
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.equilibrium import add_damping, blocks_at
 from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
 from polyida.assembly.independence import Redundant
+from polyida.assembly.kept_rows import kept_rows
 from polyida.assembly.motion import velocity_at
 from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
 from polyida.assembly.own_laws import add_own_forces, energies_and_powers
@@ -96,17 +97,10 @@ class SceneModel(SceneBodies):
         if redundant == "least-norm" and late is None:
             self._leave_out_redundant(0.0, np.zeros(self.n))
 
-    def _use_parts(self, held, left_out=(), sliding=()):
+    def _use_parts(self, held, left_out=()):
         """Take from the parts all that depends on which of them act; arguments as of `_assemble`."""
-        self._assemble(held, left_out, sliding)
-        links, size = self.arrays.links, np.diff(self.arrays.links.vector_start)
+        self._assemble(held, left_out)
         elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.few if placed.elastic]
-        self.needs = Needs(
-            mass_varies=False,
-            velocity_forces=self.damped or bool(elements or self.strains),
-            driven=bool(len(self.motor_profiles) or len(self.path_profiles) or links.row_constant[self.velocity_rows].any()),
-            phi_q_varies=bool(self.edge_rows or ((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
-        )
         functions = iter([one.functions for one in self.callbacks])
         forces = [OwnForce(name, element, self, next(functions)) for name, element in elements.items()]
         self.own_forces = (*forces, *(Elastic(own, self.n_nodes, next(functions)) for own in elastic))
@@ -186,13 +180,16 @@ class SceneModel(SceneBodies):
             self._modes[key].keep_rows(key)
         return self._modes[key]
 
-    def keep_rows(self, rows, sliding=()):
-        """Make this copy of a model one with only these rows of phi, a list; sliding: SlidingRows with the numbers that rows of phi had."""
-        held, left_out = self._assembled
-        numbers = np.setdiff1d(np.arange(self.m + len(left_out)), left_out)
-        sliding = [row._replace(number=int(numbers[row.number])) for row in sliding]
-        self._use_parts(held, [*left_out, *np.delete(numbers, rows).tolist()], sliding)
-        self.row_laws, self.columns = (), np.array(rows, np.int64)
+    def keep_rows(self, rows, slips=None):
+        """Make this copy of a model one with only these rows of phi, (k,) int in rising order, all of them equations; slips: Slips or None."""
+        rows, links = np.array(rows, np.int64), self.arrays.links
+        self.columns, self.row_laws, self.m = rows, (), len(rows)
+        self.labels, self.units = [self.labels[row] for row in rows], [self.units[row] for row in rows]
+        self.rows = {name: slice(*np.searchsorted(rows, (of.start, of.stop)).tolist()) for name, of in self.rows.items()}
+        kept = [edges for edges in self.edge_rows if edges.first in rows]
+        self.edge_rows = [edges.at(int(np.searchsorted(rows, edges.first))) for edges in kept]
+        links = links._replace(**kept_rows(links, rows), slips=slips or links.slips)
+        self._use_links(links._replace(coupling=coupling_of(links, self.laws)))
 
     def _copy(self, kept):
         """A copy without what is derived, but for these names."""
@@ -202,22 +199,33 @@ class SceneModel(SceneBodies):
     def _late_joints(self):
         return {name: self.parts[name].facing() for name in self.late or () if isinstance(self.parts[name], Joint)}
 
-    def _assemble(self, held, left_out=(), sliding=()):
+    def _assemble(self, held, left_out=()):
         """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`.
 
-        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold. sliding: SlidingRows.
+        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold.
         """
         self._assembled = held, list(left_out)
         of_bodies = self.bodies, self.few, self.states, self.strains, self.places
-        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held, sliding)
+        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
         self._driven = None, None
         self.arrays, points, table, drives, self.laws, self.callbacks = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.m, self.n_points, self._derived, self._derived_of_shape, self._reactions = len(self.labels), len(points.nodes), {}, {}, {}
-        links = self.arrays.links
-        self.velocity_rows, self.row_laws, self.edge_rows, self._facing = links.velocity_rows, tuple(table.laws), table.edges, (b"", links)
+        self.m, self.n_points, self.row_laws, self.edge_rows = len(self.labels), len(points.nodes), tuple(table.laws), table.edges
+        self._use_links(self.arrays.links)
+
+    def _use_links(self, links):
+        """Set the Links, and all that depends on them."""
+        self.arrays, self._facing = self.arrays._replace(links=links), (b"", links)
+        self._derived, self._derived_of_shape, self._reactions = {}, {}, {}
+        self.velocity_rows, size = links.velocity_rows, np.diff(links.vector_start)
         self.motor_profiles, self.path_profiles = np.unique(links.product_drive[links.product_drive >= 0]), np.unique(links.shift_drive)
+        self.needs = Needs(
+            mass_varies=False,
+            velocity_forces=self.damped or bool(of_kind(self.parts, ForceElement) or self.strains),
+            driven=bool(len(self.motor_profiles) or len(self.path_profiles) or links.row_constant[self.velocity_rows].any()),
+            phi_q_varies=bool(self.edge_rows or ((size[links.product_first] > 0) & (size[links.product_second] > 0)).any()),
+        )
 
     @property
     def free_fall(self):

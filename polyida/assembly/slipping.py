@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.assembly.build import SlidingRow
 from polyida.assembly.factors import OF_FACTORS
+from polyida.assembly.kept_rows import slips_of
 from polyida.assembly.scene_model import SceneModel
 from polyida.model.row_laws import Slipping
 
@@ -19,11 +19,10 @@ class SlippingScene(Slipping, SceneModel):
         mode = origin._copy({"pattern", "first_pairs", *OF_FACTORS})
         mode.__class__ = cls
         mode.use_slips(origin, slips)
-        place, sliding = {int(row): k for k, row in enumerate(rows)}, []
-        for (law, sign), on_contact in zip(slips, mode.on_contact):
-            on = [place[row] for row in law.on if row in place]
-            sliding.append(SlidingRow(law.row, sign * law.constant, sign * law.mu, on_contact and bool(on), on))
-        mode.keep_rows(np.asarray(rows).tolist(), sliding)
+        place = {int(row): k for k, row in enumerate(rows)}
+        on = [np.array([place[row] for row in law.on if row in place], np.int64) for law, _ in slips]
+        on_contact = [one and len(rows_on) > 0 for one, rows_on in zip(mode.on_contact, on)]
+        mode.keep_rows(rows, slips_of(origin.arrays.links, np.array(mode.rubbing), mode.constant, mode.slope, on_contact, on))
         return mode
 
     def reaction_q(self, t, q, lam):

@@ -10,6 +10,7 @@ What faces what changes with q, so that the arrays of a scene have no products o
 Puso, Laursen, Comput. Methods Appl. Mech. Engrg. 193 (2004) 601-629; Popp, Gee, Wall, Int. J. Numer. Meth. Engng. 79 (2009) 1354-1391.
 """
 
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -253,6 +254,12 @@ class EdgeRows:
         a, self.b = ([0 if isinstance(node, Ground) else points.add(node) for node in side] for side in (sides.first, sides.second))
         self.numbers, self.rest = np.array([*a, *self.b]), np.concatenate(sides.rest)
         self.rows, self.points = first + self.step * np.arange(sides.count), len(a)
+
+    def at(self, first):
+        """The same with another number of its first row."""
+        other = copy(self)
+        other.first, other.rows = first, self.rows + (first - self.first)
+        return other
 
     def products(self, dz):
         """(numbers of the rows of gaps, [(points (k, j), complex weights (k, j), values at rest (k,)) of three vectors of each product]).
