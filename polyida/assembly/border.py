@@ -87,6 +87,7 @@ def border(model, active=True, rows=True):
     points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
     for group in points:
         local[group] = np.arange(len(group))
+    number, local = number.tolist(), local.tolist()
     coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
     coupled[s.coupling.states] = False  # states are eliminated, see `condense_states`
     components = np.flatnonzero(np.repeat(coupled & active, 2))
@@ -96,22 +97,20 @@ def border(model, active=True, rows=True):
     def add(table, unknown, component, slot):
         table[number[component // 2]].setdefault(unknown, []).append((2 * local[component // 2] + component % 2, slot))
 
+    coupling, of_block = s.coupling.start.tolist(), s.coupling.columns.tolist()
     for unknown, component in enumerate(components.tolist()):
         point, axis = divmod(component, 2)
         add(forces, unknown, component, slots)
-        for block in range(s.coupling.start[point], s.coupling.start[point + 1]):
+        for block in range(coupling[point], coupling[point + 1]):
             for other in range(2):
-                add(equations, unknown, 2 * s.coupling.columns[block] + other, slots + 1 + 4 * block + 2 * axis + other)
-    turning = np.zeros(len(s.row_columns), bool)  # entries of phi_z that vary with q and t
-    for row, *vectors in zip(s.product_row, s.product_first, s.product_second):
-        of_row = np.arange(s.row_start[row], s.row_start[row + 1])
-        for i in vectors:
-            turning[of_row[np.isin(s.row_columns[of_row] // 2, s.vector_points[s.vector_start[i] : s.vector_start[i + 1]])]] = True
+                add(equations, unknown, 2 * of_block[block] + other, slots + 1 + 4 * block + 2 * axis + other)
+    columns, starts_of_rows, constant = s.row_columns.tolist(), s.row_start.tolist(), (s.row_slopes == 0.0).tolist()
+    turning = turning_points(s)
     for k in range(m):
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            if s.row_slopes[e] != 0 or turning[e]:
-                add(forces, first + k, s.row_columns[e], e)
-                add(equations, first + k, s.row_columns[e], e)
+        for e in range(starts_of_rows[k], starts_of_rows[k + 1]):
+            if not constant[e] or columns[e] // 2 in turning[k]:
+                add(forces, first + k, columns[e], e)
+                add(equations, first + k, columns[e], e)
     slip_row, slip_component = slip_entries(s.slips) if active and rows else np.zeros((2, 0), np.int64)
     for e, (row, component) in enumerate(zip(slip_row.tolist(), slip_component.tolist())):
         add(forces, first + row, component, slots + 1 + 4 * len(s.coupling.columns) + e)
@@ -130,6 +129,16 @@ def border(model, active=True, rows=True):
         slip_row,
         slip_component,
     )
+
+
+def turning_points(links):
+    """For each row of phi the set of its points at which phi_z varies with q and t."""
+    points, starts_of_vectors = links.vector_points.tolist(), links.vector_start.tolist()
+    turning = [set() for _ in range(len(links.row_constant))]
+    for row, *vectors in zip(links.product_row.tolist(), links.product_first.tolist(), links.product_second.tolist()):
+        for vector in vectors:
+            turning[row].update(points[starts_of_vectors[vector] : starts_of_vectors[vector + 1]])
+    return turning
 
 
 def slip_entries(slips):

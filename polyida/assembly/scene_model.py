@@ -23,7 +23,7 @@ from polyida.assembly.motion import velocity_at
 from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
 from polyida.assembly.own_laws import add_own_forces, energies_and_powers
 from polyida.assembly.placement import dead_loads
-from polyida.assembly.projection import MassSystem
+from polyida.assembly.projection import MassSystem, point_columns
 from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
 from polyida.assembly.relaxation import slope_entries as relaxation_entries
 from polyida.assembly.scene_bodies import SceneBodies, deepest
@@ -188,8 +188,9 @@ class SceneModel(SceneBodies):
         self.rows = {name: slice(*np.searchsorted(rows, (of.start, of.stop)).tolist()) for name, of in self.rows.items()}
         kept = [edges for edges in self.edge_rows if edges.first in rows]
         self.edge_rows = [edges.at(int(np.searchsorted(rows, edges.first))) for edges in kept]
-        links = links._replace(**kept_rows(links, rows), slips=slips or links.slips)
+        links, columns = links._replace(**kept_rows(links, rows), slips=slips or links.slips), self.once(point_columns)
         self._use_links(links._replace(coupling=coupling_of(links, self.laws)))
+        self._derived[(point_columns,)] = columns  # of points, which are the same
 
     def _copy(self, kept):
         """A copy without what is derived, but for these names."""

@@ -210,15 +210,13 @@ class Slipping:
         self.rubbing = [law.row for law, _ in slips]
         self.constant, self.slope = np.array([(sign * law.constant, sign * law.mu) for law, sign in slips]).T
         self.presses = pressing(origin, [law for law, _ in slips])
+        self.last_masses = None  # its SlippingMasses are asked for several times at one position
 
-    def pressures(self, lam, rows):
-        """(|lam_on| of each slip, its slopes by lam_on) at multipliers of which `rows` press, a list each; those of a contact have signs."""
-        for on, on_contact in zip(rows, self.on_contact):
-            size = np.linalg.norm(lam[on])
-            if on_contact:
-                yield -lam[on].sum(), -np.ones(len(on))
-            else:
-                yield size, lam[on] / size if size else np.zeros(len(on))
+    def pressures(self, lam, presses):
+        """(|lam_on| (k,) of the slips, its slopes by lam (k, m)) at multipliers, (m,); those of a contact have signs. presses: as of `pressing`."""
+        sizes = np.where(self.on_contact, 1.0, np.sqrt(lam**2 @ presses))
+        shares = np.where(self.on_contact, -1.0, lam[:, None] / np.where(sizes > 0.0, sizes, 1.0)) * presses
+        return np.where(self.on_contact, -(lam @ presses), sizes), shares.T
 
     def spread(self, lam, width):
         return self.forces_of_all(lam)
@@ -233,17 +231,14 @@ class Slipping:
 
     def columns_of_forces(self, t, q, lam):
         """The rows of phi_q, with the friction that grows with their multipliers."""
-        B, forces = dense(self.origin.phi_q(t, q)), self.forces_of_all(lam)
-        columns = B[self.columns]
-        pressures = self.pressures(forces, [list(law.on) for law, _ in self.slips])
-        for (law, sign), (_, slopes) in zip(self.slips, pressures):
-            shares = np.zeros(self.origin.m)
-            shares[list(law.on)] = slopes
-            columns = columns + sign * law.mu * shares[self.columns][:, None] * B[law.row]
-        return columns
+        B = dense(self.origin.phi_q(t, q))
+        shares = self.slope[:, None] * self.pressures(self.forces_of_all(lam), self.presses)[1]
+        return B[self.columns] + shares[:, self.columns].T @ B[self.rubbing]
 
     def mass_system(self, t, q):
-        return SlippingMasses(self, super().mass_system(t, q), t, q)
+        if self.last_masses is None or self.last_masses.t != t or not np.array_equal(self.last_masses.q, q):
+            self.last_masses = SlippingMasses(self, super().mass_system(t, q), t, q)
+        return self.last_masses
 
     def uniqueness(self, state, lam):
         """What is positive while the friction has a unique force at a state if rows press in the direction of lam, 1 where friction is small.
@@ -260,8 +255,8 @@ class Slipping:
     def contraction(self, t, q):
         """The most by which friction answers a change of itself, through what presses it; below 1 its force is unique in any direction."""
         masses = self.mass_system(t, q)
-        sizes = [np.linalg.norm(masses.Y[on], axis=0).sum() for on in masses.on]
-        return float((np.abs(masses.mu) * sizes).max(initial=0.0))
+        sizes = np.sqrt(masses.presses.T @ masses.Y**2).sum(axis=1)
+        return float((np.abs(self.slope) * sizes).max(initial=0.0))
 
     def _consistent(self, state, masses):
         """Consistent multipliers at a state, of a system of masses with or without friction."""
@@ -279,6 +274,11 @@ class Slipping:
     def pressed(self, state, lam):
         """True if all rows that press do so in the direction of lam at a state, too, or would if friction were small."""
         return min(self._along(self._consistent(state, self.mass_system(state.t, state.q).system), lam), default=1.0) > 0.0
+
+    def rubbing_rows(self, t, q):
+        """The rows of phi_q of the friction that slips, (k, n)."""
+        origin = self.origin
+        return origin.phi_q_rows(t, q, self.rubbing) if origin.is_scene else dense(origin.phi_q(t, q)[self.rubbing])
 
     def singular(self):
         """The SingularSystem of friction without a unique force."""
@@ -311,33 +311,30 @@ class SlippingMasses:
     """
 
     def __init__(self, model, system, t, q):
-        self.model, self.system = model, system
-        rows = dense(model.origin.phi_q(t, q)[[law.row for law, _ in model.slips]])
+        self.model, self.system, self.t, self.q = model, system, t, np.array(q)
+        rows, self.presses = model.rubbing_rows(t, q), model.presses[model.columns]
         self.X, self.Y = system.solve(rows.T, np.zeros((model.m, len(rows))))
-        place = {int(row): k for k, row in enumerate(model.columns)}
-        self.on = [[place[row] for row in law.on if row in place] for law, _ in model.slips]
-        self.mu = np.array([sign * law.mu for law, sign in model.slips])
 
-    def slope(self, lam):
-        """d(f - mu |lam_on|)/df at lam = dlam + Y f."""
-        slopes = [slope @ self.Y[on] for on, (_, slope) in zip(self.on, self.model.pressures(lam, self.on))]
-        return np.eye(len(self.on)) - self.mu[:, None] * np.array(slopes)
+    def slope(self, shares):
+        """d(f - mu |lam_on|)/df at lam = dlam + Y f; shares: slopes of |lam_on| by lam."""
+        return np.eye(len(shares)) - self.model.slope[:, None] * (shares @ self.Y)
 
     def determinant(self, lam):
-        """That of `slope`."""
-        return float(np.linalg.det(self.slope(lam)))
+        """That of `slope` at lam."""
+        return float(np.linalg.det(self.slope(self.model.pressures(lam, self.presses)[1])))
 
     def solve(self, r, phi):
         """(dq, dlam). Raises SingularSystem if friction alone could hold the motion: no unique force."""
         dq, dlam = self.system.solve(r, phi)
-        f = np.zeros(len(self.on))
+        f = np.zeros(len(self.model.slope))
         for _ in range(MOST):
             lam = dlam + self.Y @ f
-            error = f - self.mu * np.array([size for size, _ in self.model.pressures(lam, self.on)])
+            sizes, shares = self.model.pressures(lam, self.presses)
+            error = f - self.model.slope * sizes
             if np.abs(error).max() <= 1e-14 * max(np.abs(f).max(), np.abs(f - error).max()):
                 return dq + self.X @ f, lam
             try:
-                f = f - np.linalg.solve(self.slope(lam), error)
+                f = f - np.linalg.solve(self.slope(shares), error)
             except np.linalg.LinAlgError:
                 break
         if not r.any():  # a projection of positions or velocities, which needs no friction
