@@ -113,6 +113,9 @@ class Stretch:
         whole = end >= len(self) and every == 1
         return Stretch(self.t[at], self.q[at], self.v[at], self.a[at], self.lam[at], self.last if whole else None)
 
+    def computed(self):
+        """What keeps the vectors that are computed when they are first read, while it is held; None if all are here."""
+
     def finite(self):
         """True if q, v and lam are finite."""
         return math.isfinite(np.vdot(self.q, self.v)) and math.isfinite(np.vdot(self.lam, self.lam))

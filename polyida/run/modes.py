@@ -148,7 +148,7 @@ class Modes(Happenings):
         kinks and samples are looked into.
         """
         earlier, self.earlier = self.earlier, None
-        self.states = list(stretch)  # those of Radau IIA compute their forces when these are asked for, and keep them
+        self.computed = stretch.computed()
         if self.jumps or self.shared.size or self.watched.size or self.fixed.any() or not self._certain(stretch.last):
             self.mode.longest_stretch = 1
             return np.zeros(len(stretch), bool)

@@ -95,6 +95,10 @@ class StretchStates(Stretch):
         """The ends from number `first` to before `end`, or each `every`-th of them."""
         return StretchStates(self._stretch, self._which[first:end:every])
 
+    def computed(self):
+        """The States, which keep their accelerations and forces."""
+        return list(self)
+
     def finite(self):
         """True: the driver has checked q and v."""
         return True
@@ -161,6 +165,10 @@ class StepState(State):
         r = s.record
         t, q, v = (float(r.t[k - 1]), r.q[k - 1], r.v[k - 1]) if k else s.begin
         return Collocation(t, float(r.marks[k, LAST]), q, v, s.c, (r.e[k], r.dv[k], r.stages_a[k], r.stages_lam[k]))
+
+    def computed(self):
+        """The States, which keep their accelerations and forces."""
+        return list(self)
 
     def finite(self):
         """True: the driver has checked q and v."""
