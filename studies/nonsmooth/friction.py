@@ -39,7 +39,7 @@ def tasks(quick):
     return costs + [{"part": "starts", "modes": modes, "mu": mu, "x": rtol} for modes, mu, rtol in (STARTS[12:15] if quick else STARTS)]
 
 
-def measure(scene, integrator, end=0.05, pairs=3):
+def measure(scene, integrator, end=0.2, pairs=3):
     """Medians of CPU seconds a step with and without friction, in pairs, and their ratio."""
     models = [SCENES[scene](mu).build() for mu in (MU, 0.0)]
     method, seconds, runs = METHODS[integrator], np.zeros((2, pairs)), [None, None]

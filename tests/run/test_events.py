@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from nonsmooth.random_laws import Switched
 
 G, E = 9.81, 0.8
 LINEAR = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
@@ -469,3 +470,17 @@ def test_a_ball_is_reflected_by_a_round_wall():
     wall = pi.Event(lambda s: 1.0 - s.position(ball.at("c")) @ s.position(ball.at("c")), pi.Impact(1.0), name="wall")
     run = pi.solve(scene.build(), 0.9, pi.GeneralizedAlpha(h=0.01), events=wall)
     np.testing.assert_allclose(run.v[-1][:2], [-0.96, -0.28], atol=1e-6)
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=0.05), pi.RadauIIA(h=0.05), pi.EnergyMomentum(h=0.05)], ids=lambda one: one.class_name())
+def test_an_event_within_a_step_behind_a_sample_sees_the_output_of_the_sample(method):
+    """The output jumps from 1 to -1 N at 0.1 s; the event is within the step that begins there."""
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(mass=1.0, inertia=1.0, points={"c": (0.0, 0.0)}, velocity=(1.0, 0.0), name="body"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), direction=(1.0, 0.0)), body.at("c"), name="rail"))
+    scene.add(Switched(body.at("c"), 1.0, period=0.1, name="drive"))
+    there = pi.Event(when=lambda moment: moment.q[0] - 0.125, then="stop")
+    run = pi.solve(scene.build(), 0.2, method, events=[there])
+    assert run.status == "stopped" and 0.1 < run.t[-1] < 0.15
+    assert np.abs(run.x[-1] + 1.0).max() < 1e-12
+    assert abs(run.a[-1, 0] + 1.0) < 1e-9

@@ -58,8 +58,10 @@ class System:
     """A model in one form.
 
     baumgarte_rate: w of Baumgarte, 1/s. levels (k, 3): weights of phi, phi' and phi'' in each of k blocks of m rows. limits: interval to which
-    t is clamped, so that a smooth piece evaluates its own side of a kink.
+    t is clamped, so that a smooth piece evaluates its own side of a kink. exact: True if factors in single precision are too inexact.
     """
+
+    exact = False
 
     def __init__(self, model, form, baumgarte_rate=0.0):
         self.model, self.form, self.limits = model, FORMS[form], (-np.inf, np.inf)

@@ -30,6 +30,7 @@ LINEAR = ("auto", "kkt", "whole")
 # default rtol of a motion over that many lengths of the model; the error is about ten times
 AIM, LENGTHS, FLEXIBLE_LENGTHS = 1e-5, 3.0, 30.0
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
+EXACT = 1e-8  # rtol below which a factor in single precision shows: friction that slips brings its errors of lam, 1e-7, into the motion
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
 DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
@@ -213,6 +214,7 @@ class _Run:
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
         self.system = System(model, settings.form, settings.baumgarte_rate)
+        self.system.exact = model.slipping and np.min(rtol) < EXACT
         self.linear = Correction(self.system, counts, settings.largest_order(model), settings.linear, settings.scaling)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan

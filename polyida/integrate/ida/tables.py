@@ -162,7 +162,7 @@ def table_of(system, linear, scaling):
     """(the table of a System, True if its rows are evaluated in every iteration)."""
     model, form = system.model, system.form
     renews = system.rows_vary and max(form.rows) < 2  # phi'' is too expensive to evaluate anew in each iteration
-    if model.compiled and form.stabilised and linear == "auto":
+    if model.compiled and form.stabilised and linear == "auto" and not system.exact:
         heaviest = model.arrays.links.point_mass.max(initial=0.0)
         if not heaviest > HEAVY * model.lightest:  # else the border is lost in the single precision of the factor
             return SceneForm(model, EULER), True
