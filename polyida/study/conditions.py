@@ -221,7 +221,7 @@ def conditioning(
     h : (k,) float, s
         The steps.
     progress : callable or bool, optional
-        Function of (done, total, text); True: a bar.
+        Function of (done, total, text); by default a bar at a terminal and in a notebook; False: none.
 
     Returns
     -------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from inspect import signature
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from polyida.objective.objective import Objective, require_objective
 from polyida.progress import teller
 from polyida.show.style import INK, literal, marker_style, on_axes
 from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
+from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
 from polyida.study.references import end_of, make_reference, user_reference
 from polyida.study.result import Result
@@ -95,7 +97,7 @@ class Precision(Result):
     Attributes
     ----------
     reference : dict
-        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}}.
+        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}}, and "cpu_s", the CPU seconds spent on it, if it was made here.
     """
 
     def __init__(self, rows, notes, reference):
@@ -202,8 +204,11 @@ def _with_estimates(ivp, integrators, objective, rows, reference, progress):
     return result, notes, reference | {"J": value, "known_to": reference.get("known_to", {}) | {"J": least}}
 
 
-def measure_errors(study, ivp, integrators, reference, repeats, progress, objective=None):
-    """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None."""
+def measure_errors(study, ivp, integrators, reference, repeats, progress, objective=None, folder=None):
+    """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None.
+
+    folder: that keeps the ends of reference runs, beside the memory.
+    """
     if reference is False:
         reference = {"made_by": [], "failed": []}
     elif reference is not None:
@@ -230,7 +235,7 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
         return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 
     if reference is None:
-        reference = make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
+        reference = make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text), kept=KeptEnds(ivp, folder))
     errors = (errors_at_end(run, ivp.parts, reference) for run in runs)
     rows = [row | {f"error_{part}": error for part, error in each.items()} for row, each in zip(rows, errors)]
     progress(total + 1, total + 1, "")
@@ -299,6 +304,7 @@ def work_precision(
     v0: ArrayLike | None = None,
     integrators: dict[str, object] | None = None,
     reference: object = None,
+    reference_folder: str | Path | None = None,
     objective: Objective | None = None,
     repeats: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
@@ -316,15 +322,19 @@ def work_precision(
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
     reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, or False, optional
-        Default: the published digits of the problem, or else Radau IIA, refined until a method of another family agrees with it to a tenth
-        of the smallest error. False: none, which an objective does not need.
+        Default: the published digits of the problem, or else Radau IIA, refined until another method agrees with it to a tenth of the
+        smallest error: Radau IIA of order 3, or one of another family where that does not come near. The next study of the same model, start and
+        end takes what is known and refines it if its errors are smaller. False: none, which an objective does not need.
+    reference_folder : str or Path, optional
+        Folder that keeps the ends of reference runs for later processes, in a file for each model, start and end. In memory they stay anyway.
     objective : Objective, optional
         A quantity J, one of `pi.objective`. Each run is repeated for `pi.error_of`. J of the run with the smallest trusted estimate, corrected by it,
         is the reference of J; its accuracy is the size of that estimate.
     repeats : int
         Runs of each setting; the CPU time is their median.
     progress : callable or bool, optional
-        Function of (done, total, text); True: a bar.
+        Function of (done, total, text); by default a bar at a terminal and in a notebook; False: none. During the reference the text
+        says how many CPU seconds its next run will take.
 
     Returns
     -------
@@ -348,8 +358,9 @@ def work_precision(
     elif reference is False:
         raise InputError("work_precision: reference = False leaves no errors; give an objective, such as pi.objective.Deviation(...)")
     whole("work_precision", "repeats", repeats)
+    folder = require_folder("work_precision", reference_folder)
     with teller("work_precision", progress) as report:
-        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective))
+        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective, folder))
 
 
 class StepSizes(Precision):
@@ -408,6 +419,7 @@ def step_sizes(
     integrators: dict[str, Callable[[float], object]] | None = None,
     h: ArrayLike = (8e-3, 4e-3, 2e-3, 1e-3),
     reference: object = None,
+    reference_folder: str | Path | None = None,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> StepSizes:
     """Run every integrator with every step and measure errors at the end and their orders.
@@ -421,7 +433,7 @@ def step_sizes(
     h : (k,) float, s
         The steps, not longer than t_end. Integrators shorten them, so that a whole number of steps ends at t_end: plots and orders use the
         mean step of each run.
-    reference, progress
+    reference, reference_folder, progress
         As in `work_precision`.
 
     Returns
@@ -441,8 +453,9 @@ def step_sizes(
     if isinstance(integrators, dict):
         integrators = {label: [_with_step(label, make, h) for h in steps] for label, make in integrators.items()}
     lists = integrator_lists("step_sizes", ivp, integrators)
+    folder = require_folder("step_sizes", reference_folder)
     with teller("step_sizes", progress) as report:
-        rows, notes, reference = measure_errors("step_sizes", ivp, lists, reference, 1, report)
+        rows, notes, reference = measure_errors("step_sizes", ivp, lists, reference, 1, report, folder=folder)
     for row, step in zip(rows, np.tile(steps, len(lists))):
         row["h"] = float(step)
     return StepSizes(ivp.name, rows, notes, reference)

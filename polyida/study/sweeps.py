@@ -129,7 +129,8 @@ def sweep(
         Folder with a file for each finished row. A later call with the same folder, for example after Ctrl-C or the end of a cluster job,
         runs only the missing and the failed cases.
     progress : callable or bool, optional
-        Function of (done, total, description of the first case without a row); True: a bar of tqdm.
+        Function of (done, total, description of the first case without a row); by default a bar of tqdm at a terminal and in a
+        notebook; False: none.
 
     Returns
     -------
