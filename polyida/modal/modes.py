@@ -129,7 +129,7 @@ class Modes:
             Not to scale.
         """
         from polyida.show.plates import draw, shapes
-        from polyida.show.style import require_axes
+        from polyida.show.styles import require_axes
 
         numbers = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
         if not numbers or not all(is_whole(k, 0, len(self.roots) - 1) for k in numbers):

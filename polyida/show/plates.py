@@ -5,7 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.results.curves import curves_of, curves_of_mesh
-from polyida.show.style import INK, MARK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
+from polyida.show.styles import INK, MARK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
 from polyida.validation import flag, is_whole
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
