@@ -412,6 +412,7 @@ class StepSizes(Precision):
         """
         one_of("plot", "part", part, self.parts)
         with on_axes(axes) as axis:
+            axis.margins(y=0.15)  # space for the orders
             for i, label in enumerate(self.labels):
                 self._draw(axis, part, label, i, self._step)
             for order, rows in self._by_order(part).items():
