@@ -6,6 +6,8 @@ for a journal; `settings`, `figure` and `save` make other figures in the style o
 
 from polyida import registry
 
-_PLACES = registry.places(__name__, {"plots": ("RunPlots",), "animations": ("animation",), "styles": ("style", "settings", "figure", "save")})
+_PLACES = registry.places(
+    __name__, {"plots": ("RunPlots",), "animations": ("animation",), "styles": ("style", "settings", "figure", "save")}
+)
 __all__ = list(_PLACES)
 __getattr__, __dir__ = registry.attributes(__name__, _PLACES)

@@ -1,10 +1,10 @@
-"""What keeps the texts of one axes apart at the width of a column: its legend and title above it, ticks of logarithmic axes, and labels of points."""
+"""What keeps the texts of one axes apart at the width of a column: its legend and title above it, and ticks of logarithmic axes."""
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.reprs import cut
-from polyida.show.styles import FAILED, INK, literal
+from polyida.show.styles import FAILED, literal
 from polyida.validation import instance
 
 LETTER = 0.55  # mean width of a letter, of the font's size
@@ -12,9 +12,6 @@ HANDLE = 4.2  # width of a line in a legend with the spaces around it, of the fo
 POINTS = 72.0  # in an inch
 POWER_HEIGHT = 1.5  # sizes of the font that a power of ten above an axis takes
 GAP = 4.0  # points between legend and title
-NEAR_DIRECTIONS = 8  # around a point, in which its label is tried
-NEAR_DISTANCES = (9.0, 18.0, 28.0, 40.0, 54.0)  # points
-LINE_FROM = 20.0  # points: labels that are farther off have a line to their point
 
 
 def finish(axes, title=None, labels=None, ending="", part="plot"):
@@ -82,7 +79,9 @@ def tidy_ticks(axes):
 def _tidy_log(axis):
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
-    low, high = axis.get_view_interval()
+    low, high = sorted(axis.get_view_interval())
+    if low <= 0.0:  # nothing is drawn
+        return
     decades = np.floor(np.log10(high)) - np.ceil(np.log10(low))
     axis.set_minor_formatter(NullFormatter())
     if decades >= 1:
@@ -95,56 +94,3 @@ def _tidy_log(axis):
         low = min(low, marks[marks <= low].max())
         high = max(high, marks[marks >= high].min())
         axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
-
-
-def place_labels(axes, labels, optional=False, **look):
-    """Write texts near their points so that no two overlap.
-
-    labels: [(point (2,) in data coordinates, text)], those placed first before. optional: texts without a free place nearby are left out;
-    else they are farther from their point, with a line to it. The layout of the figure must not change afterwards: it is computed here.
-    """
-    axes.figure.draw_without_rendering()
-    taken = []
-    angles = np.pi / 4 + 2 * np.pi * np.arange(NEAR_DIRECTIONS) / NEAR_DIRECTIONS
-    for point, text in labels:
-        for distance in NEAR_DISTANCES[:2] if optional else NEAR_DISTANCES:
-            made = _free_label(axes, point, text, distance, angles, taken, look)
-            if made is not None:
-                taken.append(made)
-                break
-        else:
-            if not optional:
-                taken.append(_label(axes, point, text, NEAR_DISTANCES[-1], angles[0], look)[1])
-
-
-def _free_label(axes, point, text, distance, angles, taken, look):
-    """The box of a label at the first angle at which it overlaps none of `taken`; None if there is none."""
-    for angle in angles:
-        drawn, box = _label(axes, point, text, distance, angle, look)
-        if not any(box.overlaps(other) for other in taken):
-            return box
-        drawn.remove()
-    return None
-
-
-def _label(axes, point, text, distance, angle, look):
-    """(annotation, its box in pixels) at a distance in points from a point."""
-    from matplotlib.text import Text
-
-    sideways, upward = np.cos(angle), np.sin(angle)
-    horizontal = "center" if abs(sideways) < 0.3 else "left" if sideways > 0 else "right"
-    vertical = "center" if abs(upward) < 0.3 else "bottom" if upward > 0 else "top"
-    line = {"arrowstyle": "-", "linewidth": 0.4, "color": INK, "shrinkA": 0.0, "shrinkB": 2.0} if distance > LINE_FROM else None
-    drawn = axes.annotate(
-        literal(text),
-        point,
-        xytext=(0.7 * distance * sideways, 0.7 * distance * upward),
-        textcoords="offset points",
-        ha=horizontal,
-        va=vertical,
-        arrowprops=line,
-        annotation_clip=False,
-        **{"fontsize": "small", "color": INK} | look,
-    )
-    drawn.get_window_extent()  # places the text
-    return drawn, Text.get_window_extent(drawn)  # without its line

@@ -134,11 +134,7 @@ def line_style(i: int) -> dict:
 
 def marker_style(i: int) -> dict:
     """Colour, dash and marker of the i-th line through measured points."""
-    return {
-        "color": PALETTE[i % len(PALETTE)],
-        "linestyle": DASHES[i // len(PALETTE) % len(DASHES)],
-        "marker": MARKERS[i % len(MARKERS)],
-    }
+    return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i // len(PALETTE) % len(DASHES)], "marker": MARKERS[i % len(MARKERS)]}
 
 
 def hollow_markers(i: int, count: int) -> dict:

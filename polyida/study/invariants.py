@@ -35,11 +35,7 @@ class Invariants(Result):
         self.title = f"{self.title}: {name}"
 
     def plot(
-        self,
-        quantity: str | None = None,
-        axes: Axes | None = None,
-        title: str | None = None,
-        labels: dict[str, str] | None = None,
+        self, quantity: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
     ) -> Axes:
         """Draw the history of a quantity, a line for each integrator.
 

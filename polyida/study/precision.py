@@ -267,12 +267,7 @@ class WorkPrecision(Precision):
         self.title = f"work against precision: {name}"
 
     def plot(
-        self,
-        part: str = "q",
-        axes: Axes | None = None,
-        work: str = "cpu_s",
-        title: str | None = None,
-        labels: dict[str, str] | None = None,
+        self, part: str = "q", axes: Axes | None = None, work: str = "cpu_s", title: str | None = None, labels: dict[str, str] | None = None
     ) -> Axes:
         """Draw the error at the end against work, a line for each integrator.
 
@@ -385,9 +380,7 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
-    def plot(
-        self, part: str = "q", axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
-    ) -> Axes:
+    def plot(self, part: str = "q", axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None) -> Axes:
         """Draw the error at the end against the mean step, with one thin line for each rounded order.
 
         Parameters

@@ -22,7 +22,14 @@ def rows():
         order = (2, 5, 2)[i]
         for k, h in enumerate((4e-3, 1e-3, 2e-3)):
             error = (1 + i) * 1e-2 * (h / 4e-3) ** order
-            row = {"integrator": name, "setting": f"h={h:g}", "h": h, "t": 0.1, "steps": round(0.1 / h), "cpu_s": (0.03 + 0.004 * i) / (1 + k / 5)}
+            row = {
+                "integrator": name,
+                "setting": f"h={h:g}",
+                "h": h,
+                "t": 0.1,
+                "steps": round(0.1 / h),
+                "cpu_s": (0.03 + 0.004 * i) / (1 + k / 5),
+            }
             row |= {"error_q": error, "error_v": 10 * error, "error_lam": 1e3 * error, "status": "done", "residuals": 30, "message": ""}
             result.append(row)
     result[0] |= {"status": "newton", "error_q": np.nan, "error_v": np.nan, "error_lam": np.nan}
