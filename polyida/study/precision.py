@@ -405,9 +405,10 @@ class StepSizes(Precision):
         """
         one_of("plot", "part", part, self.parts)
         with on_axes(axes) as axis:
-            axis.margins(y=0.15)  # space for the orders
             for i, label in enumerate(self.labels):
                 self._draw(axis, part, label, i, self._step)
+            if axis.lines:
+                axis.margins(y=0.15)  # space for the orders
             for order, rows in self._by_order(part).items():
                 steps = [self._step(row) for row in rows]
                 coarsest = min(row[f"error_{part}"] / self._step(row) ** order for row in rows) * max(steps) ** order
