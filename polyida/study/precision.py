@@ -17,7 +17,8 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import declared
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import teller
-from polyida.show.style import INK, literal, marker_style, on_axes
+from polyida.show.axes import finish
+from polyida.show.styles import INK, literal, marker_style, on_axes
 from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
 from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
@@ -34,7 +35,8 @@ FINER = 1.5  # ratio of steps of two runs whose ends are compared
 STAGNATION = 10.0  # runs stagnate if their distance to the reference is this multiple of their mutual distance and of the accuracy
 FITTED = 10.0  # times the accuracy of the reference: smaller errors are not used to fit an order
 UNRESOLVED = "#88888822"  # colour of the errors below the accuracy of the reference
-WORK = {"cpu_s": "CPU seconds", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
+SYMBOLS = {"lam": "λ"}  # of parts whose name is no symbol
+WORK = {"cpu_s": "CPU time, s", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
 COLUMNS = {
     "integrator": ("integrator", "{}"),
     "setting": ("setting", "{}"),
@@ -97,7 +99,8 @@ class Precision(Result):
     Attributes
     ----------
     reference : dict
-        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}}, and "cpu_s", the CPU seconds spent on it, if it was made here.
+        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}, "units": {part: unit}}, and
+        "cpu_s", the CPU seconds spent on it, if it was made here.
     """
 
     def __init__(self, rows, notes, reference):
@@ -153,31 +156,36 @@ class Precision(Result):
         """Mean step of a run; a user's integrator may count no steps."""
         return row["t"] / row["steps"] if row["steps"] else row["h"]
 
-    def _draw_line(self, axis, part, i, label, rows, point):
-        """A line of an integrator's rows; point(row, error) -> (x, y). Unresolved errors are hollow markers at the reference's accuracy."""
-        accuracy = self._accuracy(part)
-        rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and accuracy > 0]
-        if not rows:
-            return
-        points = [point(row, max(row[f"error_{part}"], accuracy)) for row in rows]
-        axis.plot(*np.transpose(points), label=literal(label), **marker_style(i))
-        if below := [xy for xy, row in zip(points, rows) if row[f"error_{part}"] <= accuracy]:
-            style = marker_style(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
-            axis.plot(*np.transpose(below), label="_below", **style)
+    def _draw(self, axis, part, label, i, x_of):
+        """Errors of an integrator over x_of(row), finer settings last, and crosses at the upper edge for runs that failed.
 
-    def _finish(self, axis, part, direction, **labels):
-        """Logarithmic axes, a grey area below the reference's accuracy, labels and legend."""
+        Errors that the reference cannot resolve are hollow markers at its accuracy.
+        """
+        accuracy = self._accuracy(part)
+        shown = [row for row in self._finished(label) if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and accuracy > 0]
+        shown = sorted((row for row in shown if x_of(row) > 0), key=lambda row: row["steps"])
+        if shown:
+            points = [(x_of(row), max(row[f"error_{part}"], accuracy)) for row in shown]
+            axis.plot(*np.transpose(points), label=literal(label), **marker_style(i))
+            if below := [point for point, row in zip(points, shown) if row[f"error_{part}"] <= accuracy]:
+                axis.plot(*np.transpose(below), label="_below", **marker_style(i) | {"linestyle": "none", "markerfacecolor": "white"})
+        finished = self._finished(label)
+        failed = [x_of(row) for row in self.rows if row["integrator"] == label and row not in finished and x_of(row) > 0]
+        if failed:
+            look = marker_style(i) | {"marker": "x", "linestyle": "none", "transform": axis.get_xaxis_transform(), "clip_on": False}
+            axis.plot(failed, np.ones(len(failed)), label=literal(f"{label}: failed"), **look)
+
+    def _finish(self, axis, part, xlabel, title, labels):
+        """Logarithmic axes, a grey area below the reference's accuracy, names and legend."""
         axis.set(xscale="log", yscale="log")
-        accuracy, (low, high) = self.known_to[part], axis.get_xlim() if direction == "x" else axis.get_ylim()
+        accuracy, (low, high) = self.known_to[part], axis.get_ylim()
         if accuracy > low:
-            area, line = (axis.axvspan, axis.axvline) if direction == "x" else (axis.axhspan, axis.axhline)
-            area(low, accuracy, color=UNRESOLVED, zorder=0, linewidth=0)
-            line(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
-            (axis.set_xlim if direction == "x" else axis.set_ylim)(low, high)
-        axis.set(title=literal(self.title), **labels)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(loc="best")
-        return axis
+            axis.axhspan(low, accuracy, color=UNRESOLVED, zorder=0, linewidth=0)
+            axis.axhline(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
+            axis.set_ylim(low, high)
+        unit = self.reference.get("units", {}).get(part, "")
+        axis.set(xlabel=xlabel, ylabel=f"error in {SYMBOLS.get(part, part)}{f', {unit}' if unit else ''}")
+        return finish(axis, title, labels)
 
 
 def _with_estimates(ivp, integrators, objective, rows, reference, progress):
@@ -245,7 +253,14 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
         notes += more
     if "q" not in reference and reference["failed"]:
         notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
-    return rows, [*notes, *unresolved_pulse_notes(reference), *stagnation_notes(rows, runs, reference)], reference
+    notes += [*unresolved_pulse_notes(reference), *stagnation_notes(rows, runs, reference)]
+    return rows, notes, reference | {"units": units_of(ivp.model)}
+
+
+def units_of(model):
+    """{part: unit} of a model where all entries of the part have the same one."""
+    units = {*model.units} - {""}
+    return ({"q": "m", "v": "m/s"} if model.is_scene else {}) | ({"lam": units.pop()} if len(units) == 1 else {})
 
 
 class WorkPrecision(Precision):
@@ -257,8 +272,10 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
-    def plot(self, part: str = "q", axes: Axes | None = None, work: str = "cpu_s") -> Axes:
-        """Draw work against the error at the end, a line for each integrator.
+    def plot(
+        self, part: str = "q", axes: Axes | None = None, work: str = "cpu_s", title: str | None = None, labels: dict[str, str] | None = None
+    ) -> Axes:
+        """Draw the error at the end against work, a line for each integrator.
 
         Parameters
         ----------
@@ -266,11 +283,15 @@ class WorkPrecision(Precision):
         axes : Axes, optional
             New pyplot axes if None.
         work : {"cpu_s", "steps", "residuals", "factorizations", "solves"}
+        title : str, optional
+            None: no title.
+        labels : {label of an integrator: what the legend shows}, optional
 
         Returns
         -------
         axes : Axes
-            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area. Runs that failed are
+            crosses at the upper edge.
 
         Raises
         ------
@@ -281,14 +302,13 @@ class WorkPrecision(Precision):
         one_of("plot", "work", work, WORK)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                rows = [row for row in self._finished(label) if row[work] > 0]
-                self._draw_line(axis, part, i, label, rows, lambda row, error: (error, row[work]))
-            return self._finish(axis, part, "x", xlabel=f"error in {part}", ylabel=WORK[work])
+                self._draw(axis, part, label, i, lambda row: row[work])
+            return self._finish(axis, part, WORK[work], title, labels)
 
     def pictures(self) -> dict:
-        """CPU time against the errors of all parts, and residuals against the error in q."""
-        pictures = {f"error-{part}": (f"CPU seconds against the error in {part}.", part, "cpu_s") for part in self.parts}
-        pictures["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
+        """The errors of all parts against CPU time, and that in q against residuals."""
+        pictures = {f"error-{part}": (f"Error in {part} at the end against CPU time.", part, "cpu_s") for part in self.parts}
+        pictures["residuals"] = ("Error in q at the end against evaluations of the residual.", "q", "residuals")
         return {
             name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
             for name, (caption, part, work) in pictures.items()
@@ -372,19 +392,23 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
-    def plot(self, part: str = "q", axes: Axes | None = None) -> Axes:
-        """Draw the error at the end against the mean step, with lines of the rounded orders.
+    def plot(self, part: str = "q", axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None) -> Axes:
+        """Draw the error at the end against the mean step, with one thin line for each rounded order.
 
         Parameters
         ----------
         part : {"q", "v", "lam", "x"}
         axes : Axes, optional
             New pyplot axes if None.
+        title : str, optional
+            None: no title.
+        labels : {label of an integrator: what the legend shows}, optional
 
         Returns
         -------
         axes : Axes
-            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area. Runs that failed are
+            crosses at the upper edge.
 
         Raises
         ------
@@ -394,12 +418,23 @@ class StepSizes(Precision):
         one_of("plot", "part", part, self.parts)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (self._step(row), error))
-                order, rows = self.orders[label][part], self._fitted(label, part)
-                if np.isfinite(order):
-                    steps = [self._step(row) for row in rows]
-                    slope_line(axis, round(order), [max(steps), min(steps)], 0.5 * max(row[f"error_{part}"] for row in rows))
-            return self._finish(axis, part, "y", xlabel="mean step, s", ylabel=f"error in {part} at the end")
+                self._draw(axis, part, label, i, self._step)
+            if axis.lines:
+                axis.margins(y=0.15)  # space for the orders
+            for order, rows in self._by_order(part).items():
+                steps = [self._step(row) for row in rows]
+                coarsest = min(row[f"error_{part}"] / self._step(row) ** order for row in rows) * max(steps) ** order
+                slope_line(axis, order, [max(steps), min(steps)], 0.5 * coarsest, f"order {order}", offset=(3, -3))
+            return self._finish(axis, part, "mean step, s", title, labels)
+
+    def _by_order(self, part):
+        """{rounded order: rows that it was fitted to, of all integrators of that order}."""
+        found: dict[int, list] = {}
+        for label in self.labels:
+            order = self.orders[label][part]
+            if np.isfinite(order):
+                found.setdefault(round(order), []).extend(self._fitted(label, part))
+        return found
 
     def pictures(self) -> dict:
         """The errors of all parts against the step."""
