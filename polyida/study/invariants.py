@@ -101,7 +101,8 @@ def _run_all(result_class, measure, study, model, t_end, q0, v0, integrators, fr
             indices = np.unique(np.linspace(0, len(run.t) - 1, min(frames, len(run.t))).astype(int))
             row, histories[label] = measure(run, indices)
             cost = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
-            rows.append({"integrator": label, "setting": settings_text(integrator, [])} | row | cost)
+            settings = {"setting": settings_text(integrator, [], run.settings_used), "settings_used": run.settings_used}
+            rows.append({"integrator": label} | settings | row | cost)
             notes += [] if run.success else [f"{label}: {run.message}"]
         report(len(lists), len(lists), "")
     return result_class(ivp.name, rows, notes, histories)
