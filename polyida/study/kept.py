@@ -54,7 +54,9 @@ class KeptEnds:
     def __init__(self, ivp, folder=None):
         self.path, self.ends = None, {}
         try:
-            mark = fingerprint_of((unguarded(ivp.model), ivp.q0, ivp.v0, float(ivp.t_end), polyida.__version__, package_hash()))
+            compared = (ivp.quantity.of, len(ivp.quantity.times)) if ivp.quantity else ()
+            motion = unguarded(ivp.model), ivp.q0, ivp.v0, float(ivp.t_end), *compared
+            mark = fingerprint_of((*motion, polyida.__version__, package_hash()))
         except NoFingerprint:
             return
         self.ends = _in_memory[mark] = _in_memory.pop(mark, {})

@@ -32,6 +32,7 @@ from polyida.model.guarded import guard
 from polyida.run.solve import solve
 from polyida.study.ivp import PARTS, values_of
 from polyida.study.kept import End
+from polyida.trajectory import Trajectory
 from polyida.validation import is_number
 
 LEGS = 32  # parts of an explicit run; without projection between them, angle motors drift by 2e-10 rad in 1 s
@@ -93,30 +94,36 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
     return states
 
 
-def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False):
-    """{part: value} at t_end by `explicit`."""
-    q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS, limited=limited)[0]
+def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False, quantity=None):
+    """{part: value} at t_end by `explicit`, or those of a Quantity."""
+    times = quantity.times if quantity else None
+    states = explicit(model, t_end, rtol, q0=q0, v0=v0, times=times, legs=LEGS, limited=limited)
+    if quantity:
+        return quantity.of_run(Trajectory(model, "DOP853", times, *map(np.array, zip(*states))))
+    q, v, _, lam = states[0]
     return values_of(guard(model), q, v, lam)
 
 
-def by_radau(model, t_end, rtol, q0=None, v0=None):
+def by_radau(model, t_end, rtol, q0=None, v0=None, quantity=None):
     """{part: value} at t_end by Radau IIA of order 5 with error control. Raises RuntimeError if the run fails."""
-    return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0)
+    return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0, quantity=quantity)
 
 
-def extrapolated(model, t_end, method, h, q0=None, v0=None):
+def extrapolated(model, t_end, method, h, q0=None, v0=None, quantity=None):
     """{part: value} at t_end by `(4 y(h/2) - y(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
-    coarse, fine = (end_state(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
+    coarse, fine = (end_state(model, t_end, method(h=step), q0, v0, quantity=quantity) for step in (h, h / 2))
     return {part: (4 * fine[part] - value) / 3 for part, value in coarse.items()}
 
 
-def end_state(model, t_end, integrator, q0=None, v0=None, progress=None):
-    """{part: value} at t_end by an integrator. Raises RuntimeError if the run fails."""
+def end_state(model, t_end, integrator, q0=None, v0=None, progress=None, quantity=None):
+    """{part: value} at t_end by an integrator, or those of a Quantity. Raises RuntimeError if the run fails."""
+    if quantity:
+        return quantity.of_run(_full_run(model, t_end, integrator, q0, v0, progress, output=quantity.times))
     return end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
 
 
-def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, every=1):
-    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=every, progress=progress)
+def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frames):
+    run = solve(model, t_end, integrator, q0=q0, v0=v0, progress=progress, **frames)
     if run.status == "interrupted":
         raise KeyboardInterrupt
     if not run.success:
@@ -225,28 +232,33 @@ IMPROVEMENT = 0.5  # a level must reduce the distance by this factor, otherwise 
 EXTRAPOLATION_STEPS = (250, 500, 2000, 8000)  # of each level
 
 
+def _end_state(ivp, integrator, progress=None):
+    return end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress, ivp.quantity)
+
+
 def _by_low_order_at(ivp, level):
     rtol = LOW_ORDER_RTOL[level]
-    return f"Radau IIA of order 3, rtol {rtol:g}", end_state(ivp.model, ivp.t_end, RadauIIA(rtol=rtol, stages=2), ivp.q0, ivp.v0)
+    return f"Radau IIA of order 3, rtol {rtol:g}", _end_state(ivp, RadauIIA(rtol=rtol, stages=2))
 
 
 def _by_explicit_at(ivp, level):
     rtol = EXPLICIT_RTOL[level]
-    return f"DOP853 on the index-1 equations, rtol {rtol:g}", by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True)
+    values = by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True, quantity=ivp.quantity)
+    return f"DOP853 on the index-1 equations, rtol {rtol:g}", values
 
 
 def _by_bdf_at(ivp, level):
     """Raises TooStiff if the run would take too many steps."""
     rtol, limit = BDF_RTOL[level], WorkLimit("IDA", "steps", MAX_BDF_STEPS, ivp.t_end)
     integrator = IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS)
-    return f"IDA (BDF), rtol {rtol:g}", end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress=limit)
+    return f"IDA (BDF), rtol {rtol:g}", _end_state(ivp, integrator, limit)
 
 
 def _extrapolated_at(ivp, level, name, method):
     if ivp.model.switching:  # steps end at the switches, so that the error is no power of h
         raise RuntimeError(f"{name} cannot be extrapolated: its steps end where forces of the model switch")
     h = ivp.t_end / EXTRAPOLATION_STEPS[level]
-    values = extrapolated(ivp.model, ivp.t_end, method, h, ivp.q0, ivp.v0)
+    values = extrapolated(ivp.model, ivp.t_end, method, h, ivp.q0, ivp.v0, ivp.quantity)
     return f"{name}, h = {h:g} s and half of it, extrapolated", values
 
 
@@ -262,9 +274,13 @@ def _by_radau_at(ivp, level):
     rtol = LOOSE_RTOL if level == LOOSE_LEVEL else RADAU_RTOL[level]
     name, motion = f"Radau IIA, rtol {rtol:g}", (ivp.model, ivp.t_end)
     if level == LOOSE_LEVEL or has_known_discontinuities(ivp.model):
-        return name, by_radau(*motion, rtol, ivp.q0, ivp.v0), {}
+        return name, by_radau(*motion, rtol, ivp.q0, ivp.v0, ivp.quantity), {}
     run = _full_run(*motion, RadauIIA(rtol=rtol), ivp.q0, ivp.v0)
-    return name, end_of(run), missed_impulse(run)
+    missed = missed_impulse(run)
+    if ivp.quantity is None:
+        return name, end_of(run), missed
+    unknown = missed["q"] if ivp.quantity.lengths else np.inf if any(missed.values()) else 0.0  # of a user's function of the motion
+    return name, _end_state(ivp, RadauIIA(rtol=rtol)), {part: missed.get(part, unknown) for part in ivp.parts}
 
 
 class Ends:
@@ -353,7 +369,7 @@ def _refine(ends, method, levels, smallest_errors):
         other = ends.other(method, level)
         if not other.values:
             return best
-        apart = distance(radau.values, other.values)
+        apart = _apart(ends.ivp, radau.values, other.values)
         known = {part: max(least[part], far) + radau.missed.get(part, 0.0) for part, far in apart.items()}
         inaccurate = _inaccurate(best, smallest_errors) if best else known
         improved = not best or any(known[part] < IMPROVEMENT * best["known_to"][part] for part in inaccurate)
@@ -373,7 +389,12 @@ def _remaining(ends, level):
     before = ends.radau(level - 1).values if level <= FIRST_WITH_PULSES else known.values if known else {}
     if not before:  # a failed loose run gives no estimate
         return dict.fromkeys(values, 0.0)
-    return {part: REMAINING * far for part, far in distance(before, values).items()}
+    return {part: REMAINING * far for part, far in _apart(ends.ivp, before, values).items()}
+
+
+def _apart(ivp, one, other):
+    """{part: difference in the norm of the study}."""
+    return ivp.quantity.distance(one, other) if ivp.quantity else distance(one, other)
 
 
 def _changing(values, remaining, smallest_errors):
@@ -405,6 +426,8 @@ def user_reference(study, ivp, reference):
 
     Raises InputError for another form, time or shape.
     """
+    if ivp.quantity:
+        raise InputError(f"{study}: reference = {type(reference).__name__} has no place beside of= or norm=, whose reference is made here")
     if not isinstance(reference, dict):
         state = getattr(reference, "state", reference)
         if not all(hasattr(state, part) for part in ("t", *PARTS)):
