@@ -103,10 +103,10 @@ def compiled():
     """{"folder": of the kernels or None, "kernels": number, "own": number of users' functions, "mb": size, "of": {folder of the package: number}}."""
     folder = _kept_in()
     files = list(folder.rglob("*.nbc")) if folder else []
-    of = Counter(file.parent.name.rpartition("_")[0] for file in files)
-    own = sum(file.name.startswith("user_functions.") for file in files)
+    kernels = [file for file in files if not file.name.startswith("user_functions.")]
+    of, own = Counter(file.parent.name.rpartition("_")[0] for file in kernels), len(files) - len(kernels)
     size = sum(file.stat().st_size for file in files) / 1e6
-    return {"folder": folder and str(folder), "kernels": len(files) - own, "own": own, "mb": round(size, 1), "of": dict(sorted(of.items()))}
+    return {"folder": folder and str(folder), "kernels": len(kernels), "own": own, "mb": round(size, 1), "of": dict(sorted(of.items()))}
 
 
 def compiled_text(found):
