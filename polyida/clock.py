@@ -6,8 +6,6 @@ import threading
 import time
 from contextlib import ContextDecorator
 
-from polyida.progress import watched
-
 LONG = 2.0  # s of compiling before someone who looks on is told
 
 
@@ -57,6 +55,13 @@ def clock():
     """(CPU, wall) seconds of this process without those of `loading`, and the CPU seconds of `loading`."""
     cpu, wall = loading.seconds
     return time.process_time() - cpu, time.perf_counter() - wall, cpu
+
+
+def watched():
+    """True at a terminal and in a notebook, where someone sees the error stream."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython and ipython.get_ipython()
+    return bool(sys.stderr and sys.stderr.isatty()) or type(shell).__name__ == "ZMQInteractiveShell"
 
 
 class Teller:

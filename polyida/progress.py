@@ -1,9 +1,9 @@
 """Progress of long computations: a user's function, or a bar of tqdm at a terminal or in a notebook."""
 
-import sys
 from contextlib import contextmanager
 from importlib.util import find_spec
 
+from polyida.clock import watched
 from polyida.errors import InputError
 from polyida.validation import library
 
@@ -43,13 +43,6 @@ def backward(progress, run):
     begin, end = float(run.t[0]), float(run.t[-1])
     with over_time(progress, begin, end) as tell:
         yield (lambda t: tell(begin + end - t)) if progress is True else tell or (lambda t: None)
-
-
-def watched():
-    """True at a terminal and in a notebook, where someone sees the error stream."""
-    ipython = sys.modules.get("IPython")
-    shell = ipython and ipython.get_ipython()
-    return bool(sys.stderr and sys.stderr.isatty()) or type(shell).__name__ == "ZMQInteractiveShell"
 
 
 @contextmanager

@@ -30,6 +30,7 @@ def chain(tmp_path):
     package = tmp_path / "polyida"
     package.mkdir()
     shutil.copytree(PACKAGE / "jit", package / "jit", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(PACKAGE / "clock.py", package)
     (package / "__init__.py").write_text("")
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(1))
