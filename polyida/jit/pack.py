@@ -18,8 +18,6 @@ import numpy as np
 from numba import types
 from numba.extending import NativeValue, lower_getattr_generic, models, register_model, typeof_impl, unbox
 
-from polyida.clock import loading
-
 WORD = 8  # bytes
 
 
@@ -86,8 +84,7 @@ def _type_of(value, context):
     if "_kind" not in known:
         form = type(value), *[_form(field, context) for field in value]
         if form not in _kinds:
-            with loading:
-                kinds = [typeof_impl(field, context) for field in value]
+            kinds = [typeof_impl(field, context) for field in value]
             words = [types.float64 if isinstance(k, types.Float) else types.int64 if isinstance(k, types.Integer) else k for k in kinds]
             _kinds.setdefault(form, PackType(type(value).__name__, tuple(zip(value._fields, words))))
         known["_kind"] = _kinds[form]
