@@ -19,6 +19,7 @@ from math import prod
 import numpy as np
 
 from polyida import __version__
+from polyida.clock import loading
 from polyida.errors import InputError
 from polyida.validation import is_whole, named_keywords
 
@@ -91,9 +92,10 @@ def threads(count: int | None = None) -> int:
 @lru_cache(maxsize=1)
 def _libraries(modules):
     """The libraries of this process with threads. The search takes longer than a short run; it is repeated after imports of modules."""
-    from threadpoolctl import ThreadpoolController
+    with loading:
+        from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()
+        return ThreadpoolController()
 
 
 @contextmanager

@@ -1,7 +1,9 @@
 """Progress of long computations: a user's function, or a bar of tqdm at a terminal or in a notebook."""
 
 from contextlib import contextmanager
+from importlib.util import find_spec
 
+from polyida.clock import watched
 from polyida.errors import InputError
 from polyida.validation import library
 
@@ -45,11 +47,13 @@ def backward(progress, run):
 
 @contextmanager
 def teller(study, progress):
-    """A function of (done, total, what): the user's, one without output (None, False), or that of tqdm's bar (True).
+    """A function of (done, total, what): the user's, that of tqdm's bar (True), or one without output (False).
 
-    Raises InputError for anything else, and for True if tqdm is not installed.
+    None: a bar where someone looks on, if tqdm is installed. Raises InputError for anything else, and for True if tqdm is not installed.
     """
-    if progress is None or progress is False:
+    if progress is None:
+        progress = watched() and find_spec("tqdm") is not None
+    if progress is False:
         yield lambda done, total, what: None
     elif callable(progress):
         yield progress

@@ -1,6 +1,6 @@
 """Representations of objects: one line at the prompt, a table in a notebook."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from html import escape
 
 import numpy as np
@@ -28,6 +28,29 @@ def numbers_and_texts(part):
     """{attribute: value} of an object, without what begins with an underscore."""
     items = getattr(part, "__dict__", {}).items()
     return {name: value for name, value in items if name[0] != "_" and (is_number(value) or isinstance(value, str))}
+
+
+def settings_of(part):
+    """{field: value} of a dataclass; of another object its numbers and texts."""
+    if not is_dataclass(part):
+        return numbers_and_texts(part)
+    return {item.name: getattr(part, item.name) for item in fields(part) if item.init and item.repr}
+
+
+def used_text(integrator, used):
+    """An integrator with the settings that a run used, as far as they are known and differ from the defaults: "IDA(rtol=1e-05, max_order=2)"."""
+    if not is_dataclass(integrator):
+        return shown(integrator)
+    used, defaults = settings_of(integrator) | used, {item.name: item.default for item in fields(integrator)}
+    names = [name for name, value in used.items() if value is not None and not np.array_equal(value, defaults.get(name, MISSING))]
+    return f"{type(integrator).__name__}({', '.join(f'{name}={number_text(used[name])}' for name in names)})"
+
+
+def number_text(value):
+    """A number with six digits, a tuple of such, or the repr of another value."""
+    if isinstance(value, tuple) and value and all(map(is_number, value)):
+        return f"({', '.join(map(number_text, value))})" if len(value) <= FEW else f"<{len(value)} numbers>"
+    return f"{value:g}" if is_number(value) else repr(value)
 
 
 def short(value, longest=LONGEST):

@@ -115,7 +115,7 @@ class Scene:
             If the scene has no body, or a part is attached to a body of another scene.
         """
         from polyida.show.plates import draw_scene
-        from polyida.show.style import on_axes
+        from polyida.show.styles import on_axes
 
         self.require_sides("plot")
         bodies: dict[str, tuple] = {}

@@ -20,7 +20,7 @@ from polyida.io.layout import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import violation
-from polyida.reprs import CELL, LONGEST, cut, short, table
+from polyida.reprs import CELL, LONGEST, cut, short, table, used_text
 from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, names_of_joints, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
@@ -64,6 +64,8 @@ class Trajectory:
         Exact counts of the work.
     cpu_seconds, wall_seconds : float, s
         Of the run, without compiling and loading kernels.
+    compile_seconds : float, s
+        CPU seconds that the run took to compile and load kernels and libraries; about zero in later runs of the process.
     machine : dict
         Versions, processor and threads.
     restart : Restart or None
@@ -76,6 +78,9 @@ class Trajectory:
         {name: values at every step}, with their times `sensors.t`.
     events : Events
         Those that happened: time, name, impulse and energy lost of each.
+    settings_used : dict
+        {setting: value} of the integrator as the run used them: tolerances that the run chose stand in place of None. Of IDA "ida_rtol" and "atol"
+        (of q, of v) are what SUNDIALS got. None: chosen anew in each step, or not known, if the run failed before its first step.
     """
 
     model: Any
@@ -90,12 +95,14 @@ class Trajectory:
     counts: Counts = field(default_factory=Counts)
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
+    compile_seconds: float = 0.0
     machine: dict = field(default_factory=dict)
     restart: Restart | None = None
     plan: dict = field(default_factory=dict)
     missing: str = "no file holds a model of a user's own"
     sensors: Sensors = field(default_factory=Sensors)
     events: Events = field(default_factory=Events)
+    settings_used: dict = field(default_factory=dict)
 
     @property
     def state(self) -> State:
@@ -455,11 +462,15 @@ class Trajectory:
         n, m = (np.shape(x)[-1] for x in (self.q, self.lam))
         return f"{self.status}, {cut(name, LONGEST)}, {end}, {len(self)} frames, {self.steps} steps, n = {n}, m = {m}"
 
+    def _integrator_text(self):
+        """The integrator with the settings that were used."""
+        return cut(self.integrator if isinstance(self.integrator, str) else used_text(self.integrator, self.settings_used), CELL)
+
     def _repr_html_(self):
         """HTML for notebooks: status, counts and the last frame."""
         model = "not known" if self.model is None else short(self.model)
-        seconds = f"{self.cpu_seconds:.3g} CPU s, {self.wall_seconds:.3g} s by the clock"
-        rows = [("message", self.message)] * bool(self.message) + [("model", model), ("integrator", short(self.integrator, CELL))]
+        seconds = f"{self.cpu_seconds:.3g} CPU s, {self.wall_seconds:.3g} s by the clock; compiling {self.compile_seconds:.3g} CPU s"
+        rows = [("message", self.message)] * bool(self.message) + [("model", model), ("integrator", self._integrator_text())]
         rows += [("time taken", seconds), ("counts", ", ".join(f"{name} {count}" for name, count in self.counts.as_dict().items()))]
         rows += [("events", cut(self.events.summary(), CELL))] * bool(self.events)
         return table(f"Trajectory: {self._headline()}", (), rows) + registry.find(registry.views, "drawing")(self)

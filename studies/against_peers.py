@@ -10,7 +10,7 @@ from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, ours, t
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.executors import run_isolated
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
 from polyida.study.tasks import Study

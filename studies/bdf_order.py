@@ -6,7 +6,7 @@ step.
 
 from bdf_order.order import run_order, run_tested
 from polyida.cli.study import main
-from polyida.show.style import marker_style
+from polyida.show.styles import marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, distinct, last, number, pick, unfinished_notes, value
 from polyida.study.tasks import Study

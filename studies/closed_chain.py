@@ -6,7 +6,7 @@ missing package is left out.
 
 from closed_chain.chain import BY_IVP, derive_row, row
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, distinct, pick
 from polyida.study.tasks import Study

@@ -7,7 +7,7 @@ from conditioning import systems as conditioning
 from polyida.cli.study import main
 from polyida.integrate.ida.tables import SCALINGS as IDA_SCALINGS
 from polyida.linear.saddle import SCALINGS
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.conditions import MODES
 from polyida.study.plotting import line_picture, loglog, nested_style, panels, slope_line, study_figure
 from polyida.study.rows import column_with_failures, farthest, fit_slope, largest, number, pick

@@ -5,7 +5,7 @@ import numpy as np
 from defaults.runs import measure
 from polyida import registry
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
 from polyida.study.rows import NAN, column, distinct, pick, unfinished_notes
 from polyida.study.tasks import Study

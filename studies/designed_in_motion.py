@@ -11,7 +11,7 @@ from designed_in_motion.machines import MACHINES
 from designed_in_motion.solids import LEVELS
 from polyida.cli.study import main
 from polyida.show.html import Movie
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import distinct, last, pick, value
 from polyida.study.tasks import Study

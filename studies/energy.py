@@ -4,7 +4,7 @@ import numpy as np
 
 from energy.long_run import balance
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, setting_label, short_number, study_figure
 from polyida.study.rows import largest, pick, unfinished_notes
 from polyida.study.tasks import Study

@@ -6,7 +6,7 @@ import numpy as np
 
 from error_bars import cases
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, pick
 from polyida.study.tasks import Study

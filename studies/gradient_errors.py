@@ -2,7 +2,7 @@
 
 from gradient_errors.measure import KINDS, OBJECTIVES, SCENES, error_row
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, distinct, largest, pick
 from polyida.study.tasks import Study

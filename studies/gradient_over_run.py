@@ -4,7 +4,7 @@ import numpy as np
 
 from gradient_over_run import measure
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure, target_line
 from polyida.study.rows import pick
 from polyida.study.tasks import Study

@@ -6,7 +6,7 @@ from designed_in_motion.pictures import draw_densities, draw_meshes
 from least_weight import arm, bracket, rod
 from polyida.cli.study import main
 from polyida.design import threshold
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import last, pick, value
 from polyida.study.tasks import Study

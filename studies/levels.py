@@ -7,7 +7,7 @@ from levels.scenes import FULL, RIGID, goes_at_any_level
 from polyida import registry
 from polyida.cli.study import main
 from polyida.errors import ReductionWarning
-from polyida.show.style import INK, legend_above, marker_style
+from polyida.show.styles import INK, legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure, target_line
 from polyida.study.rows import column, distinct, number, pick, unfinished_notes
 from polyida.study.tasks import Study

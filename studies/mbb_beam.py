@@ -3,7 +3,7 @@
 from designed_in_motion.pictures import draw_densities
 from mbb_beam import beam, criteria
 from polyida.cli.study import main
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.plotting import line_picture, panels, picture, study_figure
 from polyida.study.rows import NAN, distinct, number, pick
 from polyida.study.tasks import Study

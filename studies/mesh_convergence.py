@@ -8,7 +8,7 @@ from mesh_convergence import cases
 from mesh_convergence.selection import MEMBERS, MOVING, POLYGONS, QUADRATIC, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.literature import EXTENSION
-from polyida.show.style import INK, legend_above, marker_style
+from polyida.show.styles import INK, legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure, target_line
 from polyida.study.rows import column, fit_slope, largest, last, pick, value
 from polyida.study.tasks import Study

@@ -7,7 +7,7 @@ import numpy as np
 
 from nonsmooth import bar, cases, chain, energy, friction, plate, random_laws, random_scenes
 from polyida.cli.study import main
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
 from polyida.study.rows import column, distinct, fit_slope, largest, pick, unfinished_notes
 from polyida.study.tasks import Study

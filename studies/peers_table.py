@@ -32,7 +32,7 @@ def draw(rows):
     """Confirmed completely or partly (squares), absent (crosses), package not installed (dots); cells without a mark have a source in the
     guide instead of a call.
     """
-    from polyida.show.style import PALETTE
+    from polyida.show.styles import PALETTE
 
     peers, names = distinct(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
     fig, (axes,) = panels(1 if rows else 0, columns=1, height=0.8 + 0.2 * len(names))

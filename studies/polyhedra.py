@@ -6,7 +6,7 @@ import numpy as np
 
 from polyhedra import cases
 from polyida.cli.study import main
-from polyida.show.style import marker_style
+from polyida.show.styles import marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import column, number, pick
 from polyida.study.tasks import Study

@@ -34,7 +34,7 @@ def notes(rows):
 @study_figure
 def draw(rows):
     """CPU time without each optimisation relative to that with it."""
-    from polyida.show.style import PALETTE, figure
+    from polyida.show.styles import PALETTE, figure
 
     names, sizes = distinct(rows, "saving"), distinct(rows, "cells")
     if not pick(rows):

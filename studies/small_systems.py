@@ -11,7 +11,7 @@ from levels.scenes import at_level
 from polyida.cli.study import main
 from polyida.problems import plates
 from polyida.problems.literature import n_four_bar
-from polyida.show.style import legend_above, marker_style
+from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, panels, study_figure
 from polyida.study.rows import pick
 from polyida.study.tasks import Study

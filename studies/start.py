@@ -106,7 +106,7 @@ def notes(rows):
 @study_figure
 def draw(rows):
     """CPU time of the parts of a new process with an empty (cold) and with a filled (warm) kernel cache."""
-    from polyida.show.style import PALETTE
+    from polyida.show.styles import PALETTE
 
     fig, (axes,) = panels(1, columns=1, height=2.6)
     jobs = [job for job in distinct(rows, "job") if pick(rows, job=job)]

@@ -219,7 +219,7 @@ def start_notes(rows):
 @study_figure
 def cost_figure(rows):
     """CPU time of a step against the number of coordinates, and lower bounds: its factorizations and solves alone."""
-    from polyida.show.style import figure, line_style
+    from polyida.show.styles import figure, line_style
 
     fig, axes = figure(6.4, 4.6)
     alpha = ("generalized-alpha", "alpha")
@@ -250,7 +250,7 @@ def cost_figure(rows):
 @study_figure
 def parts_figure(rows):
     """Shares of the parts of a step in its CPU time against the number of coordinates."""
-    from polyida.show.style import PALETTE, figure
+    from polyida.show.styles import PALETTE, figure
 
     fig, axes = figure(6.4, 2.8)
     result, bottom = only(rows, "step", scene="scene 1", integrator="alpha"), 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.linear.saddle import SCALINGS
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.plotting import line_picture, loglog, nested_style, panels, slope_line, study_figure
 from polyida.study.rows import column, distinct, farthest, last, number, pick, unfinished_notes, value
 from polyida.study.tasks import Study

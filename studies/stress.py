@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.show.style import figure
+from polyida.show.styles import figure
 from polyida.study.plotting import picture, study_figure
 from polyida.study.tasks import Study
 from stress.axes import meanings, run, tasks

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.show.style import INK, legend_above
+from polyida.show.styles import INK, legend_above
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
 from polyida.study.rows import column, distinct, pick, smallest, unfinished_notes
 from polyida.study.tasks import Study

@@ -4,11 +4,14 @@ import ast
 from pathlib import Path
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 
 import polyida
-from polyida.jit import clock, compilers, entry, pack
+import polyida as pi
+from polyida.clock import LONG, Teller, clock, loading
+from polyida.jit import entry, pack
 
 DECORATORS = {"entry", "part", "shared", "leaf", "fast"}
 
@@ -69,23 +72,62 @@ def test_no_kernel_counts_indices_from_the_end():
     assert found > 500 and not wrong, wrong
 
 
-@pytest.mark.skipif(not compilers, reason="plain numba")
 def test_compiling_is_not_counted(monkeypatch):
     """By a time that goes on by one second at each look: entering and leaving are one second apart, nested compilations are part of the outer one."""
     now = iter(np.arange(100.0))
     monkeypatch.setattr("time.process_time", lambda: next(now))
     monkeypatch.setattr("time.perf_counter", lambda: 0.0)
     before = clock()[0]
-    with compilers.compiling, compilers.compiling:
+    with loading, loading:
         pass
     assert clock()[0] - before == 2.0  # of three looks since the first one
 
 
-@pytest.mark.skipif(not compilers, reason="plain numba")
-def test_an_entry_counts_its_compilation():
-    @entry
+@pytest.mark.parametrize("decorator", [entry, numba.njit], ids=["entry", "function of a user"])
+def test_a_compilation_is_counted(decorator):
+    @decorator
     def twice(x):
         return 2 * x
 
-    spent = compilers.compiling.seconds[1]
-    assert twice(3) == 6 and compilers.compiling.seconds[1] > spent and compilers.compiling.depth == 0
+    spent = loading.seconds[1]
+    assert twice(3) == 6 and loading.seconds[1] > spent and loading.depth == 0
+
+
+def test_the_first_run_of_a_model_has_its_compilation_apart():
+    """The model calls a function that numba compiles at its first call."""
+
+    @numba.njit
+    def pull(q):
+        return np.array([9.81 * q[0] / (1.0 + q[0] ** 2) + np.sin(q[0])])
+
+    class Own(pi.Model):
+        n, m = 1, 0
+
+        def mass(self, q):
+            return np.eye(1)
+
+        def force(self, t, q, v):
+            return pull(q)
+
+    before = loading.seconds[0]
+    run = pi.solve(Own(), 0.01, pi.GeneralizedAlpha(h=5e-3), q0=[0.1])
+    assert 0.0 < run.compile_seconds <= loading.seconds[0] - before and len(pull.signatures) == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "looks_on", "quiet", "lines"), [(1.0, True, "", 0), (3.0, True, "", 1), (3.0, False, "", 0), (3.0, True, "1", 0)]
+)
+def test_who_looks_on_is_told_once_that_kernels_compile(seconds, looks_on, quiet, lines, monkeypatch, capsys):
+    monkeypatch.setenv("POLYIDA_QUIET", quiet)
+    monkeypatch.setattr("polyida.clock.watched", lambda: looks_on)
+    now = [0.0]
+    monkeypatch.setattr("time.perf_counter", lambda: now[0])
+    teller = Teller(lambda: "the/folder")
+    for _ in range(2):
+        teller.begin("polyida.integrate.alpha.step", "take_steps")
+        now[0] += seconds * LONG / 2
+        teller.begin("polyida.integrate.alpha.step", "correct")
+        teller.end()
+        teller.end()
+    written = capsys.readouterr().err
+    assert written.count("polyida compiles its kernels") == lines and written.count("kept in the/folder") == lines

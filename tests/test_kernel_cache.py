@@ -30,6 +30,7 @@ def chain(tmp_path):
     package = tmp_path / "polyida"
     package.mkdir()
     shutil.copytree(PACKAGE / "jit", package / "jit", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(PACKAGE / "clock.py", package)
     (package / "__init__.py").write_text("")
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(1))
@@ -163,7 +164,7 @@ def _foreign(path, hashed):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("polyida"):
             sources |= {(alias.asname or alias.name): _file(node.module, alias.name) for alias in node.names}
     compiled = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.decorator_list]
-    plain = {"named_keywords", "cache"}  # decorators of Python functions
+    plain = {"named_keywords", "cache", "loading"}  # decorators of Python functions
     kernels = [node for node in compiled if not plain & {getattr(name, "id", "") for name in node.decorator_list}]
     used = {name for kernel in kernels for name in _used(kernel)}
     return len(kernels), [(path.name, name) for name in used & set(sources) if sources[name] not in hashed]

@@ -137,7 +137,7 @@ class ErrorBars:
         -------
         axes : Axes
         """
-        from polyida.show.style import line_style, on_axes
+        from polyida.show.styles import line_style, on_axes
 
         with on_axes(axes) as axis:
             axis.plot(self.t, np.cumsum(self.steps), label="up to t", **line_style(0))
@@ -185,7 +185,7 @@ class ErrorBars:
             If the plate has no estimate, or if the mesh is another one.
         """
         from polyida.show.plates import draw_mesh
-        from polyida.show.style import literal, on_axes
+        from polyida.show.styles import literal, on_axes
 
         if not is_one_of(name, self.cells):
             raise InputError(f"plot_cells: no shares of {name!r}; known: {', '.join(map(repr, self.cells)) or 'none'}")

@@ -76,7 +76,9 @@ def _tolerances(run, factor):
     """{name: tolerance times a factor}."""
     settings = run.integrator
     rtol, atol = settings.rtol or run.state.memory.get("rtol", DEFAULT_RTOL), getattr(settings, "atol", None)
-    finer = {"rtol": factor * rtol} | ({} if atol is None else {"atol": factor * np.asarray(atol, float)})
+    passed = getattr(settings, "ida_rtol", None)
+    finer = {"ida_rtol": factor * passed} if passed else {"rtol": factor * rtol}
+    finer |= {} if atol is None else {"atol": factor * np.asarray(atol, float)}
     return {name: float(x) if np.ndim(x) == 0 else tuple(x.tolist()) for name, x in finer.items()}
 
 

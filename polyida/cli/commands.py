@@ -87,6 +87,19 @@ def free_path(path, default, overwrite):
     return target
 
 
+OWN_OPTIONS = {"allow_extra_args": True, "ignore_unknown_options": True}  # of a command whose other options are arguments of the scene
+
+
+def _load_scene(context, scene, **settings):
+    """The InitialValueProblem of a command; options that the command does not know are arguments of the function of the scene."""
+    from polyida.study.ivp import load
+    from polyida.study.scene_options import texts_of
+
+    if scene.startswith("-"):
+        raise InputError(f"{scene}: give SCENE before the options of its function")
+    return load(scene, texts=texts_of(context.args), known=[option.name for option in context.command.params], **settings)
+
+
 def _make_folder(folder):
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -105,9 +118,11 @@ def _load_run(file):
     {
         "polyida compare double-plate": "generalized-alpha, IDA and Radau IIA against a refined run",
         "polyida compare my_scene.py:build --time 2": "a scene that a function of yours returns",
+        "polyida compare my_scene.py:build --mu 0.0": "with another value of its argument mu",
         "polyida compare pendulum --integrators alpha,ida,my.py:Mine": "your integrator beside two of ours",
         "polyida compare pendulum --json > pendulum.json": "the numbers for another program",
     },
+    context_settings=OWN_OPTIONS,
 )
 def compare(
     context: typer.Context,
@@ -125,15 +140,15 @@ def compare(
 ):
     """Compare integrators on one scene: a table and a report.
 
-    Errors are measured against a refined run. The report is a folder with a page, figures, their numbers and the runs.
+    Errors are measured against a refined run. The report is a folder with a page, figures, their numbers and the runs. Other options are
+    arguments of the function that builds the scene, typed by their defaults.
     """
     from polyida.show.figure_files import FigureWriter
     from polyida.study import comparison
-    from polyida.study.ivp import load
     from polyida.study.user_files import COMPARED, choose_integrators, create_integrators, errors_of_all
 
     with document(json) as set_document, FigureWriter() as writer:
-        ivp = load(scene, time=time, step=step, cells=cells, order=order)
+        ivp = _load_scene(context, scene, time=time, step=step, cells=cells, order=order)
         names = [name.strip() for name in (integrators or ",".join(COMPARED)).split(",")]
         if "" in names:
             raise InputError(f"--integrators {integrators}: a name is missing between commas")
@@ -174,6 +189,7 @@ def compare(
         "polyida run my_scene.py:build --integrator my.py:Mine --step 1e-3": "with an integrator of yours",
         "polyida run --resume double-plate-ida.h5 --time 3": "continues from the end of the run",
     },
+    context_settings=OWN_OPTIONS,
 )
 def run(
     context: typer.Context,
@@ -195,27 +211,31 @@ def run(
     ) = None,
     json: options.Json = False,
 ):
-    """Run one integrator on a scene and write an HDF5 file during the run."""
+    """Run one integrator on a scene and write an HDF5 file during the run.
+
+    Other options are arguments of the function that builds the scene, typed by their defaults.
+    """
     from polyida.run.resume import resume as resume_run
     from polyida.run.solve import solve
-    from polyida.study.ivp import load
     from polyida.study.user_files import choose_integrator, user_errors
 
     settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
     with document(json) as set_document:
+        if context.args and not scene:
+            raise InputError(f"run: {context.args[0]} is an argument of a scene's function; name the SCENE")
         if resume:
             of_scene = {} if scene else {"cells": cells, "order": order}
             values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator} | of_scene
             if wrong := [name for name, value in values.items() if value is not None]:
                 reason = "--resume continues with the integrator, settings and place of the file"
                 raise InputError(f"run: --{wrong[0].replace('_', '-')} has no place here: {reason}")
-            ivp, path = load(scene, time=time, cells=cells, order=order) if scene else None, resume
+            ivp, path = _load_scene(context, scene, time=time, cells=cells, order=order) if scene else None, resume
             t_end = time or _load_run(path).plan.get("t_end") or 1.0
             with progress_display() as progress, ivp.user_errors() if ivp else nullcontext():
                 model = ivp and ivp.model
                 finished = resume_run(path, time, model=model, progress=lambda t: progress("continuing", t / t_end))
         elif scene:
-            ivp = load(scene, time=time, step=None if step == "auto" else step, cells=cells, order=order)
+            ivp = _load_scene(context, scene, time=time, step=None if step == "auto" else step, cells=cells, order=order)
             name = integrator or "alpha"
             choice = choose_integrator(name)
             member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})
@@ -240,11 +260,12 @@ def run(
 
 def _run_data(run, file, command):
     """{"figures", "rows", "notes", "machine", "command"} of one run; machine: where it was computed."""
-    from polyida.reprs import shown
+    from polyida.reprs import used_text
 
     row = {
         "run": str(file),
-        "settings": shown(run.integrator),
+        "settings": run.integrator if isinstance(run.integrator, str) else used_text(run.integrator, run.settings_used),
+        "settings_used": run.settings_used,
         "success": bool(run.success),
         "status": run.status,
         "t_end": float(run.t[-1]) if len(run.t) else None,
@@ -253,6 +274,7 @@ def _run_data(run, file, command):
         "constraints": int(run.lam.shape[1]),
         "cpu_s": float(run.cpu_seconds),
         "wall_s": float(run.wall_seconds),
+        "compile_s": float(run.compile_seconds),
         **run.counts.as_dict(),
     }
     with suppress(InputError):  # the file does not contain the model
@@ -312,6 +334,8 @@ def _print_lists(lists):
 @_command(LOOK, {"polyida show run.h5": "status, counts, model and machine of the run", "polyida show run.h5 --json": "the same as data"})
 def show(context: typer.Context, file: options.RunFile, json: options.Json = False):
     """Show status, counts and model of a saved run."""
+    from polyida.reprs import number_text
+
     with document(json) as set_document:
         run = _load_run(file)
         if json:
@@ -324,8 +348,9 @@ def show(context: typer.Context, file: options.RunFile, json: options.Json = Fal
             ["frames", f"{len(run.t)}" + (f", t = {run.t[0]:g} .. {run.t[-1]:g} s" if len(run.t) else "")],
             ["model", f"{kind}, {run.q.shape[1]} coordinates, {run.lam.shape[1]} constraints"],
             ["integrator", repr(run.integrator)],
+            ["settings used", ", ".join(f"{name} {number_text(value)}" for name, value in run.settings_used.items() if value is not None)],
             ["counts", counts],
-            ["time", f"{run.cpu_seconds:.2f} CPU s, {run.wall_seconds:.2f} s"],
+            ["time", f"{run.cpu_seconds:.2f} CPU s, {run.wall_seconds:.2f} s; compiling {run.compile_seconds:.2f} CPU s"],
             ["made with", machine],
         ]
         print_texts(["", ""], rows, str(file))
@@ -365,15 +390,30 @@ def export(
 
 @_command(STUDY, {"polyida info > bug.txt": "what a bug report needs"})
 def info(json: options.Json = False):
-    """Print versions, processor, threads and the state of the compiler, for bug reports."""
+    """Print versions, processor, threads, the state of the compiler, and what is compiled and where, for bug reports."""
     from polyida import jit
+    from polyida.cli.warm import compiled, compiled_text
     from polyida.environment import machine_info
 
     with document(json) as set_document:
-        data = machine_info() | {"compilers": "faster" if jit.compilers else "numba's own"}
-        set_document(data)
+        data, found = machine_info() | {"compilers": "faster" if jit.compilers else "numba's own"}, compiled()
+        set_document(data | {"compiled": found})
         if not json:
-            print_lines(*(f"{name}: {value}" for name, value in data.items()))
+            print_lines(*(f"{name}: {value}" for name, value in data.items()), f"compiled: {compiled_text(found)}")
+
+
+@_command(STUDY, {"polyida warm": "once after an installation; later runs compile nothing but functions of yours"})
+def warm(json: options.Json = False):
+    """Compile the kernels of all integrators and parts on all cores, so that no later run waits for them."""
+    from polyida.cli.warm import compiled_text
+    from polyida.cli.warm import warm as compile_all
+
+    with document(json) as set_document:
+        with progress_display() as display:
+            found = compile_all(lambda done, total, name: display("compiling", done / total, f"{done}/{total} {name}"))
+        set_document(found)
+        if not json:
+            print_lines(f"compiled: {compiled_text(found)}")
 
 
 @_command(

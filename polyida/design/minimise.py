@@ -165,7 +165,8 @@ def minimise(
     executor : concurrent.futures.Executor, optional
         As for `Problem`.
     progress : callable or bool, optional
-        Function of (done, total, text) after each evaluation; the text has the time left. True: a bar of tqdm.
+        Function of (done, total, text) after each evaluation; the text has the time left. By default a bar of tqdm at a terminal
+        and in a notebook; False: none.
 
     Returns
     -------

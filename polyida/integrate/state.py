@@ -11,7 +11,7 @@ import numpy as np
 from polyida.errors import InputError, StepFailure
 from polyida.model import Model
 from polyida.model.differences import cubic
-from polyida.reprs import brief
+from polyida.reprs import brief, settings_of
 from polyida.validation import instance_of, is_number, settle, takes
 
 
@@ -336,6 +336,10 @@ class Integrator:
         """Words for the run's summary about the steps, from the memory of its last state; empty for none."""
         return ""
 
+    def settings_used(self, memory: dict) -> dict[str, Any]:
+        """{setting: value} as a run used them, by the memory of one of its states. By default those given: fields, or numbers and texts."""
+        return settings_of(self)
+
     def class_name(self) -> str:
         """The name of the class in messages."""
         return type(self).__name__
@@ -369,6 +373,9 @@ class _Adapter(Integrator):
 
     def relative_tolerance(self):
         return Integrator.relative_tolerance(self.user)
+
+    def settings_used(self, memory):
+        return settings_of(self.user)
 
     def class_name(self):
         return type(self.user).__name__

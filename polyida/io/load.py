@@ -13,6 +13,7 @@ from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.model import Model
 from polyida.model.guarded import guard
+from polyida.reprs import settings_of
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 from polyida.validation import flag, named_keywords, require_bytes
@@ -61,6 +62,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
             damage = stored.check() if check else ""
             events = Events.from_data(record.get("events", []))
             model, missing = _model(stored) if model is None else (_given(stored, model, events), Trajectory.missing)
+            integrator = integrator_of(stored)
             status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
             if status == "running":
                 status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
@@ -68,23 +70,31 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
                 status, message = "damaged", damage
             return Trajectory(
                 model,
-                integrator_of(stored),
+                integrator,
                 **stored.frames(memory_limit),
                 status=status,
                 message=message,
                 counts=stored.counts,
                 cpu_seconds=stored.seconds[0],
                 wall_seconds=stored.seconds[1],
+                compile_seconds=stored.seconds[2],
                 machine=dict(about["machine"]),
                 restart=stored.restart,
                 plan=dict(about["plan"]),
                 missing=missing,
                 sensors=sensors,
                 events=events,
+                settings_used=settings_used(stored, integrator),
             )
         except BaseException:
             stored.file.close()
             raise
+
+
+def settings_used(stored, integrator):
+    """{setting: value} as the run used them: those of the integrator, and what the file says of them."""
+    used = {name: tuple(value) if isinstance(value, list) else value for name, value in stored.record.get("settings_used", {}).items()}
+    return used if isinstance(integrator, str) else settings_of(integrator) | used
 
 
 def sensors_of(stored):

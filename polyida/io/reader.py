@@ -172,7 +172,7 @@ class Stored:
             self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
             self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
             self.sensors = {str(name): tuple(map(int, shape)) for name, shape in self.about.get(SENSORS, {}).items()}
-            self.seconds = float(self.record["cpu_seconds"]), float(self.record["wall_seconds"])
+            self.seconds = tuple(float(self.record.get(f"{kind}_seconds", 0.0)) for kind in ("cpu", "wall", "compile"))
             self.counts = counts_of(self.record["counts"])
             self._unpack(numbers)
         except BaseException:

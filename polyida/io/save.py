@@ -21,7 +21,8 @@ from polyida.io.reader import read_open
 from polyida.io.scene_data import to_data
 from polyida.io.writer import NotWritten, Writer, writing
 from polyida.model import NONE
-from polyida.validation import flag
+from polyida.reprs import FEW
+from polyida.validation import flag, is_number
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system may drop those before from its cache
@@ -178,8 +179,8 @@ def save(run, path, overwrite=False):
         store = FrameStore(n, m, 0, file, single)
         store.copy([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
-        seconds, sensed = (run.cpu_seconds, run.wall_seconds), behind_blocks(file, run.sensors.rows)
-        commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, True, run.events)
+        seconds, sensed = (run.cpu_seconds, run.wall_seconds, run.compile_seconds), behind_blocks(file, run.sensors.rows)
+        commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, True, run.events, run.settings_used)
         file.close()
     os.close(file.descriptor)
 
@@ -234,14 +235,30 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
     return Writer.create(path, n, m, about, arrays, profiles, bool(plan.get("fsync")), single, sensed_width(sensors))
 
 
-def commit(store, status, message, counts, seconds, restart, sensed, last=False, events=None):
-    """Commit the frames so far with the status of the run and the state to continue from; sensed: sensor rows after the blocks. events: Events or None."""
+def _is_short(value):
+    """True for a number, a text, True, False, None, and a few numbers."""
+    return (
+        value is None
+        or isinstance(value, bool | int | float | str)
+        or isinstance(value, tuple)
+        and len(value) <= FEW
+        and all(map(is_number, value))
+    )
+
+
+def commit(store, status, message, counts, seconds, restart, sensed, last=False, events=None, used=None):
+    """Commit the frames so far with the status of the run and the state to continue from.
+
+    sensed: sensor rows after the blocks. events: Events or None. used: {setting: value} of the integrator; lists are among its settings, in "about".
+    """
     record = {
         "status": status,
         "message": message,
         "counts": counts.as_dict(),
         "cpu_seconds": seconds[0],
         "wall_seconds": seconds[1],
+        "compile_seconds": seconds[2],
+        "settings_used": {name: value for name, value in (used or {}).items() if _is_short(value)},
         "restart": None,
         "memory": [],
     }

@@ -4,7 +4,6 @@ All of them use numba's public decorators. For numba versions in TESTED, `jit/co
 (studies/start.py) with numba's internals. POLYIDA_PLAIN_NUMBA=1 in the environment switches them off.
 """
 
-import time
 import warnings
 from contextlib import suppress
 from functools import update_wrapper
@@ -14,26 +13,13 @@ from inspect import signature
 from typing import Any
 
 import numba
+from numba.core import event
 
+from polyida.clock import Teller, loading
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = [
-    "FAST",
-    "bound",
-    "c_address",
-    "clock",
-    "entry",
-    "fast",
-    "leaf",
-    "own_address",
-    "own_part",
-    "pack",
-    "part",
-    "served",
-    "shared",
-    "typed",
-]
+__all__ = ["FAST", "bound", "c_address", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "served", "shared", "typed"]
 
 TESTED = (0, 65), (0, 68)  # first and last version of numba with which compilers.py is tested
 FAST = {"contract", "reassoc", "nsz"}  # without "nnan": kernels test for NaN
@@ -48,10 +34,30 @@ if not kernel_cache.PLAIN and TESTED[0] <= numba.version_info.short <= TESTED[1]
 _parts = {"pipeline_class": compilers.PartCompiler} if compilers else {}
 
 
-def clock():
-    """(CPU, wall) seconds of this process without those of compiling and loading kernels. With plain numba all seconds."""
-    spent = compilers.compiling.seconds if compilers else (0.0, 0.0)
-    return time.process_time() - spent[0], time.perf_counter() - spent[1]
+class _Listener(event.Listener):
+    """Calls functions when numba begins and ends a kind of work."""
+
+    def __init__(self, begin, end):
+        self.begin, self.end = begin, end
+
+    def on_start(self, event):
+        """Begin."""
+        self.begin(event)
+
+    def on_end(self, event):
+        """End."""
+        self.end(event)
+
+
+def _begin_to_compile(event):
+    function = event.data["dispatcher"].py_func
+    _teller.begin(function.__module__, function.__name__)
+
+
+_teller = Teller(kernel_cache.folder)
+# numba compiles and loads under this lock, also functions of users that Python calls
+event.register("numba:compiler_lock", _Listener(lambda event: loading.begin(), lambda event: loading.end()))
+event.register("numba:compile", _Listener(_begin_to_compile, lambda event: _teller.end()))
 
 
 def entry(function, **options):
@@ -100,6 +106,7 @@ def served(function, *shapes, first=None):
     return part(_in_place_of(names["outer"], function.py_func))
 
 
+@loading
 def c_address(inner, kinds):
     """The address of an entry or a part as a C function with a numba signature; cached like an entry."""
     outer = _around(inner.py_func, inner)
@@ -118,6 +125,7 @@ def own_part(function, boundscheck):
     return numba.njit(**_INNER, boundscheck=boundscheck, **options)(function)
 
 
+@loading
 def own_address(function, kinds, cached):
     """The address of a function that calls own parts as a C function. cached: True if its name identifies it, so that files can be named.
 
@@ -135,6 +143,7 @@ def own_address(function, kinds, cached):
 _c_functions: list = []  # whose addresses are in use
 
 
+@loading
 def bound(entry, *args):
     """The compiled function of an entry for arguments of these types."""
     return entry.compile(tuple(map(numba.typeof, args)))

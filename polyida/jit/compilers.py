@@ -6,7 +6,6 @@ is only lowered; it is optimised with the entries that take it in. `shared` entr
 
 import atexit
 import gc
-import time
 from contextlib import contextmanager
 from functools import cache, partial
 from hashlib import sha256
@@ -66,27 +65,6 @@ PASSES = (
 _in_use: list = []  # objects that the address of a C function needs
 
 
-class Compiling:
-    """The time of compiling: seconds (2,) CPU and wall. Within a compilation another one is part of it."""
-
-    def __init__(self):
-        self.seconds, self.depth = [0.0, 0.0], 0
-
-    def __enter__(self):
-        self.depth += 1
-        if self.depth == 1:
-            self.begun = time.process_time(), time.perf_counter()
-
-    def __exit__(self, *_):
-        self.depth -= 1
-        if self.depth == 0:
-            now = time.process_time(), time.perf_counter()
-            self.seconds = [spent + end - begin for spent, begin, end in zip(self.seconds, self.begun, now)]
-
-
-compiling = Compiling()
-
-
 class Entry(CPUDispatcher):
     """A function that Python calls. Compiled code that calls it takes in its part."""
 
@@ -103,11 +81,6 @@ class Entry(CPUDispatcher):
                 return super().__call__(*args)
             found = self.known[forms] = self.compile(tuple(map(numba.typeof, args)))
         return found(*args)
-
-    def compile(self, sig):
-        """Compile the code for a signature, or load it from disk, and count the time."""
-        with compiling:
-            return super().compile(sig)
 
     @property
     def _numba_type_(self):

@@ -19,6 +19,7 @@ import numpy as np
 from numba import NumbaError, TypingError, carray, types
 from numba.extending import intrinsic
 
+from polyida.clock import loading
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.fingerprint import is_dispatcher, machine_code_fingerprint, of_polyida
 from polyida.jit import c_address, own_address, own_part, part
@@ -146,6 +147,7 @@ def names_of(code):
     return dict.fromkeys([*code.co_names, *inner])
 
 
+@loading
 def c_function_of(label, inner, mark, source, names, dimensions, of_complex=False):
     """Compile the C function `called` of a source that calls `inner`; return its address. Raises InputError.
 

@@ -241,7 +241,7 @@ class PolygonMesh:
             If the values are not one finite number for each cell.
         """
         from polyida.show.plates import draw_mesh
-        from polyida.show.style import on_axes
+        from polyida.show.styles import on_axes
 
         colours, sections = None if values is None else floats(values), {}
         if values is None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.clock import clock
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.event import Event, Events
@@ -18,7 +19,6 @@ from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
 from polyida.io.save import FrameStore, behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
-from polyida.jit import clock
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress

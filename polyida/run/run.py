@@ -9,6 +9,7 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.clock import clock
 from polyida.environment import machine_info
 from polyida.errors import StepFailure
 from polyida.event import Events, Happened
@@ -19,7 +20,6 @@ from polyida.integrate.state import Counts, Restart, State, States, Stretch, dec
 from polyida.integrate.switches import unresolved
 from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
-from polyida.jit import clock
 from polyida.model.guarded import guard
 from polyida.progress import over_time
 from polyida.run.accepted import Sampler, Until, accepted
@@ -48,6 +48,7 @@ class Run:
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count, None if happenings else self.known)
         self.last = self.restart = self.flushed = self.watch = self.recorded = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
+        self.memory = {}  # of the last state that had one: behind events it is empty
 
     def begin(self, state, overwrite):
         """Store the first state, and put the file in its place if there is one. Raises InputError if that is not possible."""
@@ -146,6 +147,7 @@ class Run:
                 if "impacts" in after.memory:
                     self._record_impacts(after)
                 self.last = state = after
+                self.memory = state.memory or self.memory
                 if state.restart:
                     self.restart = Restart(state, self.store.count, vars(self.counts).copy())
                 if self.store.file and self._due():
@@ -186,7 +188,7 @@ class Run:
 
     def _commit(self, status, message, restart, last=False):
         rows = behind_blocks(self.store.file, self.recorder.rows)
-        commit(self.store, status, message, self.counts, self._seconds(), restart, rows, last, self.events)
+        commit(self.store, status, message, self.counts, self._seconds(), restart, rows, last, self.events, self._settings_used())
         self.flushed, self.recorded = restart, self.recorder.count
 
     def _record_impacts(self, state):
@@ -201,8 +203,12 @@ class Run:
             past.append(replace(base, t=state.t, name=name, impulse=impulse, energy_lost=lost, frame=self.store.count - 1, impulses={}))
 
     def _seconds(self):
-        """(CPU, wall) seconds since the start."""
+        """(CPU, wall, compiling) seconds since the start, see `clock`."""
         return tuple(now - begun for now, begun in zip(clock(), self.begun))
+
+    def _settings_used(self):
+        """{setting: value} of the integrator as the run used them; from the memory of the state that it went on from, if no step was taken."""
+        return self.method.settings_used(self.memory or (self.restart.state.memory if self.restart else {}))
 
     def _attach(self, error, run):
         """Give the Trajectory to an exception that is raised to the caller."""
@@ -249,7 +255,7 @@ class Run:
         return status, message
 
     def _result(self, status, message):
-        cpu, wall = self._seconds()
+        cpu, wall, compiling = self._seconds()
         if self.streams and not self.store.file.in_place():
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
             message = f"{message}; {gone}" if message else gone
@@ -268,11 +274,13 @@ class Run:
             counts=self.counts,
             cpu_seconds=cpu,
             wall_seconds=wall,
+            compile_seconds=compiling,
             machine=machine_info(),
             restart=restart,
             plan=self.plan,
             sensors=Sensors(self.recorder.shapes, self.recorder.rows[: self.recorded].copy()),
             events=self.events,
+            settings_used=self._settings_used(),
         )
 
 

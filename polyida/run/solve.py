@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.assembly.motion import hint_of_left_out
+from polyida.clock import clock
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
 from polyida.event import Event
@@ -20,7 +21,6 @@ from polyida.integrate.start import consistent_state, require_state, restarted, 
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.save import FrameStore, create, free
-from polyida.jit import clock
 from polyida.model import Model
 from polyida.model.check import require_declared, require_profiles
 from polyida.model.guarded import Compiled, guard, unguarded

@@ -12,7 +12,7 @@ from polyida.errors import InputError
 from polyida.files import disk_errors, remove_left_over, replacing
 from polyida.progress import require_progress
 from polyida.show import plates
-from polyida.show.style import (
+from polyida.show.styles import (
     INK,
     STICK,
     bounds,

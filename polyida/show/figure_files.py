@@ -14,7 +14,7 @@ from threading import Thread
 import numpy as np
 
 from polyida.environment import cores
-from polyida.show.style import figure, rendered
+from polyida.show.styles import figure, rendered
 
 KINDS = ("png", "pdf", "svg")
 DIGITS = ".9g"

@@ -26,7 +26,7 @@ from polyida.errors import InputError
 from polyida.files import remove_left_over, replacing
 from polyida.show import plates
 from polyida.show.figure_files import figure_files
-from polyida.show.style import STICK, bounds, colour_limit
+from polyida.show.styles import STICK, bounds, colour_limit
 
 COLOURS = {  # colour of a figure: colour variable of the page, which has a light and a dark value
     "#ffffff": "paper",

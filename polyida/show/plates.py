@@ -5,7 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.results.curves import curves_of, curves_of_mesh
-from polyida.show.style import (
+from polyida.show.styles import (
     INK,
     MARK,
     PALETTE,

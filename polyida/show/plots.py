@@ -14,7 +14,8 @@ from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.results.motion import quantity, unbalanced
 from polyida.show import plates
-from polyida.show.style import (
+from polyida.show.axes import finish
+from polyida.show.styles import (
     FAILED,
     INK,
     MARK,
@@ -391,7 +392,7 @@ class RunPlots:
         path = self._run.position(name)
         with on_axes(axes) as axis:
             axis.plot(*path.T, label=_name(name), **line_style(0))
-            axis.set(xlabel="x, m", ylabel="y, m", title=f"path of {_name(name)}")
+            axis.set(xlabel="x, m", ylabel="y, m")
             if ended := ending(self._run):
                 axis.plot(*path[-1], color=FAILED, marker="x", linestyle="none", label="_end")
                 axis.set_title(literal(ended), color=FAILED, loc="right")
@@ -459,8 +460,8 @@ class RunPlots:
             for i, name in enumerate(DRIFTS):
                 label = _drift_label(self._run, name)
                 axis.semilogy(*interval_maxima(self._run.t, getattr(self._run, name)), label=label, marker=".", **line_style(i))
-            axis.set(xlabel="t, s", ylabel="violation of the constraints")
-            self._explain(axis, axes)
+            axis.set(xlabel="t, s", ylabel="violation of φ")
+            self._explain(axis)
             return axis
 
     def deformed(self, times: ArrayLike | None = None, snapshots: int = 6, axes: Axes | None = None) -> Axes:
@@ -492,19 +493,14 @@ class RunPlots:
             for i, (label, values) in enumerate(histories.items()):
                 axis.plot(self._run.t, values, label=label, **line_style(i))
             axis.set(xlabel="t, s", ylabel=heading)
-            self._explain(axis, axes)
+            self._explain(axis)
             return axis
 
-    def _explain(self, axis, given):
-        """Mark events and the end of a failed run; the legend is above new axes, where it covers nothing, and within axes of the user."""
+    def _explain(self, axis):
+        """Mark events and the end of a failed run; the legend is above the axes, where it covers nothing."""
         mark_events(axis, self._run)
         mark_end(axis, self._run)
-        if ended := ending(self._run):
-            axis.set_title(literal(ended), color=FAILED, loc="right")
-        if given is None:
-            legend_above(axis.figure, axis)
-        else:
-            axis.legend(loc="best")
+        finish(axis, ending=ending(self._run))
 
 
 WIDTH, HEIGHTS, MAX_SEGMENTS, UNITS = 320, (60, 240), 20_000, 1000  # of a drawing: pixels, limit of segments, coordinates from side to side

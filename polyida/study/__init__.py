@@ -1,6 +1,6 @@
 """`pi.study`: studies of models, scenes and problems with every integrator; each returns a `Result` with rows, figures, plots and a report.
 
-`work_precision` and `step_sizes` measure errors against a reference on which two families of methods agree, `conditioning` iteration
+`work_precision` and `step_sizes` measure errors against a reference on which two methods agree, `conditioning` iteration
 matrices, `energy` and `drift` conserved quantities; `sweep` runs a user's function over cases. A `Study` is a script with tasks.
 """
 

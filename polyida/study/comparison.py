@@ -7,14 +7,14 @@ from itertools import combinations
 import numpy as np
 
 from polyida.adjoint.error_bars import error_of
+from polyida.clock import clock
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure, text_of
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.state import Counts, States, between
-from polyida.jit import clock
+from polyida.integrate.state import Counts, States, between, declared
 from polyida.model.guarded import guard
 from polyida.objective.objective import UserObjective
-from polyida.reprs import shown
+from polyida.reprs import used_text
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.accepted import accepted
 from polyida.run.solve import require_run
@@ -227,14 +227,15 @@ def run_timed(ivp, integrators, progress=lambda label, fraction: None):
 
 def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
     """The Comparison of {label: Trajectory} with the reference run, which is computed here; errors: as of `compare`."""
-    rtol = min(filter(is_number, (getattr(run.integrator, "rtol", None) for run in runs.values())), default=None)
+    rtol = min(filter(is_number, (declared(run.integrator).relative_tolerance() for run in runs.values())), default=None)
     reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
     distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
     model = guard(ivp.model)
     rows, estimates, published = [], [], ivp.published.get("q") if ivp.point is None else None
     for label, run in runs.items():
         distance = distances[label][1]
-        row = {"run": label, "settings": shown(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1])}
+        row = {"run": label, "settings": used_text(run.integrator, run.settings_used), "settings_used": run.settings_used}
+        row |= {"success": bool(run.success), "t_end": float(run.t[-1])}
         row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
         row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
         if errors and isinstance(run.integrator, GeneralizedAlpha) and run.success and np.isfinite(distance[-1]):
@@ -251,8 +252,9 @@ def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
         rows.append(
             row | ({"published_error": float(np.abs(run.q[-1] - published).max())} if published is not None and run.success else {})
         )
-    row = {"run": REFERENCE, "settings": repr(reference.integrator), "success": not reference.message, "t_end": float(reference.t[-1])}
-    row |= {"cpu_s": reference.cpu_seconds} | reference.counts.as_dict()
+    used = reference.integrator.settings_used(reference.memory)
+    row = {"run": REFERENCE, "settings": used_text(reference.integrator, used), "settings_used": used}
+    row |= {"success": not reference.message, "t_end": float(reference.t[-1]), "cpu_s": reference.cpu_seconds} | reference.counts.as_dict()
     if published is not None and not reference.message:
         row["published_error"] = float(np.abs(reference.watched[-1] - published).max())
     notes = [f"{label}: {run.message.removeprefix(f'{label}: ')}" for label, run in runs.items() if not run.success]
@@ -311,7 +313,10 @@ def _size(difference):
 
 @dataclass
 class ReferenceRun:
-    """The reference run: only the compared quantity, and the states x, at the requested times. message: of a failure, or empty."""
+    """The reference run: only the compared quantity, and the states x, at the requested times.
+
+    memory: of its last state. message: of a failure, or empty.
+    """
 
     integrator: object
     t: np.ndarray
@@ -320,6 +325,7 @@ class ReferenceRun:
     function: object
     counts: Counts
     cpu_seconds: float
+    memory: dict
     message: str
 
     def distance(self, run):
@@ -348,7 +354,7 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
         with ivp.user_errors():
             run = ivp.run(integrator, output=times)
         watched, message = np.array([function(q) for q in run.q]), "" if run.success else run.message
-        return ReferenceRun(integrator, run.t, watched, run.x, function, run.counts, run.cpu_seconds, message)
+        return ReferenceRun(integrator, run.t, watched, run.x, function, run.counts, run.cpu_seconds, run.memory, message)
     with ivp.user_errors(), one_blas_thread():
         before = consistent_state(model, 0.0, ivp.q0, ivp.v0)
         watched, x = [function(before.q)], [before.x]
@@ -365,4 +371,5 @@ def reference_run(ivp, rtol, times, progress=lambda label, fraction: None):
             message = str(failure)
         except (Exception, SystemExit) as error:  # noqa: BLE001 of a user's function
             message = f"{type(error).__name__}: {text_of(error)}"
-    return ReferenceRun(integrator, times[: len(watched)], np.array(watched), np.array(x), function, counts, clock()[0] - begin, message)
+    seen, cpu = times[: len(watched)], clock()[0] - begin
+    return ReferenceRun(integrator, seen, np.array(watched), np.array(x), function, counts, cpu, before.memory, message)

@@ -30,7 +30,8 @@ from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 from polyida.progress import teller
 from polyida.reprs import shown
-from polyida.show.style import literal, marker_style, on_axes
+from polyida.show.axes import finish
+from polyida.show.styles import literal, marker_style, on_axes
 from polyida.study.ivp import require_labels, resolve_model, step_list
 from polyida.study.result import Result
 from polyida.study.rows import fit_slope, pick
@@ -170,13 +171,16 @@ class Conditioning(Result):
         worst = {f"worst {label}": max(row["condition"] for row in pick(self.rows, integrator=label)) for label in self.labels}
         return {f"slope {label}": value for label, value in self.slopes.items()} | worst
 
-    def plot(self, axes: Axes | None = None) -> Axes:
+    def plot(self, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None) -> Axes:
         """Draw the condition numbers against h, a line for each integrator and state.
 
         Parameters
         ----------
         axes : Axes, optional
             New pyplot axes if None.
+        title : str, optional
+            None: no title.
+        labels : {label of a line: what the legend shows}, optional
 
         Returns
         -------
@@ -184,12 +188,11 @@ class Conditioning(Result):
         """
         with on_axes(axes) as axis:
             for i, (label, state) in enumerate(product(self.labels, self._states())):
-                rows = pick(self.rows, integrator=label, state=state)
+                rows = sorted(pick(self.rows, integrator=label, state=state), key=lambda row: row["h"])
                 name = literal(f"{label}, state {state}" if len(self._states()) > 1 else label)
                 axis.loglog([row["h"] for row in rows], [row["condition"] for row in rows], label=name, **marker_style(i))
-            axis.set(xlabel="step h, s", ylabel="condition number", title=self.title)
-            axis.legend(loc="best")
-            return axis
+            axis.set(xlabel="h, s", ylabel="condition number")
+            return finish(axis, title, labels)
 
     def pictures(self) -> dict:
         return {"condition": ("Condition number of the iteration matrix against the step.", self.plot)}
@@ -221,7 +224,7 @@ def conditioning(
     h : (k,) float, s
         The steps.
     progress : callable or bool, optional
-        Function of (done, total, text); True: a bar.
+        Function of (done, total, text); by default a bar at a terminal and in a notebook; False: none.
 
     Returns
     -------

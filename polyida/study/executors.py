@@ -14,8 +14,8 @@ from contextlib import suppress
 from copy import deepcopy
 from typing import Any
 
+from polyida.clock import clock
 from polyida.errors import InputError, text_of
-from polyida.jit import clock
 from polyida.reprs import short
 from polyida.run.run import interruptions
 
@@ -192,7 +192,7 @@ def run_measured_case(function, arguments, sweep_id):
     peak_was_reset = _reset_peak_memory()
     begun = clock()
     row = run_as_row(_checked_call, {"function": function, "arguments": deepcopy(arguments)})  # the function may change its case
-    cpu, wall = (now - start for now, start in zip(clock(), begun))
+    cpu, wall, _ = (now - start for now, start in zip(clock(), begun))
     costs = {"cpu_s": cpu, "wall_s": wall, "memory_mb": _peak_memory(peak_was_reset)}
     return {name: value for name, value in row.items() if name != "error"} | {"error": row["error"]} | costs
 

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.progress import teller
 from polyida.results.motion import unbalanced
-from polyida.show.style import literal, marker_style, on_axes
+from polyida.show.axes import finish
+from polyida.show.styles import literal, marker_style, on_axes
 from polyida.study.ivp import initial_value_problem, integrator_lists, settings_text
 from polyida.study.result import Result
 from polyida.validation import named_keywords, one_of, whole
@@ -33,7 +34,9 @@ class Invariants(Result):
         super().__init__(rows, notes, histories)
         self.title = f"{self.title}: {name}"
 
-    def plot(self, quantity: str | None = None, axes: Axes | None = None) -> Axes:
+    def plot(
+        self, quantity: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
+    ) -> Axes:
         """Draw the history of a quantity, a line for each integrator.
 
         Parameters
@@ -42,6 +45,9 @@ class Invariants(Result):
             A key of `quantities`; default: the first one.
         axes : Axes, optional
             New pyplot axes if None.
+        title : str, optional
+            None: no title.
+        labels : {label of an integrator: what the legend shows}, optional
 
         Returns
         -------
@@ -55,15 +61,18 @@ class Invariants(Result):
         known = self._known()
         quantity = one_of("plot", "quantity", known[0] if quantity is None else quantity, known)
         label, logarithmic = self.quantities[quantity]
+        failed = {row["integrator"] for row in self.rows if row.get("status", "done") not in ("done", "stopped")}
         with on_axes(axes) as axis:
             for i, (name, history) in enumerate(self.histories.items()):
                 values = np.maximum(np.abs(history[quantity]), FLOOR) if logarithmic else history[quantity]
                 every = max(1, len(values) // 12)  # about twelve markers, each line's at other frames
-                markers = {"markevery": (i * every // len(self.histories), every), "markerfacecolor": "none", "markersize": 4}
+                markers = {"markevery": (i * every // len(self.histories), every), "markerfacecolor": "none"}
                 axis.plot(history["t"], values, label=literal(name), **marker_style(i) | markers)
-            axis.set(xlabel="t, s", ylabel=label, title=literal(self.title), yscale="log" if logarithmic else "linear")
-            axis.legend(loc="best")
-            return axis
+                if name in failed:
+                    look = marker_style(i) | {"marker": "x", "linestyle": "none"}
+                    axis.plot(history["t"][-1:], values[-1:], label=literal(f"{name}: failed"), **look)
+            axis.set(xlabel="t, s", ylabel=label, yscale="log" if logarithmic else "linear")
+            return finish(axis, title, labels)
 
     def pictures(self) -> dict:
         least = f", {FLOOR:g} if it is less"
@@ -92,7 +101,8 @@ def _run_all(result_class, measure, study, model, t_end, q0, v0, integrators, fr
             indices = np.unique(np.linspace(0, len(run.t) - 1, min(frames, len(run.t))).astype(int))
             row, histories[label] = measure(run, indices)
             cost = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
-            rows.append({"integrator": label, "setting": settings_text(integrator, [])} | row | cost)
+            settings = {"setting": settings_text(integrator, [], run.settings_used), "settings_used": run.settings_used}
+            rows.append({"integrator": label} | settings | row | cost)
             notes += [] if run.success else [f"{label}: {run.message}"]
         report(len(lists), len(lists), "")
     return result_class(ivp.name, rows, notes, histories)
@@ -112,7 +122,7 @@ class EnergyKept(Invariants):
         **COST,
     }
     quantities = {
-        "unbalanced": ("change of energy less external work, J", False),
+        "unbalanced": ("energy error, J", False),
         "total": ("total energy, J", False),
         "kinetic": ("kinetic energy, J", False),
         "strain": ("strain energy, J", False),
@@ -186,7 +196,7 @@ class Drift(Invariants):
 
     title = "drift off the constraints"
     columns = {**RUN, "drift": ("largest |phi|", "{:.1e}"), "velocity_drift": ("largest |phi'|", "{:.1e}"), **COST}
-    quantities = {"drift": ("largest |phi|", True), "velocity_drift": ("largest |phi_q v + phi_t|", True)}
+    quantities = {"drift": ("max |φ|", True), "velocity_drift": ("max |dφ/dt|", True)}
 
     @property
     def figures(self) -> dict[str, float]:

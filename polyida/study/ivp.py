@@ -4,6 +4,7 @@ import inspect
 from contextlib import AbstractContextManager
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from polyida.integrate.start import consistent_state
 from polyida.integrate.state import declared
 from polyida.model import Model
 from polyida.model.guarded import guard
-from polyida.reprs import numbers_and_texts
+from polyida.reprs import number_text, settings_of
 from polyida.run.solve import require_run, solve
+from polyida.study.scene_options import typed_options
 from polyida.study.user_files import load_object, user_errors
 from polyida.validation import SMALLEST, floats, is_number
 
@@ -36,7 +38,7 @@ class InitialValueProblem:
     """A model and its motion from (q0, v0) at t = 0 to t_end, s.
 
     published: {"q", "v", "lam": values at t_end, "known_to": {part: accuracy}, "made_by": [source]}, of problems with published digits.
-    step: of integrators without error control, s. point: name of the point that comparisons measure, None: all coordinates. file: the
+    quantity: what is compared in place of the end, a Quantity of polyida.study.quantity. step: of integrators without error control, s. point: name of the point that comparisons measure, None: all coordinates. file: the
     user's file, None for other models.
     """
 
@@ -49,6 +51,7 @@ class InitialValueProblem:
     step: float = 1e-3
     point: str | None = None
     file: Path | None = None
+    quantity: Any = None
 
     def user_errors(self) -> AbstractContextManager:
         """Context that names the line of the user's file from which an exception comes."""
@@ -57,6 +60,8 @@ class InitialValueProblem:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the parts of a motion whose errors studies measure."""
+        if self.quantity:
+            return tuple(self.quantity.functions)
         return (*PARTS, "x") if self.model.k and guard(self.model).k else PARTS
 
     def run(self, integrator, t_end=None, **options):
@@ -118,11 +123,12 @@ def resolve_model(study, model):
     return f"a scene of {built.n} coordinates" if isinstance(model, Scene) or built.is_scene else type(model).__name__, built, None
 
 
-def load(spec, time=None, step=None, **options):
+def load(spec, time=None, step=None, texts=None, known=(), **options):
     """The InitialValueProblem of a registered name or of `my_scene.py:build`; time and step override those of the scene.
 
-    options (such as cells) are arguments of the function that builds the scene; None: default. Raises InputError for an unknown name, file,
-    function or option, and for times that are not positive.
+    options (such as cells) are arguments of the function that builds the scene; None: default. texts: {option: text} of further ones, as the
+    command line gives them; known: its own options. Raises InputError for an unknown name, file, function or option, and for times that are not
+    positive.
     """
     from polyida import problems
     from polyida.body.rigid_body import PointMass
@@ -138,6 +144,7 @@ def load(spec, time=None, step=None, **options):
         build = registry.find(registry.problems, spec)
     else:
         raise InputError(f"scene {spec!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
+    options |= typed_options(spec, build, texts or {}, known)
     if unknown := set(options) - set(inspect.signature(build).parameters):
         raise InputError(f"{spec} takes no option --{min(unknown)}: its function has no argument of that name")
     try:
@@ -206,19 +213,25 @@ def step_list(study, h):
     return sorted(steps.tolist(), reverse=True)
 
 
-def settings_text(integrator, others):
-    """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()"."""
+def settings_text(integrator, others, used=None):
+    """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()".
+
+    used: the settings that its run used; relative tolerances that acted and were not given are shown too, "rtol=1e-05, ida_rtol=3.2e-08".
+    """
     if not is_dataclass(integrator) and type(integrator).__repr__ is not object.__repr__:
         return repr(integrator)[:MAX_LENGTH]
-    kind, values = type(integrator), _settings(integrator)
+    kind, values = type(integrator), settings_of(integrator)
     items = fields(integrator) if is_dataclass(integrator) else ()
     defaults = {item.name: item.default for item in items if item.repr and item.init} or dict.fromkeys(values, MISSING)
+    acted = {name: value for name, value in (used or {}).items() if name.endswith("rtol") and value is not None and value != values[name]}
+    acted = {name: value for name, value in acted.items() if name == "rtol" or value != used["rtol"]}
 
     def text(names):
-        return ", ".join(f"{name}={values[name]:g}" if is_number(values[name]) else f"{name}={values[name]!r}" for name in names)
+        shown = {name: values[name] for name in names} | acted
+        return ", ".join(f"{name}={number_text(value)}" for name, value in shown.items())
 
     if all(type(other) is kind for other in others):
-        others = [_settings(other) for other in others]
+        others = [settings_of(other) for other in others]
         varied = [name for name in defaults if any(not np.array_equal(values[name], other.get(name)) for other in others)]
         if varied:
             return text(varied)[:MAX_LENGTH]
@@ -228,10 +241,5 @@ def settings_text(integrator, others):
 
 def kind_of(integrator):
     """A text that is equal for integrators with the same kernels: class and settings without their numbers."""
-    values = _settings(integrator).items()
+    values = settings_of(integrator).items()
     return f"{type(integrator)} { {name: value is None if value is None or is_number(value) else value for name, value in values} }"
-
-
-def _settings(part):
-    """{field: value} of a dataclass; of another object its numbers and texts."""
-    return {item.name: getattr(part, item.name) for item in fields(part)} if is_dataclass(part) else numbers_and_texts(part)

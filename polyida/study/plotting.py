@@ -6,7 +6,7 @@ from functools import wraps
 import numpy as np
 
 from polyida.show.html import Picture
-from polyida.show.style import INK, PALETTE, figure, hollow_markers, marker_style, settings
+from polyida.show.styles import INK, PALETTE, figure, hollow_markers, marker_style, settings
 from polyida.study.rows import positive
 
 
@@ -39,7 +39,7 @@ def slope_line(axes, slope, x, y, label=None, offset=(2, 2)):
     axes.annotate(
         label or (f"{slope:+.3g}" if slope else "0"),
         (x[-1], y * (x[-1] / x[0]) ** slope),
-        fontsize=7,
+        fontsize="small",
         color=INK,
         xytext=offset,
         textcoords="offset points",
@@ -52,7 +52,7 @@ def target_line(axes, y, label):
     """Draw a thin dashed line across the axes at y with a label at its left end."""
     axes.axhline(y, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
     place = {"xycoords": ("axes fraction", "data"), "xytext": (3, 2), "textcoords": "offset points"}
-    axes.annotate(label, (0, y), fontsize=7, color="#555555", **place)
+    axes.annotate(label, (0, y), fontsize="small", color="#555555", **place)
 
 
 def setting_label(kind, value):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from inspect import signature
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -16,10 +18,13 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.state import declared
 from polyida.objective.objective import Objective, require_objective
 from polyida.progress import teller
-from polyida.show.style import INK, literal, marker_style, on_axes
-from polyida.study.ivp import PARTS, initial_value_problem, integrator_lists, kind_of, settings_text, step_list
+from polyida.show.axes import finish
+from polyida.show.styles import INK, literal, marker_style, on_axes
+from polyida.study.ivp import initial_value_problem, integrator_lists, kind_of, settings_text, step_list
+from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
-from polyida.study.references import end_of, make_reference, user_reference
+from polyida.study.quantity import TIMES, WORDS, quantity_of
+from polyida.study.references import distance, end_of, make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
 from polyida.validation import named_keywords, one_of, whole
@@ -30,9 +35,11 @@ if TYPE_CHECKING:
 COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
 FINER = 1.5  # ratio of steps of two runs whose ends are compared
 STAGNATION = 10.0  # runs stagnate if their distance to the reference is this multiple of their mutual distance and of the accuracy
+ASYMPTOTIC = 0.3  # largest difference of the slopes of two halves of the errors that have an order
 FITTED = 10.0  # times the accuracy of the reference: smaller errors are not used to fit an order
 UNRESOLVED = "#88888822"  # colour of the errors below the accuracy of the reference
-WORK = {"cpu_s": "CPU seconds", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
+SYMBOLS = {"lam": "λ"}  # of parts whose name is no symbol
+WORK = {"cpu_s": "CPU time, s", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
 COLUMNS = {
     "integrator": ("integrator", "{}"),
     "setting": ("setting", "{}"),
@@ -50,11 +57,17 @@ COLUMNS = {
 }
 
 
-def errors_at_end(run, parts, reference):
-    """{part: largest absolute error at the end}; NaN if the run failed, if there is no reference, or if the part is empty."""
-    end = end_of(run) if run.success else {}
-    known = [part for part in parts if part in end and np.size(reference.get(part, ()))]
-    return dict.fromkeys(parts, NAN) | {part: float(np.abs(end[part] - reference[part]).max()) for part in known}
+def errors_of(ivp, run, reference):
+    """{part: largest absolute error at the end, or that of ivp.quantity in its norm}.
+
+    NaN if the run failed, if there is no reference, or if the part is empty.
+    """
+    errors = dict.fromkeys(ivp.parts, NAN)
+    if not run.success or ivp.quantity and len(run) < len(ivp.quantity.times):
+        return errors
+    values = ivp.quantity.of_run(run) if ivp.quantity else end_of(run)
+    known = {part: values[part] for part in ivp.parts if part in values and np.size(reference.get(part, ()))}
+    return errors | (ivp.quantity.distance(known, reference) if ivp.quantity else distance(known, reference))
 
 
 def unresolved_pulse_notes(reference):
@@ -95,13 +108,19 @@ class Precision(Result):
     Attributes
     ----------
     reference : dict
-        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}}.
+        {"q", "v", "lam", "x": values at t_end, "J": value, "made_by": [methods], "known_to": {part: accuracy}, "units": {part: unit}}, and
+        "cpu_s", the CPU seconds spent on it, if it was made here.
     """
 
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
-        self.parts = (*PARTS, *(part for part in ("x", "J") if any(f"error_{part}" in row for row in rows)))
+        self.parts = tuple(dict.fromkeys(name.removeprefix("error_") for row in self.rows for name in row if name.startswith("error_")))
+        self.norm = reference.get("norm", "end")
+        ends = list(self.columns)
+        before = {name: self.columns[name] for name in ends[: ends.index("error_q")]}
+        of_parts = {f"error_{part}": (self._error_in(part), "{:.1e}") for part in self.parts if part != "J"}
+        self.columns = before | of_parts | {name: column for name, column in self.columns.items() if name not in of_parts}
         for part in self.parts:
             count = sum(row[f"error_{part}"] <= self._accuracy(part) for row in self.rows)
             if count and self.known_to[part] > 0:
@@ -110,7 +129,10 @@ class Precision(Result):
                 )
         known = ", ".join(f"{part} {value:.1e}" for part, value in self.known_to.items() if value == value)
         accuracy = f"its accuracy: {known}" if known else "its accuracy is unknown"
-        self.lead = f"Reference: {'; '.join(reference['made_by'])}; {accuracy}." if "q" in reference else ""
+        made_by = reference.get("made_by")
+        self.lead = f"Reference: {'; '.join(made_by)}; {accuracy}." if made_by else ""
+        self.lead += "" if self.norm == "end" else f" Errors: {WORDS[self.norm]}, at {TIMES} times."
+        self.notes += [note for label in self.labels for part in self.parts if (note := self._not_asymptotic(label, part))]
 
     @property
     def known_to(self) -> dict[str, float]:
@@ -122,7 +144,8 @@ class Precision(Result):
     def orders(self) -> dict[str, dict[str, float]]:
         """{label: {part: order}}: slope of the error over the mean step on logarithmic axes.
 
-        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them and for error control.
+        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them, for error control, and for errors that are
+        not asymptotic: the slopes of the coarser and of the finer half differ by more than 0.3. `notes` says which.
         """
         return {label: {part: self._order(label, part) for part in self.parts} for label in self.labels}
 
@@ -144,38 +167,65 @@ class Precision(Result):
         return [row for row in self._finished(label) if row["h"] is not None and row[f"error_{part}"] > FITTED * self._accuracy(part)]
 
     def _order(self, label, part):
-        rows = self._fitted(label, part)
+        return NAN if self._not_asymptotic(label, part) else self._slope(self._fitted(label, part), part)
+
+    def _slope(self, rows, part):
         return fit_slope([self._step(row) for row in rows], [row[f"error_{part}"] for row in rows])
+
+    def _not_asymptotic(self, label, part):
+        """Why the errors of an integrator have no order, as a text; empty if they have one, or if there is nothing to fit."""
+        rows = sorted(self._fitted(label, part), key=self._step, reverse=True)
+        measured = [row for row in self._finished(label) if row["h"] is not None and row[f"error_{part}"] > 0]
+        above = any(row[f"error_{part}"] > self._accuracy(part) for row in measured)  # if none is, the note on the accuracy says so
+        if len(rows) < 2 <= len(measured) and above:
+            return f"{label}: no order in {part}, its errors are at the reference's level"
+        half = len(rows) // 2
+        if len(rows) < 3:
+            return ""
+        coarser, finer = self._slope(rows[: half + 1], part), self._slope(rows[half:], part)
+        if abs(coarser - finer) <= ASYMPTOTIC:
+            return ""
+        return f"{label}: no order in {part} yet, its errors fall with {coarser:.1f} over the coarser steps and {finer:.1f} over the finer ones"
+
+    def _error_in(self, part):
+        """The words of a part's error in tables and pictures."""
+        norm = {"end": "error in", "max": "largest error in", "rms": "rms error in"}[self.norm]
+        return f"{norm} {part}"
 
     def _step(self, row):
         """Mean step of a run; a user's integrator may count no steps."""
         return row["t"] / row["steps"] if row["steps"] else row["h"]
 
-    def _draw_line(self, axis, part, i, label, rows, point):
-        """A line of an integrator's rows; point(row, error) -> (x, y). Unresolved errors are hollow markers at the reference's accuracy."""
-        accuracy = self._accuracy(part)
-        rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and accuracy > 0]
-        if not rows:
-            return
-        points = [point(row, max(row[f"error_{part}"], accuracy)) for row in rows]
-        axis.plot(*np.transpose(points), label=literal(label), **marker_style(i))
-        if below := [xy for xy, row in zip(points, rows) if row[f"error_{part}"] <= accuracy]:
-            style = marker_style(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
-            axis.plot(*np.transpose(below), label="_below", **style)
+    def _draw(self, axis, part, label, i, x_of):
+        """Errors of an integrator over x_of(row), finer settings last, and crosses at the upper edge for runs that failed.
 
-    def _finish(self, axis, part, direction, **labels):
-        """Logarithmic axes, a grey area below the reference's accuracy, labels and legend."""
+        Errors that the reference cannot resolve are hollow markers at its accuracy.
+        """
+        accuracy = self._accuracy(part)
+        shown = [row for row in self._finished(label) if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and accuracy > 0]
+        shown = sorted((row for row in shown if x_of(row) > 0), key=lambda row: row["steps"])
+        if shown:
+            points = [(x_of(row), max(row[f"error_{part}"], accuracy)) for row in shown]
+            axis.plot(*np.transpose(points), label=literal(label), **marker_style(i))
+            if below := [point for point, row in zip(points, shown) if row[f"error_{part}"] <= accuracy]:
+                axis.plot(*np.transpose(below), label="_below", **marker_style(i) | {"linestyle": "none", "markerfacecolor": "white"})
+        finished = self._finished(label)
+        failed = [x_of(row) for row in self.rows if row["integrator"] == label and row not in finished and x_of(row) > 0]
+        if failed:
+            look = marker_style(i) | {"marker": "x", "linestyle": "none", "transform": axis.get_xaxis_transform(), "clip_on": False}
+            axis.plot(failed, np.ones(len(failed)), label=literal(f"{label}: failed"), **look)
+
+    def _finish(self, axis, part, xlabel, title, labels):
+        """Logarithmic axes, a grey area below the reference's accuracy, names and legend."""
         axis.set(xscale="log", yscale="log")
-        accuracy, (low, high) = self.known_to[part], axis.get_xlim() if direction == "x" else axis.get_ylim()
+        accuracy, (low, high) = self.known_to[part], axis.get_ylim()
         if accuracy > low:
-            area, line = (axis.axvspan, axis.axvline) if direction == "x" else (axis.axhspan, axis.axhline)
-            area(low, accuracy, color=UNRESOLVED, zorder=0, linewidth=0)
-            line(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
-            (axis.set_xlim if direction == "x" else axis.set_ylim)(low, high)
-        axis.set(title=literal(self.title), **labels)
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(loc="best")
-        return axis
+            axis.axhspan(low, accuracy, color=UNRESOLVED, zorder=0, linewidth=0)
+            axis.axhline(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
+            axis.set_ylim(low, high)
+        unit = self.reference.get("units", {}).get(part, "")
+        axis.set(xlabel=xlabel, ylabel=f"{self._error_in(literal(SYMBOLS.get(part, part)))}{f', {unit}' if unit else ''}")
+        return finish(axis, title, labels)
 
 
 def _with_estimates(ivp, integrators, objective, rows, reference, progress):
@@ -202,13 +252,16 @@ def _with_estimates(ivp, integrators, objective, rows, reference, progress):
     return result, notes, reference | {"J": value, "known_to": reference.get("known_to", {}) | {"J": least}}
 
 
-def measure_errors(study, ivp, integrators, reference, repeats, progress, objective=None):
-    """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None."""
+def measure_errors(study, ivp, integrators, reference, repeats, progress, objective=None, folder=None):
+    """(rows, notes, reference): the runs of every integrator one after the other, then the reference, computed if None.
+
+    folder: that keeps the ends of reference runs, beside the memory.
+    """
     if reference is False:
         reference = {"made_by": [], "failed": []}
     elif reference is not None:
         reference = user_reference(study, ivp, reference)
-    elif "known_to" in ivp.published:
+    elif "known_to" in ivp.published and not ivp.quantity:
         reference = user_reference(study, ivp, ivp.published)
     rows, runs, warm, total = [], [], set(), sum(map(len, integrators.values()))
     for label, settings in integrators.items():
@@ -220,27 +273,38 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
             progress(len(rows), total + 1, f"{label}, {text}")
             repeated = [ivp.run(integrator, every=10**9) for _ in range(repeats)]
             run, h = repeated[0], declared(integrator).fixed_step() or None
-            row = {"integrator": label, "setting": text, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
+            row = {"integrator": label, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
             row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
-            rows.append(row)
-            runs.append(run)
+            rows.append(row | {"setting": settings_text(integrator, settings, run.settings_used), "settings_used": run.settings_used})
+            runs.append(ivp.run(integrator, output=ivp.quantity.times) if ivp.quantity else run)
 
     def smallest_errors(reference):
-        errors = [errors_at_end(run, ivp.parts, reference) for run in runs]
+        errors = [errors_of(ivp, run, reference) for run in runs]
         return {part: min((each[part] for each in errors if each[part] > 0), default=0.0) for part in ivp.parts}
 
     if reference is None:
-        reference = make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text))
-    errors = (errors_at_end(run, ivp.parts, reference) for run in runs)
+        reference = make_reference(ivp, smallest_errors, lambda text: progress(total, total + 1, text), kept=KeptEnds(ivp, folder))
+    errors = (errors_of(ivp, run, reference) for run in runs)
     rows = [row | {f"error_{part}": error for part, error in each.items()} for row, each in zip(rows, errors)]
     progress(total + 1, total + 1, "")
     notes = [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
     if objective is not None:
         rows, more, reference = _with_estimates(ivp, integrators, objective, rows, reference, lambda text: progress(total, total + 1, text))
         notes += more
-    if "q" not in reference and reference["failed"]:
+    if not reference.get("made_by") and reference["failed"]:
         notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
-    return rows, [*notes, *unresolved_pulse_notes(reference), *stagnation_notes(rows, runs, reference)], reference
+    notes += [*unresolved_pulse_notes(reference), *([] if ivp.quantity else stagnation_notes(rows, runs, reference))]
+    norm = ivp.quantity.norm if ivp.quantity else "end"
+    return rows, notes, reference | {"units": units_of(ivp), "norm": norm}
+
+
+def units_of(ivp):
+    """{part: unit} of a model where all entries of the part have the same one."""
+    model = ivp.model
+    if ivp.quantity and ivp.quantity.of is not None:
+        return dict.fromkeys(ivp.parts, ivp.quantity.unit)
+    units = {*model.units} - {""}
+    return ({"q": "m", "v": "m/s"} if model.is_scene else {}) | ({"lam": units.pop()} if len(units) == 1 else {})
 
 
 class WorkPrecision(Precision):
@@ -252,38 +316,50 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
-    def plot(self, part: str = "q", axes: Axes | None = None, work: str = "cpu_s") -> Axes:
-        """Draw work against the error at the end, a line for each integrator.
+    def plot(
+        self,
+        part: str | None = None,
+        axes: Axes | None = None,
+        work: str = "cpu_s",
+        title: str | None = None,
+        labels: dict[str, str] | None = None,
+    ) -> Axes:
+        """Draw the error against work, a line for each integrator.
 
         Parameters
         ----------
-        part : {"q", "v", "lam", "x", "J"}
+        part : {"q", "v", "lam", "x", "J"} or the quantity `of` of the study, optional
+            Default: the first one that the study has.
         axes : Axes, optional
             New pyplot axes if None.
         work : {"cpu_s", "steps", "residuals", "factorizations", "solves"}
+        title : str, optional
+            None: no title.
+        labels : {label of an integrator: what the legend shows}, optional
 
         Returns
         -------
         axes : Axes
-            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area. Runs that failed are
+            crosses at the upper edge.
 
         Raises
         ------
         InputError
             For another part or work.
         """
-        one_of("plot", "part", part, self.parts)
+        part = self.parts[0] if part is None else one_of("plot", "part", part, self.parts)
         one_of("plot", "work", work, WORK)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                rows = [row for row in self._finished(label) if row[work] > 0]
-                self._draw_line(axis, part, i, label, rows, lambda row, error: (error, row[work]))
-            return self._finish(axis, part, "x", xlabel=f"error in {part}", ylabel=WORK[work])
+                self._draw(axis, part, label, i, lambda row: row[work])
+            return self._finish(axis, part, WORK[work], title, labels)
 
     def pictures(self) -> dict:
-        """CPU time against the errors of all parts, and residuals against the error in q."""
-        pictures = {f"error-{part}": (f"CPU seconds against the error in {part}.", part, "cpu_s") for part in self.parts}
-        pictures["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
+        """The errors of all parts against CPU time, and that in the first one against residuals."""
+        first, where = self.parts[0], WORDS[self.norm]
+        pictures = {f"error-{part}": (f"Error in {part}, {where}, against CPU time.", part, "cpu_s") for part in self.parts}
+        pictures["residuals"] = (f"Error in {first}, {where}, against evaluations of the residual.", first, "residuals")
         return {
             name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
             for name, (caption, part, work) in pictures.items()
@@ -298,7 +374,10 @@ def work_precision(
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     integrators: dict[str, object] | None = None,
+    of: object = None,
+    norm: str = "end",
     reference: object = None,
+    reference_folder: str | Path | None = None,
     objective: Objective | None = None,
     repeats: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
@@ -315,16 +394,26 @@ def work_precision(
         State at t = 0. Default: that of the problem, or zero.
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
+    of : str, sensor or function, optional
+        What is compared in place of q, v and lam: the place of a point or a joint, by its name, a sensor of `pi.sensor`, or a function of the run
+        that gives an array (frames, ...). Its name is the part of plots; that of a sensor is "sensor", of a lambda "quantity".
+    norm : {"end", "max", "rms"}
+        Of the errors: at the end, the largest one, or their root mean square at 200 times, evenly spread; there the run is interpolated
+        as `solve(..., output=...)` does. Each setting runs once more for that; its CPU time is that of the run without.
     reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, or False, optional
-        Default: the published digits of the problem, or else Radau IIA, refined until a method of another family agrees with it to a tenth
-        of the smallest error. False: none, which an objective does not need.
+        Default: the published digits of the problem, or else Radau IIA, refined until another method agrees with it to a tenth of the
+        smallest error: Radau IIA of order 3, or one of another family where that does not come near. The next study of the same model, start and
+        end takes what is known and refines it if its errors are smaller. False: none, which an objective does not need.
+    reference_folder : str or Path, optional
+        Folder that keeps the ends of reference runs for later processes, in a file for each model, start and end. In memory they stay anyway.
     objective : Objective, optional
         A quantity J, one of `pi.objective`. Each run is repeated for `pi.error_of`. J of the run with the smallest trusted estimate, corrected by it,
         is the reference of J; its accuracy is the size of that estimate.
     repeats : int
         Runs of each setting; the CPU time is their median.
     progress : callable or bool, optional
-        Function of (done, total, text); True: a bar.
+        Function of (done, total, text); by default a bar at a terminal and in a notebook; False: none. During the reference the text
+        says how many CPU seconds its next run will take.
 
     Returns
     -------
@@ -342,14 +431,16 @@ def work_precision(
     The runs follow one another, because their CPU time is measured; other work on the machine distorts it.
     """
     ivp = initial_value_problem("work_precision", model, t_end, q0, v0)
+    ivp = replace(ivp, quantity=quantity_of("work_precision", ivp, of, norm))
     lists = integrator_lists("work_precision", ivp, integrators)
     if objective is not None:
         require_objective("work_precision", objective)
     elif reference is False:
         raise InputError("work_precision: reference = False leaves no errors; give an objective, such as pi.objective.Deviation(...)")
     whole("work_precision", "repeats", repeats)
+    folder = require_folder("work_precision", reference_folder)
     with teller("work_precision", progress) as report:
-        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective))
+        return WorkPrecision(ivp.name, *measure_errors("work_precision", ivp, lists, reference, repeats, report, objective, folder))
 
 
 class StepSizes(Precision):
@@ -361,39 +452,57 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
-    def plot(self, part: str = "q", axes: Axes | None = None) -> Axes:
-        """Draw the error at the end against the mean step, with lines of the rounded orders.
+    def plot(
+        self, part: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
+    ) -> Axes:
+        """Draw the error against the mean step, with one thin line for each rounded order.
 
         Parameters
         ----------
-        part : {"q", "v", "lam", "x"}
+        part : {"q", "v", "lam", "x"} or the quantity `of` of the study, optional
+            Default: the first one that the study has.
         axes : Axes, optional
             New pyplot axes if None.
+        title : str, optional
+            None: no title.
+        labels : {label of an integrator: what the legend shows}, optional
 
         Returns
         -------
         axes : Axes
-            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area.
+            Errors below the reference's accuracy cannot be resolved: their markers are hollow, at the edge of the grey area. Runs that failed are
+            crosses at the upper edge.
 
         Raises
         ------
         InputError
             For another part.
         """
-        one_of("plot", "part", part, self.parts)
+        part = self.parts[0] if part is None else one_of("plot", "part", part, self.parts)
         with on_axes(axes) as axis:
             for i, label in enumerate(self.labels):
-                self._draw_line(axis, part, i, label, self._finished(label), lambda row, error: (self._step(row), error))
-                order, rows = self.orders[label][part], self._fitted(label, part)
-                if np.isfinite(order):
-                    steps = [self._step(row) for row in rows]
-                    slope_line(axis, round(order), [max(steps), min(steps)], 0.5 * max(row[f"error_{part}"] for row in rows))
-            return self._finish(axis, part, "y", xlabel="mean step, s", ylabel=f"error in {part} at the end")
+                self._draw(axis, part, label, i, self._step)
+            if axis.lines:
+                axis.margins(y=0.15)  # space for the orders
+            for order, rows in self._by_order(part).items():
+                steps = [self._step(row) for row in rows]
+                coarsest = min(row[f"error_{part}"] / self._step(row) ** order for row in rows) * max(steps) ** order
+                slope_line(axis, order, [max(steps), min(steps)], 0.5 * coarsest, f"order {order}", offset=(3, -3))
+            return self._finish(axis, part, "mean step, s", title, labels)
+
+    def _by_order(self, part):
+        """{rounded order: rows that it was fitted to, of all integrators of that order}."""
+        found: dict[int, list] = {}
+        for label in self.labels:
+            order = self.orders[label][part]
+            if np.isfinite(order):
+                found.setdefault(round(order), []).extend(self._fitted(label, part))
+        return found
 
     def pictures(self) -> dict:
         """The errors of all parts against the step."""
         return {
-            f"error-{part}": (f"Error in {part} at the end against the step.", lambda axes, part=part: self.plot(part, axes))
+            f"error-{part}": (f"Error in {part}, {WORDS[self.norm]}, against the step.", lambda axes, part=part: self.plot(part, axes))
             for part in self.parts
         }
 
@@ -407,7 +516,10 @@ def step_sizes(
     v0: ArrayLike | None = None,
     integrators: dict[str, Callable[[float], object]] | None = None,
     h: ArrayLike = (8e-3, 4e-3, 2e-3, 1e-3),
+    of: object = None,
+    norm: str = "end",
     reference: object = None,
+    reference_folder: str | Path | None = None,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> StepSizes:
     """Run every integrator with every step and measure errors at the end and their orders.
@@ -421,7 +533,7 @@ def step_sizes(
     h : (k,) float, s
         The steps, not longer than t_end. Integrators shorten them, so that a whole number of steps ends at t_end: plots and orders use the
         mean step of each run.
-    reference, progress
+    of, norm, reference, reference_folder, progress
         As in `work_precision`.
 
     Returns
@@ -435,14 +547,16 @@ def step_sizes(
         For invalid arguments, before the first run.
     """
     ivp = initial_value_problem("step_sizes", model, t_end, q0, v0)
+    ivp = replace(ivp, quantity=quantity_of("step_sizes", ivp, of, norm))
     steps = step_list("step_sizes", h)
     if steps[0] > ivp.t_end:
         raise InputError(f"step_sizes: h = {steps[0]:g} s must not be longer than the run, t_end = {ivp.t_end:g} s")
     if isinstance(integrators, dict):
         integrators = {label: [_with_step(label, make, h) for h in steps] for label, make in integrators.items()}
     lists = integrator_lists("step_sizes", ivp, integrators)
+    folder = require_folder("step_sizes", reference_folder)
     with teller("step_sizes", progress) as report:
-        rows, notes, reference = measure_errors("step_sizes", ivp, lists, reference, 1, report)
+        rows, notes, reference = measure_errors("step_sizes", ivp, lists, reference, 1, report, folder=folder)
     for row, step in zip(rows, np.tile(steps, len(lists))):
         row["h"] = float(step)
     return StepSizes(ivp.name, rows, notes, reference)

@@ -1,8 +1,10 @@
-"""References: the end of a motion by two methods of unlike families, refined until they agree.
+"""References: the end of a motion by two methods, refined until they agree.
 
-A reference holds the values of Radau IIA; its accuracy is the distance to another family: DOP853 on the index-1 equations, BDF (IDA), or
-the energy-momentum method and generalized-alpha with extrapolation. They share the model and its consistent accelerations, and no formula
-of a step. The pair is refined until its distance is a tenth of the smallest measured error, or as long as refinement reduces it.
+A reference holds the values of Radau IIA of order 5; its accuracy is the distance to another method and what a finer run still changes. The
+other method is the first of these that reaches the end and comes near enough: Radau IIA of order 3, which takes other steps at about the same
+cost, DOP853 on the index-1 equations, the energy-momentum method and generalized-alpha with extrapolation, and BDF (IDA), mostly the
+dearest. Runs begin with a loose tolerance; the tolerance is reduced until the accuracy is a tenth of the smallest measured error, or as long
+as this improves the accuracy. Another method is asked only where Radau IIA itself no longer changes by more than that.
 
 A method sees a force only at the stages of its steps, so that both methods may miss a short pulse. For forces without announced
 discontinuities, `missed_impulse` samples the force at many times of each step, on the quintic through q, v and a of its ends, and compares
@@ -10,7 +12,7 @@ it with the cubic through the stages of Radau IIA. The missed impulse `J = int g
 -J`, `B dv = 0`.
 """
 
-from contextlib import suppress
+import time
 from functools import partial
 from types import SimpleNamespace
 
@@ -29,6 +31,8 @@ from polyida.linear.saddle import KKT
 from polyida.model.guarded import guard
 from polyida.run.solve import solve
 from polyida.study.ivp import PARTS, values_of
+from polyida.study.kept import End
+from polyida.trajectory import Trajectory
 from polyida.validation import is_number
 
 LEGS = 32  # parts of an explicit run; without projection between them, angle motors drift by 2e-10 rad in 1 s
@@ -90,30 +94,36 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
     return states
 
 
-def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False):
-    """{part: value} at t_end by `explicit`."""
-    q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS, limited=limited)[0]
+def by_explicit(model, t_end, rtol, q0=None, v0=None, limited=False, quantity=None):
+    """{part: value} at t_end by `explicit`, or those of a Quantity."""
+    times = quantity.times if quantity else None
+    states = explicit(model, t_end, rtol, q0=q0, v0=v0, times=times, legs=LEGS, limited=limited)
+    if quantity:
+        return quantity.of_run(Trajectory(model, "DOP853", times, *map(np.array, zip(*states))))
+    q, v, _, lam = states[0]
     return values_of(guard(model), q, v, lam)
 
 
-def by_radau(model, t_end, rtol, q0=None, v0=None):
+def by_radau(model, t_end, rtol, q0=None, v0=None, quantity=None):
     """{part: value} at t_end by Radau IIA of order 5 with error control. Raises RuntimeError if the run fails."""
-    return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0)
+    return end_state(model, t_end, RadauIIA(rtol=rtol), q0, v0, quantity=quantity)
 
 
-def extrapolated(model, t_end, method, h, q0=None, v0=None):
+def extrapolated(model, t_end, method, h, q0=None, v0=None, quantity=None):
     """{part: value} at t_end by `(4 y(h/2) - y(h)) / 3` of a method of order 2. Raises RuntimeError if a run fails."""
-    coarse, fine = (end_state(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
+    coarse, fine = (end_state(model, t_end, method(h=step), q0, v0, quantity=quantity) for step in (h, h / 2))
     return {part: (4 * fine[part] - value) / 3 for part, value in coarse.items()}
 
 
-def end_state(model, t_end, integrator, q0=None, v0=None, progress=None):
-    """{part: value} at t_end by an integrator. Raises RuntimeError if the run fails."""
+def end_state(model, t_end, integrator, q0=None, v0=None, progress=None, quantity=None):
+    """{part: value} at t_end by an integrator, or those of a Quantity. Raises RuntimeError if the run fails."""
+    if quantity:
+        return quantity.of_run(_full_run(model, t_end, integrator, q0, v0, progress, output=quantity.times))
     return end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
 
 
-def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, every=1):
-    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=every, progress=progress)
+def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frames):
+    run = solve(model, t_end, integrator, q0=q0, v0=v0, progress=progress, **frames)
     if run.status == "interrupted":
         raise KeyboardInterrupt
     if not run.success:
@@ -205,115 +215,201 @@ class _StepForces:
         return forces
 
 
-RADAU_RTOL = (1e-9, 1e-11, 1e-13)  # of each level
-EXPLICIT_RTOL = (1e-11, 1e-13, 2.3e-14)  # finer than Radau's: two methods with errors of one size sometimes agree by chance
-FINEST = 2
-LOOSE_RTOL, LOOSE_LEVEL = 1e-7, -1  # of a Radau run before the first level
+RADAU_RTOL = (1e-7, 1e-9, 1e-11, 1e-13)  # of each level
+LOW_ORDER_RTOL = (1e-8, 1e-9, 1e-11, 1e-12)  # of Radau IIA of order 3, whose error is larger at equal rtol
+EXPLICIT_RTOL = (1e-9, 1e-11, 1e-13, 2.3e-14)  # finer than Radau's: two methods with errors of one size sometimes agree by chance
+BDF_RTOL = (1e-7, 1e-8, 1e-10, 1e-12)
+FINEST = 3
+FIRST_WITH_PULSES = 1  # first level where forces may have pulses: longer steps miss them more often, and a missed impulse is an estimate
+LOOSE_RTOL, LOOSE_LEVEL = 1e-5, -1  # of a Radau run before the first level
+GROWTH = 2.2  # of the cost of Radau IIA from a level to the next: rtol / 100 at order 5
 REMAINING = 0.1  # remaining error after rtol / 100, relative to the change: holds also if the error falls only as the root of rtol
 WANTED_ACCURACY = 0.1  # of the smallest measured error
 REQUIRED_ACCURACY = 1.0  # of the smallest measured error; otherwise the next family is tried
 ROUND_OFF = 1e-14  # relative: round-off that two methods may share
 SUFFICIENT = 1e-12  # relative: two methods need not agree better
 IMPROVEMENT = 0.5  # a level must reduce the distance by this factor, otherwise refinement ends
-EXTRAPOLATION_STEPS = (500, 2000, 8000)  # of each level
+EXTRAPOLATION_STEPS = (250, 500, 2000, 8000)  # of each level
+
+
+def _end_state(ivp, integrator, progress=None):
+    return end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress, ivp.quantity)
+
+
+def _by_low_order_at(ivp, level):
+    rtol = LOW_ORDER_RTOL[level]
+    return f"Radau IIA of order 3, rtol {rtol:g}", _end_state(ivp, RadauIIA(rtol=rtol, stages=2))
 
 
 def _by_explicit_at(ivp, level):
     rtol = EXPLICIT_RTOL[level]
-    return f"DOP853 on the index-1 equations, rtol {rtol:g}", by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True)
+    values = by_explicit(ivp.model, ivp.t_end, rtol, ivp.q0, ivp.v0, limited=True, quantity=ivp.quantity)
+    return f"DOP853 on the index-1 equations, rtol {rtol:g}", values
 
 
 def _by_bdf_at(ivp, level):
     """Raises TooStiff if the run would take too many steps."""
-    rtol, limit = (1e-8, 1e-10, 1e-12)[level], WorkLimit("IDA", "steps", MAX_BDF_STEPS, ivp.t_end)
+    rtol, limit = BDF_RTOL[level], WorkLimit("IDA", "steps", MAX_BDF_STEPS, ivp.t_end)
     integrator = IDA(rtol=rtol, max_num_steps=2 * MAX_BDF_STEPS)
-    return f"IDA (BDF), rtol {rtol:g}", end_state(ivp.model, ivp.t_end, integrator, ivp.q0, ivp.v0, progress=limit)
+    return f"IDA (BDF), rtol {rtol:g}", _end_state(ivp, integrator, limit)
 
 
 def _extrapolated_at(ivp, level, name, method):
     if ivp.model.switching:  # steps end at the switches, so that the error is no power of h
         raise RuntimeError(f"{name} cannot be extrapolated: its steps end where forces of the model switch")
     h = ivp.t_end / EXTRAPOLATION_STEPS[level]
-    values = extrapolated(ivp.model, ivp.t_end, method, h, ivp.q0, ivp.v0)
+    values = extrapolated(ivp.model, ivp.t_end, method, h, ivp.q0, ivp.v0, ivp.quantity)
     return f"{name}, h = {h:g} s and half of it, extrapolated", values
 
 
-BY_EXPLICIT, BY_BDF = _by_explicit_at, _by_bdf_at
+BY_LOW_ORDER, BY_EXPLICIT, BY_BDF = _by_low_order_at, _by_explicit_at, _by_bdf_at
 BY_ENERGY_MOMENTUM = partial(_extrapolated_at, name="energy-momentum", method=EnergyMomentum)
 BY_ALPHA = partial(_extrapolated_at, name="generalized-alpha", method=partial(GeneralizedAlpha, tolerance=1e-11))
-OTHER_FAMILIES = (BY_EXPLICIT, BY_BDF, BY_ENERGY_MOMENTUM, BY_ALPHA)
+OTHER_METHODS = (BY_LOW_ORDER, BY_EXPLICIT, BY_ENERGY_MOMENTUM, BY_ALPHA, BY_BDF)
+WHERE_PULSES = (BY_EXPLICIT, BY_LOW_ORDER, BY_ENERGY_MOMENTUM, BY_ALPHA, BY_BDF)  # both orders of Radau IIA step over the same pulse
 
 
 def _by_radau_at(ivp, level):
     """(description, {part: value at the end}, {part: possible error from missed pulses})."""
-    name, motion = f"Radau IIA, rtol {RADAU_RTOL[level]:g}", (ivp.model, ivp.t_end)
-    if has_known_discontinuities(ivp.model):
-        return name, by_radau(*motion, RADAU_RTOL[level], ivp.q0, ivp.v0), {}
-    run = _full_run(*motion, RadauIIA(rtol=RADAU_RTOL[level]), ivp.q0, ivp.v0)
-    return name, end_of(run), missed_impulse(run)
+    rtol = LOOSE_RTOL if level == LOOSE_LEVEL else RADAU_RTOL[level]
+    name, motion = f"Radau IIA, rtol {rtol:g}", (ivp.model, ivp.t_end)
+    if level == LOOSE_LEVEL or has_known_discontinuities(ivp.model):
+        return name, by_radau(*motion, rtol, ivp.q0, ivp.v0, ivp.quantity), {}
+    run = _full_run(*motion, RadauIIA(rtol=rtol), ivp.q0, ivp.v0)
+    missed = missed_impulse(run)
+    if ivp.quantity is None:
+        return name, end_of(run), missed
+    unknown = missed["q"] if ivp.quantity.lengths else np.inf if any(missed.values()) else 0.0  # of a user's function of the motion
+    return name, _end_state(ivp, RadauIIA(rtol=rtol)), {part: missed.get(part, unknown) for part in ivp.parts}
 
 
-def make_reference(ivp, smallest_errors=lambda values: {}, progress=lambda text: None, others=OTHER_FAMILIES, first=0):
-    """The reference {"q", "v", "lam" and "x" of a model with states, "made_by": [two methods], "known_to": {part: accuracy}, "failed": [messages]}.
+class Ends:
+    """The ends of reference runs of an InitialValueProblem, each computed once. kept: KeptEnds, or None. spent: CPU seconds of those computed here.
 
-    "sampling", s, is the time between two samples of forces without announced discontinuities. smallest_errors(values): {part: smallest
-    measured error above zero against these values}; the accuracy is to be a tenth of it, or 1e-12 relative. others: families beside Radau
-    IIA in the order of trial. first: first level of refinement. The result has only "failed" if no two methods reach the end.
+    progress(text): told what begins, and what it will take as far as this is known.
     """
-    radau, failed, best = {}, [], {}
-    for method in others:
-        pair = _refine(ivp, method, range(first, len(RADAU_RTOL)), radau, failed, smallest_errors, progress)
-        best = pair if pair and (not best or _relative_distance(pair, best) < 1) else best
-        missed = any(any(error.values()) for _, _, error in radau.values())  # no other family improves these values
-        if best and (missed or not _inaccurate(best, smallest_errors, REQUIRED_ACCURACY)):
-            break
-    sampling = {} if has_known_discontinuities(ivp.model) or not best else {"sampling": ivp.t_end / SAMPLES}
-    return best | sampling | {"failed": failed}
 
+    def __init__(self, ivp, kept=None, progress=lambda text: None):
+        self.ivp, self.kept, self.progress = ivp, {} if kept is None else kept, progress
+        self.spent, self.failed = 0.0, []
 
-def _refine(ivp, method, levels, radau, failed, smallest_errors, progress):
-    """The best pair of Radau IIA and another family over the levels; {} if one of them fails. radau: results by level, extended here."""
-    best = {}
-    for level in levels:
+    def radau(self, level):
+        """The End of Radau IIA at a level; values is empty if it failed."""
+        return self._end(f"radau {level}", _by_radau_at, level, self._forecast(level))
+
+    def other(self, method, level):
+        """The End of another method; values is empty if it failed."""
+        known = getattr(method, "keywords", {}).get("name") or method.__name__
+        return self._end(f"{known} {level}" if method in OTHER_METHODS else "", method, level, self._forecast(level))
+
+    def _forecast(self, level):
+        """CPU seconds of a run at a level, from that of Radau IIA at the level before; None if unknown."""
+        before = self.kept.get(f"radau {level}") or self.kept.get(f"radau {level - 1}")
+        return before.seconds * GROWTH if before and before.seconds else None
+
+    def _end(self, name, method, level, seconds):
+        """The End of a run. name: empty for a method that is not kept."""
+        end = self.kept.get(name) if name else None
+        if end is None:
+            self.progress(f"reference, level {level - LOOSE_LEVEL}" + (f", about {seconds:.2g} CPU s" if seconds else ""))
+            end = self._computed(method, level)
+            if name:
+                self.kept[name] = end
+        if end.failed and end.failed not in self.failed:
+            self.failed.append(end.failed)
+        return end
+
+    def _computed(self, method, level):
+        begun = time.process_time()
         try:
-            progress(f"reference, level {level + 1}")
-            if level not in radau:
-                radau[level] = _by_radau_at(ivp, level)
-            name, other = method(ivp, level)[:2]
+            end = End(*method(self.ivp, level))
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001, a user's functions may raise anything; the measured rows must survive
-            failed.append(str(error) or type(error).__name__)
+            end = End(failed=str(error) or type(error).__name__)
+        end.seconds = time.process_time() - begun
+        self.spent += end.seconds
+        return end
+
+
+def make_reference(ivp, smallest_errors=lambda values: {}, progress=lambda text: None, others=None, first=0, kept=None):
+    """The reference {"q", "v", "lam" and "x" of a model with states, "made_by": [two methods], "known_to": {part: accuracy}, "failed": [messages],
+    "cpu_s": seconds spent on it}.
+
+    "sampling", s, is the time between two samples of forces without announced discontinuities. smallest_errors(values): {part: smallest
+    measured error above zero against these values}; the accuracy is to be a tenth of it, or 1e-12 relative. others: methods beside Radau
+    IIA of order 5 in the order of trial; None: OTHER_METHODS, or WHERE_PULSES if discontinuities of forces may be unknown. first: first level of refinement. kept: KeptEnds of runs of other studies. Without two methods that
+    reach the end there are no values and no accuracy.
+    """
+    ends, best = Ends(ivp, kept, progress), {}
+    known = has_known_discontinuities(ivp.model)
+    others = others or (OTHER_METHODS if known else WHERE_PULSES)
+    first = first if known else max(first, FIRST_WITH_PULSES)
+    for method in others:
+        pair = _refine(ends, method, range(first, len(RADAU_RTOL)), smallest_errors)
+        best = pair if pair and (not best or _relative_distance(pair, best) < 1) else best
+        missed = best and any(best["missed"].values())  # no other method improves these values
+        if best and (missed or not _inaccurate(best, smallest_errors, REQUIRED_ACCURACY)):
+            break
+    best = {name: value for name, value in best.items() if name != "missed"}
+    sampling = {} if known or not best else {"sampling": ivp.t_end / SAMPLES}
+    return best | sampling | {"failed": ends.failed, "cpu_s": ends.spent}
+
+
+def _refine(ends, method, levels, smallest_errors):
+    """The best pair of Radau IIA and another method over the levels; {} if one of them fails."""
+    best = {}
+    for level in levels:
+        radau = ends.radau(level)
+        if not radau.values:
             return best
-        radau_name, values, missed = radau[level]
-        least = {part: max(ROUND_OFF * np.abs(values[part]).max(initial=0.0), far) for part, far in _remaining(ivp, level, radau).items()}
-        known = {part: max(least[part], far) + missed.get(part, 0.0) for part, far in distance(values, other).items()}
+        least = {part: max(ROUND_OFF * _size(radau.values[part]), far) for part, far in _remaining(ends, level).items()}
+        if not best and level < levels[-1] and not any(radau.missed.values()) and _changing(radau.values, least, smallest_errors):
+            continue  # the next level is more accurate than this one, whatever another method says of it
+        other = ends.other(method, level)
+        if not other.values:
+            return best
+        apart = _apart(ends.ivp, radau.values, other.values)
+        known = {part: max(least[part], far) + radau.missed.get(part, 0.0) for part, far in apart.items()}
         inaccurate = _inaccurate(best, smallest_errors) if best else known
         improved = not best or any(known[part] < IMPROVEMENT * best["known_to"][part] for part in inaccurate)
         if better := [part for part in known if not best or known[part] < best["known_to"][part]]:
             known_to = best.get("known_to", {}) | {part: known[part] for part in better}
-            best = best | {part: values[part] for part in better} | {"made_by": [radau_name, name], "known_to": known_to}
+            made_by = [radau.method, other.method]
+            best = best | {part: radau.values[part] for part in better} | {"made_by": made_by, "known_to": known_to, "missed": radau.missed}
         if not improved or not _inaccurate(best, smallest_errors):
             break
     return best
 
 
-def _remaining(ivp, level, radau):
+def _remaining(ends, level):
     """{part: estimated error of Radau IIA} from the level before: two methods may have equal errors, mainly behind kinks."""
-    with suppress(Exception):  # a failed loose run gives no estimate
-        if level == 0 and LOOSE_LEVEL not in radau:
-            radau[LOOSE_LEVEL] = ("", by_radau(ivp.model, ivp.t_end, LOOSE_RTOL, ivp.q0, ivp.v0), {})
-    before = radau.get(level - 1)
-    return (
-        {part: REMAINING * far for part, far in distance(before[1], radau[level][1]).items()}
-        if before
-        else dict.fromkeys(radau[level][1], 0.0)
-    )
+    values = ends.radau(level).values
+    known = ends.kept.get(f"radau {level - 1}")
+    before = ends.radau(level - 1).values if level <= FIRST_WITH_PULSES else known.values if known else {}
+    if not before:  # a failed loose run gives no estimate
+        return dict.fromkeys(values, 0.0)
+    return {part: REMAINING * far for part, far in _apart(ends.ivp, before, values).items()}
+
+
+def _apart(ivp, one, other):
+    """{part: difference in the norm of the study}."""
+    return ivp.quantity.distance(one, other) if ivp.quantity else distance(one, other)
+
+
+def _changing(values, remaining, smallest_errors):
+    """True if Radau IIA alone is known not to be accurate enough for a part of which an error was measured."""
+    measured = {part for part, error in smallest_errors(values).items() if error > 0}
+    return not measured.isdisjoint(_inaccurate({"known_to": remaining} | values, smallest_errors))
+
+
+def _size(values):
+    return np.abs(values).max(initial=0.0)
 
 
 def _relative_distance(pair, other):
     """Accuracy of a pair relative to another one, of the worst part; parts at round-off count as equal."""
-    sizes = {part: SUFFICIENT * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in pair["known_to"]}
+    sizes = {part: SUFFICIENT * max(1e-300, _size(pair[part])) for part in pair["known_to"]}
     return max(max(pair["known_to"][part], sizes[part]) / max(other["known_to"][part], sizes[part]) for part in sizes)
 
 
@@ -321,9 +417,7 @@ def _inaccurate(pair, smallest_errors, share=WANTED_ACCURACY):
     """The parts whose accuracy is worse than this share of the smallest error."""
     smallest = smallest_errors(pair)
     return [
-        part
-        for part, known in pair["known_to"].items()
-        if known > max(share * smallest.get(part, 0.0), SUFFICIENT * np.abs(pair[part]).max(initial=0))
+        part for part, known in pair["known_to"].items() if known > max(share * smallest.get(part, 0.0), SUFFICIENT * _size(pair[part]))
     ]
 
 
@@ -332,6 +426,8 @@ def user_reference(study, ivp, reference):
 
     Raises InputError for another form, time or shape.
     """
+    if ivp.quantity:
+        raise InputError(f"{study}: reference = {type(reference).__name__} has no place beside of= or norm=, whose reference is made here")
     if not isinstance(reference, dict):
         state = getattr(reference, "state", reference)
         if not all(hasattr(state, part) for part in ("t", *PARTS)):

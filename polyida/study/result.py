@@ -19,7 +19,7 @@ from polyida.files import disk_errors, write_file
 from polyida.reprs import cut, table
 from polyida.results.motion import xarray
 from polyida.show import html
-from polyida.show.style import figure, settings
+from polyida.show.styles import figure, settings
 from polyida.study.executors import to_json
 from polyida.validation import flag, instance, listed, path_of
 

@@ -16,7 +16,8 @@ import polyida
 from polyida.errors import InputError
 from polyida.fingerprint import NoFingerprint, fingerprint_of
 from polyida.progress import teller
-from polyida.show.style import FAILED, literal, marker_style, on_axes
+from polyida.show.axes import finish
+from polyida.show.styles import FAILED, literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
 from polyida.study.result import Result
 from polyida.study.tasks import RowFolder, collect_rows, package_hash
@@ -52,7 +53,7 @@ class Sweep(Result):
         numeric = {name: all(is_number(row.get(name, 0.0)) for row in self.rows) for name in names}
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
 
-    def plot(self, x: str | None = None, y: str | None = None, axes: Axes | None = None) -> Axes:
+    def plot(self, x: str | None = None, y: str | None = None, axes: Axes | None = None, title: str | None = None) -> Axes:
         """Draw one column over another, a point for each case that has both. Cases that failed are crosses at the lower edge.
 
         Parameters
@@ -61,6 +62,8 @@ class Sweep(Result):
             Default: the first number of the cases and the first number that the function returned.
         axes : Axes, optional
             New pyplot axes if None.
+        title : str, optional
+            None: no title.
 
         Returns
         -------
@@ -89,10 +92,9 @@ class Sweep(Result):
                     "clip_on": False,
                     "transform": axis.get_xaxis_transform(),
                 }
-                axis.plot(failed, [0.0] * len(failed), label="_failed", **cross)
-                axis.set_title(f"{len(failed)} failed (x)", color=FAILED, loc="right")
+                axis.plot(failed, [0.0] * len(failed), label=f"{len(failed)} failed", **cross)
             axis.set(xlabel=literal(x), ylabel=literal(y))
-            return axis
+            return finish(axis, title)
 
     def pictures(self) -> dict:
         """The first number that the function returned over the first number of the cases."""
@@ -129,7 +131,8 @@ def sweep(
         Folder with a file for each finished row. A later call with the same folder, for example after Ctrl-C or the end of a cluster job,
         runs only the missing and the failed cases.
     progress : callable or bool, optional
-        Function of (done, total, description of the first case without a row); True: a bar of tqdm.
+        Function of (done, total, description of the first case without a row); by default a bar of tqdm at a terminal and in a
+        notebook; False: none.
 
     Returns
     -------

@@ -15,7 +15,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
 from polyida.study.references import explicit
 from step_cost.measure import model_of

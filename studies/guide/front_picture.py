@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import polyida as pi
-from polyida.show.style import INK, PALETTE, figure, rendered, settings
+from polyida.show.styles import INK, PALETTE, figure, rendered, settings
 
 PLACE = Path(__file__).with_name("integrators.svg")
 MEMBERS = {

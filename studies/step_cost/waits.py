@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import polyida
-from polyida.show.style import legend_above, save
+from polyida.show.styles import legend_above, save
 from polyida.study.plotting import line_picture, loglog, panels
 from polyida.study.rows import number
 

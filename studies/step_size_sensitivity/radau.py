@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.show.style import legend_above
+from polyida.show.styles import legend_above
 from polyida.study.plotting import line_picture, nested_style, panels, slope_line, study_figure
 from polyida.study.rows import column, fit_slope, last, value
 from step_size_sensitivity.errors import after_steps, decades, order_errors, reference_floor

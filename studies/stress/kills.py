@@ -20,7 +20,7 @@ from polyida.io.load import load
 from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
-from polyida.show import animations, html, style, vtu
+from polyida.show import animations, html, styles, vtu
 from polyida.study.tasks import Study, run_tasks
 from polyida.system import INSTANTS
 from stress.outcome import Check, integrator
@@ -223,7 +223,7 @@ def writers():
     kinds["svg"] = [b'<svg width="1pt" viewBox="0 0 1 1">' + content + b"</svg>" for content in kinds["svg"]]
     kinds["csv"] = [b"x,y\n" + f"{which},1\n".encode() * 1000 for which in range(2)]
     meshes = [mesh.rectangle(1.0, 1.0, cells=cells, seed=0) for cells in (200, 400)]
-    figures = [style.figure()[0] for _ in range(2)]
+    figures = [styles.figure()[0] for _ in range(2)]
     figures[1].axes[0].plot([0.0, 1.0])
 
     def page(place, which):
@@ -256,7 +256,7 @@ def writers():
             lambda place: (place / "mesh.vtu").read_bytes(),
         ),
         "figure": (
-            lambda place, which: style.save(figures[which], place / "figure.svg"),
+            lambda place, which: styles.save(figures[which], place / "figure.svg"),
             lambda place: (place / "figure.svg").read_bytes(),
         ),
         "movie": (

@@ -103,7 +103,9 @@ def measure(name, member, x, quick):
     selected = case(name, quick)
     motion, method = selected.ivp, integrator(member, x, selected.sizes, selected.ivp.t_end / 20, selected.newton)
     start = {"q0": motion.q0, "v0": motion.v0}
-    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: method}, reference=selected.reference).rows
+    (row,) = work_precision(
+        motion.model, motion.t_end, **start, integrators={member: method}, reference=selected.reference, progress=False
+    ).rows
     reference_columns = {
         "outcome": "done" if row["status"] == "done" else row["message"],
         "reference": "; ".join(selected.reference["made_by"]),

@@ -8,7 +8,7 @@ from matplotlib import pyplot
 
 import polyida as pi
 from polyida.show import plots
-from polyida.show.style import FAILED, finish_layout
+from polyida.show.styles import FAILED, finish_layout
 
 LONG = "a name of a joint that goes on and on until nobody wants to read it any more " * 2
 
@@ -57,9 +57,11 @@ def test_a_legend_of_several_runs_says_which_failed(whole, failed):
 
 
 def test_long_names_cover_no_curve(whole):
-    for figure in (whole.plot.reactions().figure, plots.drift({LONG: whole, f"{LONG} 2": whole})):
+    own = whole.plot.reactions()
+    several = plots.drift({LONG: whole, f"{LONG} 2": whole})
+    for figure, legend in ((own.figure, own.get_legend()), (several, several.legends[0])):
         finish_layout(figure)
-        box = figure.legends[0].get_window_extent()
+        box = legend.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.x1
         assert all(box.y0 >= axes.get_window_extent().y1 for axes in figure.axes)
 
@@ -87,4 +89,4 @@ def test_failed_cases_of_a_sweep_are_apart():
     axes = pi.study.sweep(run, [{"number": k} for k in range(1, 8)]).plot()
     points, crosses = axes.get_lines()
     assert list(points.get_xdata()) == [1, 2, 4, 5, 7]
-    assert list(crosses.get_xdata()) == [3, 6] and crosses.get_color() == FAILED and axes.get_title("right") == "2 failed (x)"
+    assert list(crosses.get_xdata()) == [3, 6] and crosses.get_color() == FAILED and crosses.get_label() == "2 failed"

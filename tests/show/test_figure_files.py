@@ -1,6 +1,6 @@
 import pytest
 
-from polyida.show import figure_files, plots, style
+from polyida.show import figure_files, plots, styles
 from polyida.show.figure_files import KINDS, FigureWriter, csv
 
 
@@ -13,7 +13,7 @@ def two_cores(monkeypatch):
 def rendered_here(monkeypatch):
     """The kinds that this process renders."""
     kinds = []
-    monkeypatch.setattr(figure_files, "rendered", lambda figure, kind: kinds.append(kind) or style.rendered(figure, kind))
+    monkeypatch.setattr(figure_files, "rendered", lambda figure, kind: kinds.append(kind) or styles.rendered(figure, kind))
     return kinds
 
 
@@ -35,7 +35,7 @@ def test_the_second_process_gives_the_same_files_and_its_errors_are_raised_here(
         with pytest.raises(ValueError, match="nothing"):
             writer.files()
     figure = plots.drift(runs)
-    assert files["drift"] == {kind: style.rendered(figure, kind) for kind in KINDS} | {"csv": csv(figure).encode()}
+    assert files["drift"] == {kind: styles.rendered(figure, kind) for kind in KINDS} | {"csv": csv(figure).encode()}
 
 
 def test_with_one_core_this_process_renders(monkeypatch, rendered_here, runs):

@@ -6,7 +6,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 import polyida as pi
 from polyida.show.plates import AMPLITUDE
-from polyida.show.style import figure, rendered
+from polyida.show.styles import figure, rendered
 
 MESH = pi.mesh.quads(1.0, 0.1, 10, 2)
 RUBBER = pi.Material(50e6, 0.3, 1100.0)

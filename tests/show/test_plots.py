@@ -7,7 +7,7 @@ from polyida.errors import InputError
 from polyida.model import Model
 from polyida.show import plates, plots
 from polyida.show.figure_files import csv
-from polyida.show.style import save
+from polyida.show.styles import save
 
 
 def drawn(figure, kind=PolyCollection):

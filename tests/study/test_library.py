@@ -108,7 +108,7 @@ def test_points_below_what_is_known_are_hollow_and_stand_at_it(study):
     blunt = type(study)("blunt", study.rows, [], study.reference | {"known_to": {"q": 1e-3, "v": 1e-3, "lam": 1e-3}})
     lines = {line.get_label(): line for line in blunt.plot("q").lines}
     below = [line for line in blunt.plot("q").lines if line.get_label() == "_below"]
-    assert min(lines["radau"].get_xdata()) == 1e-3 and "accuracy of the reference" in lines
+    assert min(lines["radau"].get_ydata()) == 1e-3 and "accuracy of the reference" in lines
     assert sum(len(line.get_xdata()) for line in below) == sum(row["error_q"] <= 1e-3 for row in study.rows)
     assert all(line.get_markerfacecolor() == "white" for line in below)
 

@@ -76,7 +76,7 @@ def test_what_has_no_energy_and_what_is_drawn_at_a_bound_are_told():
     kept = pi.study.energy(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
     assert np.isnan(kept.rows[0]["energy_change"]) and "no `potential`" in kept.notes[0]
     off = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
-    assert off.pictures()["drift"][0] == "largest |phi| against time, 1e-17 if it is less."
+    assert off.pictures()["drift"][0] == "max |φ| against time, 1e-17 if it is less."
 
 
 def test_integrators_that_stand_still_away_from_the_reference_are_told():
@@ -114,7 +114,7 @@ def test_labels_are_written_as_they_are(tmp_path, pages_alone):
     ):
         assert label in (study.report(tmp_path / type(study).__name__) / "report.html").read_text()
     same = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={name: Leapfrog(1e-2) for name in ("$x", "x")})
-    assert csv(same.plot().figure).splitlines()[0] == '"t, s","largest |phi| ($x)","largest |phi| (x)"'
+    assert csv(same.plot().figure).splitlines()[0] == '"t, s","max |φ| ($x)","max |φ| (x)"'
     with pytest.raises(InputError, match="does not begin with _"):
         pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"_hidden": Leapfrog(1e-2)})
 

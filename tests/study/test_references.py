@@ -5,11 +5,11 @@ import pytest
 
 import digits
 import polyida as pi
-from polyida import problems
+from polyida import problems, progress
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.model import Model
 from polyida.problems import andrews, plates
-from polyida.study import references
+from polyida.study import kept, references
 from polyida.study.ivp import InitialValueProblem
 from polyida.study.precision import unresolved_pulse_notes
 from step_size_sensitivity.errors import smooth
@@ -89,19 +89,19 @@ def swing():
 
 def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
     """Not as well as it agrees with itself: what both runs of one family share is seen."""
-    asked, other = pair_of((1e-3, 1e-3, 1e-3))
+    asked, other = pair_of((1e-3,) * 4)
     found = references.make_reference(swing(), others=(other,))
-    assert found["known_to"] == {part: pytest.approx(1e-3) for part in references.PARTS} and asked == [0, 1]  # no nearer: no further level
-    assert np.array_equal(found["q"], references._by_radau_at(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == [
+    assert found["known_to"] == {part: pytest.approx(1e-3) for part in references.PARTS} and asked == [1, 2]  # no nearer: no further level
+    assert np.array_equal(found["q"], references._by_radau_at(swing(), 1)[1]["q"]) and [how[:5] for how in found["made_by"]] == [
         "Radau",
         "other",
     ]
 
 
 def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured():
-    asked, other = pair_of((1e-3, 1e-5, 1e-7))
+    asked, other = pair_of((1.0, 1e-3, 1e-5, 1e-7))
     found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 2e-4), others=(other,))
-    assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
+    assert asked == [1, 2] and found["known_to"]["q"] == pytest.approx(1e-5)
 
 
 def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
@@ -120,10 +120,11 @@ def test_another_family_is_asked_where_one_does_not_come_there_or_near():
     def broken(ivp, level):
         raise RuntimeError("it broke")
 
-    (_, far), (_, near) = pair_of((1e-3,) * 3), pair_of((1e-6,) * 3)
+    (_, far), (_, near) = pair_of((1e-3,) * 4), pair_of((1e-6,) * 4)
     found = references.make_reference(swing(), lambda values: dict.fromkeys(references.PARTS, 1e-4), others=(broken, far, near))
     assert found["known_to"]["q"] == pytest.approx(1e-6, rel=1e-3) and found["failed"] == ["it broke"]
-    assert references.make_reference(swing(), others=(broken,)) == {"failed": ["it broke"]}
+    nothing = references.make_reference(swing(), others=(broken,))
+    assert nothing.keys() == {"failed", "cpu_s"} and nothing["failed"] == ["it broke"]
 
 
 def test_a_stiff_reference_shares_no_family_with_its_judge():
@@ -190,3 +191,92 @@ def test_a_reference_run_that_stops_is_no_reference():
     assert references.by_radau(RunsAway(), 0.5, 1e-10, [1.0], [2.0])["q"] == pytest.approx([4.0], rel=1e-7)
     with pytest.raises(RuntimeError, match=r"reference by RadauIIA\(rtol=1e-06"):
         references.by_radau(RunsAway(), 1.5, 1e-6, [1.0], [2.0])
+
+
+def turning_bar():
+    """A scene whose forces announce all discontinuities."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    return scene.build()
+
+
+def counted_runs(monkeypatch):
+    """The integrators of the reference runs that are made from now on."""
+    made, run = [], references._full_run
+    monkeypatch.setattr(
+        references,
+        "_full_run",
+        lambda model, t_end, integrator, *more, **options: made.append(integrator) or run(model, t_end, integrator, *more, **options),
+    )
+    return made
+
+
+def steps_of(model, **options):
+    return pi.study.step_sizes(model, 0.1, integrators={"alpha": pi.GeneralizedAlpha}, h=(4e-3, 2e-3), **options)
+
+
+def test_a_reference_is_as_accurate_as_the_study_needs_by_two_orders_of_one_method(monkeypatch):
+    """No run of BDF, and none finer than a tenth of the smallest error asks for."""
+    made = counted_runs(monkeypatch)
+    monkeypatch.setattr(kept, "_in_memory", {})
+    study = steps_of(turning_bar())
+    exact = references.by_explicit(turning_bar(), 0.1, 2.3e-14)
+    off = references.distance({part: study.reference[part] for part in references.PARTS}, exact)
+    assert all(off[part] <= study.known_to[part] <= 0.1 * study.rows[1][f"error_{part}"] for part in off)
+    assert {type(one) for one in made} == {pi.RadauIIA} and min(one.rtol for one in made) >= 1e-9
+    assert [text.partition(",")[0] for text in study.reference["made_by"]] == ["Radau IIA", "Radau IIA of order 3"]
+
+
+def test_the_next_study_of_the_same_motion_takes_the_reference_that_is_known(monkeypatch, tmp_path):
+    """From memory, and in a later process from the folder; another start or time has its own."""
+    made = counted_runs(monkeypatch)
+    monkeypatch.setattr(kept, "_in_memory", {})
+    first = steps_of(turning_bar(), reference_folder=tmp_path)
+    count = len(made)
+    again = steps_of(turning_bar())
+    assert (
+        count > 0 and len(made) == count and np.array_equal(again.reference["q"], first.reference["q"]) and again.reference["cpu_s"] == 0.0
+    )
+    monkeypatch.setattr(kept, "_in_memory", {})
+    later = steps_of(turning_bar(), reference_folder=tmp_path)
+    assert len(made) == count and later.known_to == first.known_to and later.rows[0]["error_q"] == first.rows[0]["error_q"]
+    steps_of(turning_bar(), q0=np.zeros(4), reference_folder=tmp_path)
+    assert len(made) > count and len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_damaged_file_of_references_is_made_again(monkeypatch, tmp_path):
+    made = counted_runs(monkeypatch)
+    for text in ("{", '{"radau 0": {"unknown": 1}}', "[]"):
+        monkeypatch.setattr(kept, "_in_memory", {})
+        steps_of(turning_bar(), reference_folder=tmp_path)
+        count, (file,) = len(made), tmp_path.iterdir()
+        file.write_text(text)
+        monkeypatch.setattr(kept, "_in_memory", {})
+        steps_of(turning_bar(), reference_folder=tmp_path)
+        assert len(made) > count
+
+
+def test_progress_is_shown_where_someone_looks_on(monkeypatch, capsys):
+    steps_of(turning_bar())
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "watched", lambda: True)
+    steps_of(turning_bar(), progress=False)
+    assert capsys.readouterr().err == ""
+    steps_of(turning_bar())
+    assert "step_sizes" in capsys.readouterr().err
+
+
+def test_the_cost_of_the_next_reference_run_is_told_before_it(monkeypatch):
+    monkeypatch.setattr(kept, "_in_memory", {})
+    told = []
+    steps_of(turning_bar(), progress=lambda done, total, text: told.append(text))
+    references_told = [text for text in told if text.startswith("reference")]
+    assert all("CPU s" in text for text in references_told[2:]) and len(references_told) >= 3
+
+
+def test_a_folder_of_references_that_can_be_none_is_refused_before_the_runs(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    for wrong in (tmp_path / "file", 3):
+        with pytest.raises(pi.InputError, match="step_sizes: reference_folder = "):
+            steps_of(turning_bar(), reference_folder=wrong)

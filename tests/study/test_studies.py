@@ -14,7 +14,7 @@ from least_weight import bracket
 from mbb_beam.beam import mesh_of
 from polyhedra.cases import SPIN
 from polyida.cli import study as cli_study
-from polyida.show import style
+from polyida.show import styles
 from polyida.study import plotting
 from polyida.study.result import StudyResult, _quick_note
 from polyida.study.rows import fit_slope, number
@@ -369,7 +369,7 @@ def test_what_the_short_selection_leaves_out_is_told():
 
 def test_logarithmic_axes_never_cut_the_data():
     for low, high in ((3e-2, 5e-2), (0.9, 1.1), (2e-4, 9e-4), (1e-3, 1e-2), (1e-6, 1.0)):
-        with style.settings():
+        with styles.settings():
             made, axes = plotting.panels(1)
             plotting.loglog(axes[0], [low, high], [low, high], 0, "line")
             plotting.line_picture(made, "x")

@@ -231,6 +231,13 @@ class GeneralizedAlpha(Integrator):
         """The same with max_halvings = 0 if its steps are fixed."""
         return self if self.adaptive else replace(self, max_halvings=0)
 
+    def settings_used(self, memory: dict) -> dict:
+        """{setting: value} of a run, with the rtol and atol that a run without h chose; memory of one of its states."""
+        used = super().settings_used(memory)
+        if self.h is None and "sizes" in memory:
+            used["rtol"], used["atol"] = map(float, tolerances(self.rtol, self.atol, memory["sizes"][0]))
+        return used
+
     def summary_of_steps(self, memory: dict) -> str:
         """Text of a summary: how to estimate errors, and the steps that a run without h took; memory of one of its states."""
         if self.h is not None or "sizes" not in memory:

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from polyida.clock import loading
 from polyida.environment import allocate
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
@@ -314,8 +315,8 @@ def table_of(settings, model, incremental, condensed=False):
         return PythonTable(model, incremental)
     if not model.compiled:
         return small_table(model, incremental) or PythonTable(model, incremental)
-    from polyida.system.scene import SceneTable
-
+    with loading:
+        from polyida.system.scene import SceneTable
     return SceneTable(model, (settings.form == "stabilised" and model.m > 0) or model.velocity_rows.size > 0, incremental, condensed)
 
 

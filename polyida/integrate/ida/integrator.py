@@ -13,6 +13,7 @@ from traceback import extract_tb
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.clock import loading
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.discontinuities import edges, sampling, stop_times, time_limits
 from polyida.integrate.ida.forms import FORMS, AcceptedStates, System
@@ -49,8 +50,9 @@ class IDA(Integrator):
     Parameters
     ----------
     rtol : float, optional
-        Relative tolerance, at least 8.9e-16. By default 1e-5, or less if the motion covers more than 3 lengths of the model (30 with flexible
-        bodies), for an error of about 1e-4 of that length.
+        What is asked: the accuracy of the motion, relative, at least 8.9e-16. By default 1e-5, or less if the motion covers more than 3 lengths of
+        the model (30 with flexible bodies), for an error of about 1e-4 of that length. SUNDIALS gets the same number, but with flexible bodies and
+        without atol `rtol^(1 + 1/max_order)`, see Notes.
     atol : float, (2,) or (2n,) array_like, optional
         Absolute tolerance of q, m, with 1e3 1/s times it for v; of (q, v); or of every entry of (q, v). By default rtol times a length and a
         speed of the model's first state. Multipliers are not in the error estimate.
@@ -72,6 +74,8 @@ class IDA(Integrator):
         S = K + cj C + cj^2 M and a border. "whole": one matrix of (q, v, multipliers).
     scaling : {"characteristic", "none"}
         Scaling of the whole matrix; the other two do not depend on it.
+    ida_rtol : float, optional
+        What is passed: the relative tolerance that SUNDIALS gets, in place of rtol. `run.settings_used` has both.
 
     Raises
     ------
@@ -100,6 +104,7 @@ class IDA(Integrator):
     baumgarte_rate: float = 10.0
     linear: str = "auto"
     scaling: str = "characteristic"
+    ida_rtol: float | None = None
     trusted = True
 
     def __post_init__(self):
@@ -111,11 +116,18 @@ class IDA(Integrator):
             object.__setattr__(self, "atol", tuple(entries.tolist()))
         entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
         not_negative = "must be a finite number, not negative"
-        rtol_ok = self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1)
+        rtol_ok, ida_rtol_ok = (x is None or (is_number(x) and LEAST_RTOL <= x < 1) for x in (self.rtol, self.ida_rtol))
+        between = f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1"
         for name, good, expected in (
             ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
-            ("rtol", rtol_ok, f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1"),
+            ("rtol", rtol_ok, between),
+            ("ida_rtol", ida_rtol_ok, between),
+            (
+                "ida_rtol",
+                self.rtol is None or self.ida_rtol is None,
+                f"stands beside rtol {self.rtol}: give what is asked or what is passed",
+            ),
             ("max_order", self.max_order is None or is_whole(self.max_order, 1, 5), "must be 1, 2, 3, 4 or 5"),
             ("max_num_steps", is_whole(self.max_num_steps), "must be a positive whole number"),
             ("max_step", is_number(self.max_step) and self.max_step >= 0, not_negative),
@@ -126,7 +138,9 @@ class IDA(Integrator):
             _check(name, getattr(self, name), good, expected)
 
     def relative(self, model: Model, sizes: NDArray) -> float:
-        """rtol, or its default in a run of these sizes, (length, speed, time, lengths)."""
+        """What is asked, rtol, or its default in a run of these sizes, (length, speed, time, lengths), or that which ida_rtol stands for."""
+        if self.ida_rtol is not None:
+            return self.ida_rtol ** (1 / self._strictness(model))
         most = FLEXIBLE_LENGTHS if model.flexible else LENGTHS
         return relative_tolerance(AIM, most, float(sizes[3])) if self.rtol is None else float(self.rtol)
 
@@ -134,7 +148,7 @@ class IDA(Integrator):
         """(relative tolerance, absolute ones of q and of v) in a run of these sizes. Raises InputError if atol does not fit the model."""
         rtol, n = self.relative(model, sizes), model.n
         if self.atol is None and model.flexible:
-            strict = max(rtol ** (1 + 1 / self.largest_order(model)), LEAST_RTOL)
+            strict = max(rtol ** self._strictness(model), LEAST_RTOL) if self.ida_rtol is None else self.ida_rtol
             return strict, strict * float(sizes[0]), LOOSE * rtol * float(sizes[1])
         if self.atol is None:
             return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
@@ -146,9 +160,32 @@ class IDA(Integrator):
         _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, expected)
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
+    def _strictness(self, model):
+        """The power of rtol that SUNDIALS gets."""
+        return 1 + 1 / self.largest_order(model) if self.atol is None and model.flexible else 1.0
+
+    def relative_tolerance(self) -> float | None:
+        """What is asked, or what is passed if that is given; None if neither is."""
+        return self.ida_rtol if self.rtol is None else self.rtol
+
+    def settings_used(self, memory: dict) -> dict:
+        """{setting: value} of a run: rtol asked, ida_rtol and atol (of q, of v, or of each entry) as SUNDIALS got them, and the largest order."""
+        used = super().settings_used(memory)
+        if "rtol" not in memory:
+            return used
+        asked = float(memory["rtol"])
+        passed = memory["tolerances"].tolist() if "tolerances" in memory else [self.ida_rtol or asked]
+        used |= {"rtol": asked, "ida_rtol": passed[0], "max_order": int(memory["max_order"]) if "max_order" in memory else self.max_order}
+        if len(passed) == 3:
+            used["atol"] = passed[1], passed[2]
+        elif self.atol is not None and not isinstance(self.atol, tuple):
+            used["atol"] = self.atol, VELOCITY_ATOL * self.atol
+        return used
+
     def summary_of_steps(self, memory: dict) -> str:
         """Text of a summary on the tolerances that a run chose; memory of one of its states."""
-        words = [rtol_message(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []
+        chosen = self.rtol is None and self.ida_rtol is None and "rtol" in memory
+        words = [rtol_message(float(memory["rtol"]), memory["sizes"][3])] if chosen else []
         if "tolerances" in memory:
             rtol, of_q, of_v = memory["tolerances"]
             strict = f"rtol {rtol:.1e} and " if rtol != float(memory["rtol"]) else ""
@@ -206,13 +243,14 @@ class _Run:
     """
 
     def __init__(self, settings, model, sizes, counts, looked_into):
-        from sksundae.ida import IDA as Solver
-        from sksundae.ida import IDAJacTimes
+        with loading:
+            from sksundae.ida import IDA as Solver
+            from sksundae.ida import IDAJacTimes
 
         self.settings, self.model, self.counts, self.looked_into = settings, model, counts, looked_into
         rtol, *atol = settings.tolerances(model, sizes)
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
-        self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
+        self.memory |= {"max_order": settings.largest_order(model)} | ({} if settings.atol else {"tolerances": np.array([rtol, *atol])})
         self.system = System(model, settings.form, settings.baumgarte_rate)
         self.system.exact = model.slipping and np.min(rtol) < EXACT
         self.linear = Correction(self.system, counts, settings.largest_order(model), settings.linear, settings.scaling)

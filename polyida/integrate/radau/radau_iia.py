@@ -149,6 +149,13 @@ class RadauIIA(Integrator):
         """The same settings with max_halvings = 0 if steps are fixed."""
         return self if self.adaptive else replace(self, max_halvings=0)
 
+    def settings_used(self, memory: dict) -> dict:
+        """{setting: value} of a run, with the rtol and atol that step control used; memory: of a state of the run."""
+        used = super().settings_used(memory)
+        if self.adaptive and "sizes" in memory:
+            used |= {"rtol": float(self.relative(memory["sizes"])), "atol": float(self.absolute(memory["sizes"]))}
+        return used
+
     def summary_of_steps(self, memory: dict) -> str:
         """Words of a summary on the tolerances chosen by default; memory: of a state of the run."""
         if not self.adaptive or "sizes" not in memory:

@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from polyida.clock import loading
 from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
 from polyida.integrate.radau import loop, step
@@ -250,7 +251,8 @@ class Steps:
 def _table(settings, model, tableau, tied):
     """The table of a model for the settings' linear algebra."""
     if model.compiled and settings.linear != "kkt":
-        from polyida.integrate.radau.tables.scene import SceneStages
+        with loading:
+            from polyida.integrate.radau.tables.scene import SceneStages
 
         return SceneStages(model, tableau, tied)
     kind = partial(WholeModes, scaling=settings.scaling) if settings.linear == "kkt" else Matrices

@@ -13,7 +13,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.problems.equations import pendulum_problem
 from polyida.run.solve import solve
 from polyida.show import figure_files, html, plates, plots
-from polyida.show.style import PALETTE, figure, settings
+from polyida.show.styles import PALETTE, figure, settings
 
 
 def curves():

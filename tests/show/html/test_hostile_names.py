@@ -8,7 +8,7 @@ import pytest
 import polyida as pi
 from polyida.reprs import cut
 from polyida.show import figure_files, html, plots
-from polyida.show.style import save
+from polyida.show.styles import save
 from polyida.study.result import StudyResult
 from polyida.study.tasks import Study
 

@@ -1,6 +1,6 @@
 import pytest
 
-from polyida.show.style import unicode_number
+from polyida.show.styles import unicode_number
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +14,18 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.files import disk_errors, write_file
-from polyida.validation import instance, path_of, positive
+from polyida.validation import instance, is_whole, one_of, path_of, positive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 STYLE_FILE = Path(__file__).parent / "templates" / "polyida.mplstyle"
+PAPER_FILE = Path(__file__).parent / "templates" / "paper.mplstyle"
+WIDTHS = {"paper": 3.3, "screen": 6.4}  # inches, of new figures
+HEIGHTS = {"paper": 2.3, "screen": 3.8}
+PAGE_WIDTH = 6.9  # of a figure across two columns
+_CHOSEN: ContextVar[str] = ContextVar("_CHOSEN", default="")  # the style of a `with` around; empty: none
 INK, STICK, MARK = "#222222", "#8C5A2B", "#555555"  # lines and text; bodies without a mesh; marks of events
 FAILED = "#B00020"  # the end of a run that failed, and cases that failed
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -33,7 +39,7 @@ SAVE_OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def settings() -> AbstractContextManager:
-    """Use the matplotlib settings of this package in a `with`.
+    """Use the matplotlib settings of this package in a `with`; those of `style("paper")` stay within it.
 
     Returns
     -------
@@ -42,7 +48,41 @@ def settings() -> AbstractContextManager:
     """
     from matplotlib import rc_context
 
-    return rc_context(fname=STYLE_FILE)
+    return nullcontext() if _CHOSEN.get() else rc_context(fname=STYLE_FILE)
+
+
+@contextmanager
+def style(name: str = "paper", columns: int = 1) -> Iterator[None]:
+    """Use the matplotlib settings of a journal or of the screen in a `with`, for pictures of this package and for others.
+
+    Parameters
+    ----------
+    name : {"paper", "screen"}
+        "paper": text of 7 and 8 points, thin lines, and new figures as wide as a column. "screen": the style of the reports.
+    columns : {1, 2}
+        Of "paper": width of new figures in columns, 3.3 or 6.9 inches.
+
+    Raises
+    ------
+    InputError
+        For another name or number of columns.
+    """
+    from matplotlib import rc_context, rc_params_from_file, rcParams
+
+    one_of("style", "name", name, WIDTHS)
+    if not is_whole(columns, least=1, most=2):
+        raise InputError(f"style: columns = {columns!r:.100} must be 1 or 2")
+    if name == "screen" and columns != 1:
+        raise InputError(f"style: columns = {columns!r} is of 'paper'; the screen has none")
+    width = WIDTHS[name] if columns == 1 else PAGE_WIDTH
+    with rc_context(fname=STYLE_FILE):
+        rcParams.update(rc_params_from_file(PAPER_FILE, use_default_template=False) if name == "paper" else {})
+        rcParams["figure.figsize"] = (width, HEIGHTS[name])
+        token = _CHOSEN.set(name)
+        try:
+            yield
+        finally:
+            _CHOSEN.reset(token)
 
 
 def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> tuple[Figure, Any]:
@@ -76,8 +116,8 @@ def on_axes(axes: Axes | None = None) -> Iterator[Axes]:
         return
     from matplotlib import pyplot
 
-    with settings():
-        yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
+    with settings() if _CHOSEN.get() else style("screen"):
+        yield pyplot.subplots(layout="constrained")[1]
 
 
 def require_axes(axes: Any) -> Axes:
@@ -94,13 +134,7 @@ def line_style(i: int) -> dict:
 
 def marker_style(i: int) -> dict:
     """Colour, dash and marker of the i-th line through measured points."""
-    return {
-        "color": PALETTE[i % len(PALETTE)],
-        "linestyle": DASHES[i // len(PALETTE) % len(DASHES)],
-        "marker": MARKERS[i % len(MARKERS)],
-        "markersize": 3.5,
-        "linewidth": 1.0,
-    }
+    return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i // len(PALETTE) % len(DASHES)], "marker": MARKERS[i % len(MARKERS)]}
 
 
 def hollow_markers(i: int, count: int) -> dict:

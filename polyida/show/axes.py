@@ -1,0 +1,96 @@
+"""What keeps the texts of one axes apart at the width of a column: its legend and title above it, and ticks of logarithmic axes."""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.reprs import cut
+from polyida.show.styles import FAILED, literal
+from polyida.validation import instance
+
+LETTER = 0.55  # mean width of a letter, of the font's size
+HANDLE = 4.2  # width of a line in a legend with the spaces around it, of the font's size
+POINTS = 72.0  # in an inch
+POWER_HEIGHT = 1.5  # sizes of the font that a power of ten above an axis takes
+GAP = 4.0  # points between legend and title
+
+
+def finish(axes, title=None, labels=None, ending="", part="plot"):
+    """Put the legend above the axes, the title above it, and tidy logarithmic ticks.
+
+    labels: {label of a line: what the legend shows}. ending: how the run failed, or empty. Raises InputError in the name of `part` for a title
+    or labels of another type, or of an unknown line.
+    """
+    tidy_ticks(axes)
+    handles, names = axes.get_legend_handles_labels()
+    names = _renamed(part, names, labels)
+    height = _legend(axes, handles, names) if handles else 0.0
+    if title is not None:
+        axes.set_title(literal(instance(part, "title", title, str)), pad=height + GAP)
+    if ending:
+        axes.set_title(literal(ending), color=FAILED, loc="right", pad=height + GAP)
+    return axes
+
+
+def _renamed(part, names, labels):
+    if labels is None:
+        return names
+    instance(part, "labels", labels, dict)
+    for label, shown in labels.items():
+        if literal(label) not in names:
+            raise InputError(f"{part}: labels has {label!r:.60}, which is no line; lines are {', '.join(map(repr, names))}")
+        if not isinstance(shown, str):
+            raise InputError(f"{part}: labels[{label!r:.60}] = {shown!r:.60} must be a text")
+    return [labels.get(name.replace(r"\$", "$"), name) for name in names]
+
+
+def _legend(axes, handles, names):
+    """Put the legend above the axes, in as many columns as fit; returns its height in points."""
+    from matplotlib import rcParams
+    from matplotlib.font_manager import FontProperties
+
+    size = FontProperties(size=rcParams["legend.fontsize"]).get_size_in_points()
+    box = axes.get_window_extent()
+    room = box.width / axes.figure.dpi * POINTS / size  # in sizes of the font
+    longest = int((room - HANDLE) / LETTER)
+    names = [cut(name, max(8, longest)) for name in names]
+    columns = int(room / (HANDLE + LETTER * max(map(len, names))))
+    columns = max(1, min(columns, len(names)))
+    above = POWER_HEIGHT if _has_power(axes.yaxis) else 0.3
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": above}
+    look = {"frameon": False, "handlelength": 1.8, "columnspacing": 1.2, "labelspacing": 0.25}
+    legend = axes.legend(handles, names, ncols=columns, **place, **look)
+    return legend.get_window_extent().height / axes.figure.dpi * POINTS + above * size
+
+
+def _has_power(axis):
+    """True if a power of ten stands above the axis."""
+    formatter = axis.get_major_formatter()
+    formatter.format_ticks(axis.get_majorticklocs())
+    return bool(formatter.get_offset())
+
+
+def tidy_ticks(axes):
+    """Label decades on logarithmic axes; of less than two decades also 2 and 5 times them, two ticks at least."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            _tidy_log(axis)
+
+
+def _tidy_log(axis):
+    from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
+
+    low, high = sorted(axis.get_view_interval())
+    if low <= 0.0:  # nothing is drawn
+        return
+    decades = np.floor(np.log10(high)) - np.ceil(np.log10(low))
+    axis.set_minor_formatter(NullFormatter())
+    if decades >= 1:
+        axis.set_major_locator(LogLocator())
+        return
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(LogFormatterSciNotation(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf)))
+    marks = np.outer(10.0 ** np.arange(np.floor(np.log10(low)) - 1, np.log10(high) + 2), (1.0, 2.0, 5.0)).ravel()
+    if np.count_nonzero((marks >= low) & (marks <= high)) < 2:
+        low = min(low, marks[marks <= low].max())
+        high = max(high, marks[marks >= high].min())
+        axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
