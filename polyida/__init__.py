@@ -28,6 +28,7 @@ _BESIDE_REGISTRY = {  # names by the module that defines them; parts and integra
     "io.load": ("load",),
     "study.conditions": ("condition_number",),
     "modal.modes": ("modes", "Modes"),
+    "modal.buckling": ("buckling", "Buckling"),
     "modal.state_space": ("linearise", "StateSpace", "frequency_response", "FrequencyResponse"),
     "adjoint.gradient": ("gradient",),
     "adjoint.check": ("check_gradient",),

@@ -262,6 +262,7 @@ class Events(Sequence):
     def __init__(self, happened: Any = (), first: Any = (), models: Any = (), given: bool = False) -> None:
         self.happened, self.first, self.models, self.given = list(happened), tuple(first), list(models), given
         self.causes: Any = None  # the Event objects of the run, for its gradient; no file holds them
+        self.watch_seconds = np.nan  # CPU time spent on looking for changes of contact and friction; of a run in this process alone
 
     def __len__(self):
         return len(self.happened)
@@ -293,6 +294,13 @@ class Events(Sequence):
         """Return how often each event happened, in words; empty without events."""
         names = [one.name for one in self.happened]
         return ", ".join(f"{name!r} {names.count(name)} times" if names.count(name) > 1 else f"{name!r}" for name in dict.fromkeys(names))
+
+    def summary_of_laws(self, cpu_seconds: float) -> str:
+        """Return in words the numbers of impacts and of changes of contact and friction, and the share of the CPU time that looking for them took."""
+        impacts = sum(one.impulse > 0.0 for one in self.happened)
+        share = 100.0 * self.watch_seconds / max(cpu_seconds, 1e-9)
+        took = "" if np.isnan(share) else f", {share:.0f} % of the CPU time to look for them"
+        return f"contact and friction: impacts {impacts}, changes of status {len(self) - impacts}{took}"
 
     def modes(self, model: Any, upto: int | None = None) -> list[Any]:
         """Return the models before the first event, after it, after the second ... up to number `upto`."""

@@ -437,6 +437,7 @@ class Trajectory:
         if model is not None:
             notes += [model.remark, hint_of_rigid(model, self.q, method and method.relative_tolerance())]
             notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else ""]
+            notes += [self.events.summary_of_laws(self.cpu_seconds) if model.row_laws else ""]
             notes += [f"events: {self.events.summary()}" if len(self.events) else ""]
             notes += ["" if self.events.given else grown(self._motion("summary"))]
         elif self.missing != Trajectory.missing:

@@ -1,8 +1,11 @@
-"""Contact and friction: work against precision of events and of time stepping, energy, random scenes, a chain, a bouncing bar, a thrown plate."""
+"""Contact and friction: work against precision of events and of time stepping, energy, random scenes, a chain, a bouncing bar, a thrown plate.
+
+Also what friction costs in a step, and random mechanisms with laws in every integrator.
+"""
 
 import numpy as np
 
-from nonsmooth import bar, cases, chain, energy, plate, random_scenes
+from nonsmooth import bar, cases, chain, energy, friction, plate, random_laws, random_scenes
 from polyida.cli.study import main
 from polyida.show.styles import legend_above, marker_style
 from polyida.study.plotting import line_picture, loglog, panels, study_figure
@@ -12,6 +15,8 @@ from polyida.study.tasks import Study
 SEEDS = 20  # of a row
 BARS = [(40, 0.5, 0.8, 2, 1.0), (40, 0.5, 0.8, 4, 0.1), (40, 0.5, 0.3, 4, 0.1), (40, 0.5, 0.3, 2, 1.0)]  # cells, CFL, rho_inf, across, mass
 BARS += [(20, 0.5, 0.3, 2, 1.0), (80, 0.5, 0.3, 2, 1.0), (40, 0.25, 0.3, 2, 1.0), (40, 1.0, 0.3, 2, 1.0)]
+MECHANISMS = 500  # random scenes with laws
+FAR = 1e-3  # m: a distance of the ends from those of Radau IIA, rtol 1e-7
 LIMIT = 1e-13  # smaller errors are round-off
 
 
@@ -21,12 +26,15 @@ def tasks(quick):
     names = ("cells", "courant", "rho_inf", "across", "contact_mass")
     bars = [{"part": "bar"} | dict(zip(names, one)) for one in (BARS[:2] if quick else BARS)]
     plates = [{"part": "plate", "cells": 40 if quick else 365}]
-    return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars + plates
+    firsts = range(0, 10 if quick else MECHANISMS, 10)
+    laws = [{"part": "laws", "first": first, "count": 5 if quick else 10} for first in firsts]
+    return cases.tasks(quick) + energy.tasks(quick) + random + chain.tasks(quick) + bars + plates + friction.tasks(quick) + laws
 
 
 def run(part, **task):
     parts = {"precision": cases.measure, "energy": energy.measure, "random": random_row, "chain": chain.measure}
-    return (parts | {"bar": bar.measure, "plate": plate.measure})[part](**task)
+    parts |= {"bar": bar.measure, "plate": plate.measure, "friction": friction.measure, "starts": friction.start, "laws": law_row}
+    return parts[part](**task)
 
 
 def random_row(first, count, bounces):
@@ -37,6 +45,22 @@ def random_row(first, count, bounces):
     keys = ("beyond_cone", "pull", "energy_growth", "energy_growth_in_all", "momentum_in_a_step", "momentum_in_all")
     worst = {key: max(row[key] for row in done) for key in keys} | {"lowest_gap": min(row["lowest_gap"] for row in done)}
     return worst | {"outcome": "; ".join(failed) or "done"}
+
+
+def law_row(first, count):
+    """Runs of some seeds in all integrators: how many are done, end for a stated reason, and end far from the first, m, without its coarse ways."""
+    stops, stated, apart = [], 0, [0.0]
+    for seed in range(first, first + count):
+        name, runs = random_laws.measure(seed)
+        for way, (outcome, distance, _) in runs.items():
+            stated += outcome.startswith("stated")
+            if outcome.startswith("stop"):
+                stops.append(f"seed {seed} ({name}), {way}: {outcome}")
+            elif outcome == "done" and way not in random_laws.COARSE:
+                apart.append(distance)
+    far = sum(distance > FAR for distance in apart)
+    runs = count * len(random_laws.WAYS)
+    return {"runs": runs, "stated": stated, "stops": len(stops), "far": far, "apart": max(apart), "outcome": "; ".join(stops) or "done"}
 
 
 def orders(rows):
@@ -67,6 +91,29 @@ def kept(rows):
 
 def energies(rows):
     return {f"energy_change_{short(row)}": row["energy_change"] for row in pick(rows, part="energy") if "energy_change" in row}
+
+
+def frictions(rows):
+    """CPU time of a step with friction over that of one without, and the starts and random scenes that are done."""
+    result = {f"friction_{short(row)}": row["friction_over_none"] for row in pick(rows, part="friction", outcome="done")}
+    starts, laws = pick(rows, part="starts"), pick(rows, part="laws")
+    result["starts_done"] = len(pick(starts, outcome="done"))
+    return result | {f"laws_{key}": sum(column(laws, key)) for key in ("runs", "stated", "stops", "far")}
+
+
+def friction_notes(rows):
+    lines = []
+    for row in pick(rows, part="friction", outcome="done"):
+        text = "a step with friction takes {friction_over_none:.3g} of the CPU time of one without, {with_ms:.3g} ms against {without_ms:.3g} ms"
+        lines.append(f"{row['scene']}, {row['integrator']}: {text.format(**row)}; {row['events']} events in {row['steps']} steps")
+    if starts := pick(rows, part="starts"):
+        lines.append(f"a flexible slider-crank from rest: Radau IIA ends {len(pick(starts, outcome='done'))} of {len(starts)} runs")
+    if laws := pick(rows, part="laws"):
+        runs, stated, stops, far = (sum(column(laws, key)) for key in ("runs", "stated", "stops", "far"))
+        lines.append(
+            f"random scenes with laws: {runs:g} runs, {stated:g} end for a stated reason, {stops:g} for another one, {far:g} end {FAR:g} m apart"
+        )
+    return lines
 
 
 def stop_notes(rows):
@@ -177,6 +224,13 @@ COLUMNS = (
     "rho_inf",
     "across",
     "contact_mass",
+    "friction_over_none",
+    "modes",
+    "mu",
+    "stated",
+    "stops",
+    "far",
+    "apart",
     "energy_of_four",
     "touches_off",
     "leaves_off",
@@ -190,10 +244,10 @@ STUDY = Study(
     "contact and friction; x is the step, s, or the tolerance",
     tasks,
     run,
-    (orders, kept, energies),
+    (orders, kept, energies, frictions),
     (precision_figure, energy_figure, bar_figure),
     COLUMNS,
-    notes=(stop_notes, at_home, chain_notes, plate_notes),
+    notes=(stop_notes, at_home, chain_notes, plate_notes, friction_notes),
     headline=("random_bouncing_energy_growth", "random_plastic_energy_growth"),
 )
 

@@ -237,6 +237,7 @@ CALLS = {  # what else a good call takes
     "von_mises": {"stress": [1.0, 0.0, 0.0]},
     "condition_number": PLATES,
     "modes": PLATES,
+    "buckling": PLATES,
     "linearise": PLATES | {"modes": 1},
     "frequency_response": PLATES
     | {"input": lambda: np.ones(plate_model().n), "output": lambda: np.ones(plate_model().n), "frequencies": [1.0]},
@@ -330,6 +331,7 @@ CALLS = {  # what else a good call takes
     "Size.rate": {"x": 0.5},
     "Size.value": {"x": 0.5},
     "Modes.title": {"number": 0},
+    "Buckling.title": {"number": 0},
     "Domain.distance": {"points": MESH.points},
     "Result.report": {"folder": "report", "overwrite": True},
 }
@@ -344,6 +346,7 @@ INSTANCES = {  # an object of each class whose methods users call
     "SceneModel": plate_model,
     "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
+    "Buckling": lambda: pi.buckling(plate_model(), count=1),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
     "FrequencyResponse": lambda: pi.frequency_response(
         plate_model(), None, np.ones(plate_model().n), np.ones(plate_model().n), [1.0, 2.0], modes=1
@@ -368,7 +371,19 @@ INSTANCES = {  # an object of each class whose methods users call
 
 NOT_CALLED = {  # handed out, made in every step, or to be derived from
     *("Model", "Integrator", "Joint", "ForceElement", "Controller", "Body", "StepMatrix", "objective.Objective", "mesh.Domain"),
-    *("Trajectory", "Events", "Counts", "Needs", "Modes", "StateSpace", "FrequencyResponse", "ErrorBars", "EquilibriumPath", "Gradient"),
+    *(
+        "Trajectory",
+        "Events",
+        "Counts",
+        "Needs",
+        "Modes",
+        "Buckling",
+        "StateSpace",
+        "FrequencyResponse",
+        "ErrorBars",
+        "EquilibriumPath",
+        "Gradient",
+    ),
     *("objective.Slopes", "study.Sweep", "design.Design", "design.Evaluation", "design.SolidDesign", "problems.Problem"),
     *("mesh.MeshQuality", "mesh.Section", "mesh.Format"),
     "threads",  # of the whole process
@@ -396,6 +411,7 @@ BY_POLYIDA = {  # methods that polyida calls, with values of its own: those of t
     "require_sides",
     "pieces",
     "modes",
+    "summary_of_laws",
     "known_model",
     "angle",
     "from_data",

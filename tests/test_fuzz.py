@@ -12,6 +12,7 @@ MADE_OF_ARRAYS = [name for name in callables() if name.partition(".")[0] in ("me
 HANDED_OUT = {
     "Trajectory",
     "Modes",
+    "Buckling",
     "StateSpace",
     "ErrorBars",
     "EquilibriumPath",

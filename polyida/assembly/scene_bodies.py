@@ -132,6 +132,20 @@ class Constraints(Model):
         slopes[self._slope_rows, self.arrays.links.row_columns] = self.slope_values(t, q)
         return slopes @ self._small_points
 
+    def phi_q_rows(self, t, q, rows):
+        """The rows of phi_q with these numbers, (k, n), dense."""
+        if self.small:
+            return self.small_phi_q(t, q)[rows]
+        links, slopes = self.arrays.links, np.zeros((2 * self.n_points, len(rows)))
+        counts, first = np.diff(links.row_start)[rows], links.row_start[rows]
+        entries = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
+        slopes[links.row_columns[entries], np.repeat(np.arange(len(rows)), counts)] = self.slope_values(t, q)[entries]
+        return np.ascontiguousarray((self._points_of_q_transposed @ slopes).T)
+
+    @cached_property
+    def _points_of_q_transposed(self):
+        return self._points_of_q.T.tocsr()
+
     @cached_property
     def _slope_rows(self):
         return np.repeat(np.arange(self.m), np.diff(self.arrays.links.row_start))

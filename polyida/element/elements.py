@@ -66,12 +66,14 @@ def lighter(element, kept, order=1):
 def stabilisation_factor(plate, operator):
     """Return the factor of a plate's stabilisation, N/m: t tr(C) of plane stress, also in plane strain; 0 for Wachspress elements.
 
-    The tr(C) of plane strain is unbounded for nu -> 1/2 and would lock the stabilised deformations, which change no volume.
+    The tr(C) of plane strain is unbounded for nu -> 1/2 and would lock the stabilised deformations, which change no volume. Those of quadratic
+    cells are coupled by the volume, so that each would cost too much there: theirs has the factor 1 - nu'^4 / 2, nu' of the plane.
     """
     if operator.stabilisation is None:
         return 0.0
     material = plate.material
-    return plane_trace(plate.thickness * material.E / (1 - material.nu**2), material.nu)
+    share = 1.0 - material.in_plane[1] ** 4 / 2.0 if plate.order == 2 else 1.0
+    return share * plane_trace(plate.thickness * material.E / (1 - material.nu**2), material.nu)
 
 
 def plane_trace(c1, nu):

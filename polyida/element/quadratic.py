@@ -16,13 +16,16 @@ Gradients are the linear ones with the moments of those of psi, as in virtual el
 Both patch tests, linear and quadratic, are exact. Three points are enough for them: in coordinates with unit second moments, an equilateral
 triangle around the centroid has the moments of the cell up to degree 2, and its corners, sqrt(2) away, lie within every convex cell. The
 volume then has three conditions in each cell, which do not lock as nu goes to 1/2. All that is not quadratic in a cell has the stabilisation of
-virtual elements, tau / 2 times tr(C) |x - Q x|^2 / 2 with the least-squares fit Q of a quadratic field to the nodes: triangles, which are T6, have none.
+virtual elements, tau tr(C) |x - Q x|^2 / 2 with the least-squares fit Q of a quadratic field to the nodes. Triangles, which are T6, have none.
 Each cell is computed in the coordinates with unit second moments: slender cells cost no digits.
 
-Curved sides are parabolas. The functions psi map the cell of straight sides to the curved one (isoparametric); the right side above is
-integrated along the parabolas, and the weights of int psi_i are changed a little so that the area and its first and second moments are exact:
-linear fields then have exact gradients, and the mass has the inertia of the body.
+Curved sides are parabolas. The functions psi map the cell of straight sides to the curved one (isoparametric). There p are 1 and the straight
+coordinates, with unit second moments over the curved cell, so that a long cell bends along its curve; the integral on the boundary is that
+along the parabolas. The weights of int psi_i are changed a little so that the area and its first and second moments are exact, and the moments
+so that linear fields have exact gradients: the mass has the inertia of the body, and the linear patch test is exact.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,18 +48,39 @@ def quadratic(corners, cells, nodes, tau):
     convex_sines(corners[::2], cells, nodes[::2])
     nodes, area, from_cell = _with_unit_moments(corners)
     _require_open_corners(nodes, cells)
+    rule = _rule(nodes, cells)
     size = 1.0 / np.linalg.det(from_cell)
-    shapes, weights = _shapes_and_weights(nodes, cells)
-    mass = np.matmul((shapes * (weights * size)[:, None]).transpose(2, 1, 0), shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
-    moments = _flux(nodes)
-    total = np.einsum("pc,pnc->nc", weights, shapes)
-    moments[:, 1, 0] -= total
-    moments[:, 2, 1] -= total
-    moments = np.einsum("nkec,ced->nkdc", moments, from_cell) * (size / area)
-    places = _places(nodes)
+    mass = np.matmul((rule.shapes * (rule.weights * size)[:, None]).transpose(2, 1, 0), rule.shapes.transpose(2, 0, 1)).transpose(1, 2, 0)
+    moments = np.einsum("nkec,ced->nkdc", _moments_of_gradients(nodes, rule), from_cell) * (size / area)
+    places = _places(rule.places)
     linear = np.concatenate([np.ones_like(places[:, :1]), places], axis=1)
     gradients = np.einsum("pkc,nkdc->pndc", linear, moments)
-    return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau / 2 * _unfitted(nodes)
+    return area, moments[:, 0], gradients, np.tile(area / 3.0, (3, 1)), mass, tau * _unfitted(nodes, rule.places)
+
+
+class Rule(NamedTuple):
+    """Points of degree 4 over cells of 2n nodes.
+
+    shapes (p, 2n, c): the functions; weights (p, c); places (2n, 2, c): straight coordinates of the nodes, with unit second moments; slopes
+    (p, straight, x or y, c): of these coordinates.
+    """
+
+    shapes: np.ndarray
+    weights: np.ndarray
+    places: np.ndarray
+    slopes: np.ndarray
+
+
+def _moments_of_gradients(nodes, rule):
+    """int p grad psi for p = 1 and the straight coordinates, (2n, 3, 2, c), so that linear fields have exact gradients."""
+    moments, area = _flux(nodes, rule.places), rule.weights.sum(axis=0)
+    for axis in (0, 1):
+        moments[:, 1 + axis] -= np.einsum("pc,pnc,pdc->ndc", rule.weights, rule.shapes, rule.slopes[:, axis])
+    share = np.einsum("pc,pnc->nc", rule.weights, rule.shapes) / area
+    moments[:, 1:] -= share[:, None, None] * moments[:, 1:].sum(axis=0)
+    rest = np.einsum("nec,nkdc->kedc", nodes, moments[:, 1:])  # of a linear field; 0 where sides are straight
+    moments[:, 1:] -= np.einsum("nec,kedc->nkdc", moments[:, 0] / area, rest)
+    return moments
 
 
 def _along_sides(nodes):
@@ -98,13 +122,15 @@ def _require_open_corners(nodes, cells):
         raise InputError(f"cell {cells[wrong[0]]}: its sides are curved too strongly; a middle node must lie near the middle of its side")
 
 
-def _shapes_and_weights(nodes, cells):
-    """Functions (p, 2n, c) and weights (p, c) of degree 4 over the cells."""
+def _rule(nodes, cells):
+    """The Rule of the cells. Where sides are curved, the weights are changed a little: area, first and second moments are exact."""
     vertices = nodes[::2]
-    points, weights = _rule(vertices)
-    shapes, curve = _functions(vertices, points), nodes[1::2] - (vertices + after(vertices)) / 2
-    if not (curve**2).sum(axis=1).max() > STRAIGHT**2:
-        return shapes, weights
+    points, weights = _straight_rule(vertices)
+    shapes, middles = _functions(vertices, points), (vertices + after(vertices)) / 2
+    straight = np.empty_like(nodes)
+    straight[::2], straight[1::2] = vertices, middles
+    if not ((nodes[1::2] - middles) ** 2).sum(axis=1).max() > STRAIGHT**2:
+        return Rule(shapes, weights, straight, np.broadcast_to(np.eye(2)[..., None], (len(points), 2, 2, nodes.shape[-1])))
     steps = [STEP * 1j * np.eye(2)[axis][:, None] for axis in (0, 1)]
     slopes = [np.einsum("pnc,ndc->pdc", _functions(vertices, points + step).imag / STEP, nodes) for step in steps]
     determinant = cross(*slopes)
@@ -115,12 +141,24 @@ def _shapes_and_weights(nodes, cells):
     square = np.einsum("pc,pkc,plc->ckl", weights, monomials, monomials, optimize=True)
     missing = _moments(nodes) - np.einsum("pc,pkc->kc", weights, monomials)
     change = np.linalg.solve(square, missing.T[..., None])[..., 0]  # the smallest one relative to the weights
-    return shapes, weights * (1.0 + np.einsum("pkc,ck->pc", monomials, change))
+    weights = weights * (1.0 + np.einsum("pkc,ck->pc", monomials, change))
+    first, second = (np.stack([slope[:, 1], -slope[:, 0]], axis=1) / determinant[:, None] for slope in slopes)
+    return _with_unit_places(shapes, weights, straight, points, np.stack([second, -first], axis=1))
 
 
-def _places(nodes):
-    """The three points (3, 2, c) in these coordinates, the first one towards the first corner."""
-    start = nodes[0] / np.sqrt((nodes[0] ** 2).sum(axis=0))
+def _with_unit_places(shapes, weights, straight, points, slopes):
+    """The Rule with straight coordinates moved, turned and stretched to unit second moments over the curved cell."""
+    area = weights.sum(axis=0)
+    centre = np.einsum("pc,pdc->dc", weights, points) / area
+    offset = points - centre
+    moments = np.einsum("pc,pdc,pec->cde", weights / area, offset, offset)
+    change = np.linalg.inv(np.linalg.cholesky(moments))
+    return Rule(shapes, weights, np.einsum("cde,nec->ndc", change, straight - centre), np.einsum("cde,pefc->pdfc", change, slopes))
+
+
+def _places(places):
+    """The three points (3, 2, c) in coordinates with unit second moments, in which the nodes have these places; one lies towards the first corner."""
+    start = places[0] / np.sqrt((places[0] ** 2).sum(axis=0))
     turned = np.exp(2j * np.pi * np.arange(3) / 3)[:, None] * (start[0] + 1j * start[1]) * np.sqrt(2.0)
     return np.stack([turned.real, turned.imag], axis=1)
 
@@ -128,10 +166,11 @@ def _places(nodes):
 def to_nodes(corners):
     """Weights (2n, 3, c) by which linear fields at the three points are extrapolated to the nodes of cells."""
     nodes = _with_unit_moments(corners)[0]
-    return (1.0 + np.einsum("ndc,pdc->npc", nodes, _places(nodes))) / 3.0
+    places = _rule(nodes, np.arange(nodes.shape[-1])).places
+    return (1.0 + np.einsum("ndc,pdc->npc", places, _places(places))) / 3.0
 
 
-def _rule(vertices):
+def _straight_rule(vertices):
     """Points (p, 2, c) and weights (p, c) of degree 4 over straight cells: six for each triangle of the fan around the centroid."""
     _, centroid, _ = measures(vertices)
     arms = vertices - centroid
@@ -171,21 +210,23 @@ def _functions(vertices, points):
     return shapes.reshape(*lam.shape[:2], 2 * n).transpose(1, 2, 0)
 
 
-def _flux(nodes):
-    """oint psi p n ds for p = 1, x, y, (2n, 3, 2, c)."""
-    x, dx = _along_sides(nodes)
+def _flux(nodes, places):
+    """oint psi p n ds for p = 1 and the straight coordinates, in which nodes have these places, (2n, 3, 2, c)."""
+    (_, dx), (straight, _) = _along_sides(nodes), _along_sides(places)
     normals = np.stack([dx[:, :, 1], -dx[:, :, 0]], axis=2)
-    parts = np.einsum("gj,gnkc,gndc->jnkdc", SIDE, _monomials(x)[:, :, :3], normals, optimize=True)
+    parts = np.einsum("gj,gnkc,gndc->jnkdc", SIDE, _monomials(straight)[:, :, :3], normals, optimize=True)
     flux = np.empty((len(nodes), *parts.shape[2:]))
     flux[::2] = parts[0] + before(parts[2])
     flux[1::2] = parts[1]
     return flux
 
 
-def _unfitted(nodes):
-    """The projection (2n, 2n, c) of nodal values on what no quadratic field fits."""
-    count, places = len(nodes), nodes.transpose(2, 0, 1)
+def _unfitted(nodes, places):
+    """The projection (2n, 2n, c) of nodal values on what no field fits that is linear in x and quadratic in the straight coordinates."""
+    count, at = len(nodes), places.transpose(2, 0, 1)
     if count == 6:
-        return np.zeros((6, 6, len(places)))
-    basis = np.linalg.qr(_quadratics(places, places).transpose(0, 2, 1))[0]
+        return np.zeros((6, 6, len(at)))
+    fields = _quadratics(at, at).transpose(0, 2, 1)
+    fields[..., 1:3] = nodes.transpose(2, 0, 1)
+    basis = np.linalg.qr(fields)[0]
     return (np.eye(count) - basis @ basis.transpose(0, 2, 1)).transpose(1, 2, 0)

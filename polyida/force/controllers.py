@@ -13,7 +13,7 @@ from polyida.force.loads import RotationElement, as_forces, measured
 from polyida.force.springs import elongation
 from polyida.jit.user_functions import compiled
 from polyida.joint.attachment import Attachment, require_places, require_sides
-from polyida.profile import as_profile, constant
+from polyida.profile import as_profile
 from polyida.validation import floats, is_number, named_keywords, number, positive, settle
 
 
@@ -98,7 +98,7 @@ class PID(RotationElement):
     kp: float
     ki: float = 0.0
     kd: float = 0.0
-    target: Any = constant(0.0)
+    target: Any = 0.0
     against: Attachment | None = None
     filter: float = 0.0
     limit: float = 1e30
@@ -164,7 +164,7 @@ class LinearController(RotationElement):
     B: Any = None
     C: Any = None
     D: Any = None
-    target: Any = constant(0.0)
+    target: Any = 0.0
     against: Attachment | None = None
     name: str | None = None
 

@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, takes_three, with_checked_function
 from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Attachment, ground, require_attachment, require_directions, require_sides
-from polyida.profile import Profile, as_profile, constant
+from polyida.profile import Profile, as_profile
 from polyida.validation import flag, labelled, listed, named_keywords, settle, vector2
 
 
@@ -34,7 +34,7 @@ class PointLoad:
 
     at: Attachment
     force: tuple
-    profile: "Profile | Callable[[float], float] | float" = constant(1.0)
+    profile: "Profile | Callable[[float], float] | float" = 1.0
     name: str | None = None
 
     def __post_init__(self):
@@ -69,7 +69,7 @@ class EdgeTraction:
 
     at: Attachment
     traction: tuple
-    profile: "Profile | Callable[[float], float] | float" = constant(1.0)
+    profile: "Profile | Callable[[float], float] | float" = 1.0
     name: str | None = None
 
     def __post_init__(self):

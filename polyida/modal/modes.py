@@ -18,7 +18,7 @@ from polyida.modal.eigen import linear_system
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.reprs import brief
-from polyida.validation import flag, index, is_whole, named_keywords, positive, whole
+from polyida.validation import flag, index, named_keywords, whole
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root that is less to the right of the imaginary axis is on it
@@ -128,17 +128,9 @@ class Modes:
         Figure
             Not to scale.
         """
-        from polyida.show.plates import draw, shapes
-        from polyida.show.styles import require_axes
+        from polyida.show.plates import plot_modes
 
-        numbers = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
-        if not numbers or not all(is_whole(k, 0, len(self.roots) - 1) for k in numbers):
-            raise InputError(f"modes.plot: number = {number!r} must be the index of one of {len(self.roots)} modes, or a list of these")
-        scale = positive("modes.plot", "scale", scale, "no unit")
-        if axes is None:
-            return shapes(self.model, self.state.q, [(self.title(k), self.shapes[k]) for k in numbers], scale)
-        draw(require_axes(axes), self.model, self.state.q, self.shapes[numbers[0]], self.title(numbers[0]), scale)
-        return axes.figure
+        return plot_modes("modes.plot", self, self.state.q, number, scale, axes)
 
     def title(self, number: int) -> str:
         """Return "mode 1: 3.42 Hz", with its damping if it has any, or "mode 1: fades at 9.9 1/s" of a real root."""

@@ -22,7 +22,7 @@ from polyida.model import Model, differences
 from polyida.validation import is_number, is_whole, named_keywords, reals
 
 TAKEN = (  # attributes and functions with defaults that a model of some rows takes from the whole one
-    "extent", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed", "named_profiles",
+    "extent", "reference", "free_fall", "flexible", "uniform_units", "state_columns", "state_units", "state_start", "state_speed", "named_profiles",
     "motor_profiles", "path_profiles", "force_q", "force_v", "mass_a_q", "initial_velocity", "rejection_reason", "kinks", "samples", "sampled",
 )  # fmt: skip
 MOST = 30  # iterations for the force of friction that depends on multipliers

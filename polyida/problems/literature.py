@@ -108,11 +108,12 @@ def turn():
     )
 
 
-def spin_up_beam(nx=130, ny=1, element="wachspress"):
+def spin_up_beam(nx=130, ny=1, element="wachspress", order=1):
     """The beam on nx by ny quadrilaterals, turned by "motor" at its left edge; "tip" is the mean of the right one."""
     from polyida.mesh import quads
 
-    beam = Plate(quads(LENGTH, HEIGHT, nx, ny), Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT), 1.0, name="beam", element=element)
+    material = Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT)
+    beam = Plate(quads(LENGTH, HEIGHT, nx, ny), material, 1.0, name="beam", element=element, order=order)
     scene = Scene()
     scene.add(beam)
     scene.add(Revolute(ground, beam.section("left"), name="hub"))
@@ -135,11 +136,11 @@ def steady_extension(run, since=16.0):
     return float(np.mean(np.hypot(*place.T)) - LENGTH)
 
 
-def spin_up_beam_problem(nx=130, ny=1, element="wachspress"):
+def spin_up_beam_problem(nx=130, ny=1, element="wachspress", order=1):
     """The spin-up beam of Simo and Vu-Quoc: 15 s of spin-up and 5 s of steady turning."""
     return Problem(
         name="spin-up-beam",
-        model=spin_up_beam(nx, ny, element).build(),
+        model=spin_up_beam(nx, ny, element, order).build(),
         q0=None,
         v0=None,
         t_end=20.0,

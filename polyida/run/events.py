@@ -261,7 +261,7 @@ class Happenings:
                     yield Stretch.of(self.whole_state(after))
                     continue
                 t, fired = hit
-                at = between(before, after, t)
+                at = self._between(before, after, t)
                 start = self._consistent(self.mode, at, "the state")
                 start = start if at is before else self._on_root(before, after, start, fired[0])
                 first = self.spread(start)
@@ -274,6 +274,16 @@ class Happenings:
             if failure:
                 counts.steps += 1
                 raise failure
+
+    def _between(self, before, after, t):
+        """The State at t of a step, with the outputs that controllers hold in it: they jump at its start if that is a sample."""
+        state = between(before, after, t)
+        held = [own.placed.columns[own.placed.own :] for own in self.whole.controllers] if self.whole.is_scene else []
+        if not held or state is before or state is after:
+            return state
+        v, columns = state.v.copy(), np.concatenate(held)
+        v[columns] = after.v[columns]
+        return State(state.t, state.q, v, state.a, state.lam, restart=False)
 
     def _on_root(self, before, after, start, k):
         """A consistent state of a step at which the function of event k is zero; `start` is one near it.
@@ -288,7 +298,7 @@ class Happenings:
             t = start.t - g / rate if rate else before.t
             if abs(g) <= 0.1 * OFFSET * self.sizes[k] or not before.t < t < after.t:
                 break
-            nearer = self._consistent(self.mode, between(before, after, t), "the state")
+            nearer = self._consistent(self.mode, self._between(before, after, t), "the state")
             if abs(self.value(self.events[k], nearer)) >= abs(g):
                 break
             start = nearer

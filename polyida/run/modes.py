@@ -15,25 +15,31 @@ watched. Then friction slips, a contact opens, and others are hit. Where a motor
 """
 
 from dataclasses import dataclass, replace
+from functools import wraps
 from itertools import pairwise
+from time import process_time
 
 import numpy as np
 
 from polyida.errors import InputError, StepFailure
 from polyida.event import Events, Happened
+from polyida.integrate.discontinuities import at_kink
 from polyida.integrate.nonsmooth.cone import CLOSED, SLIPS_DOWN, SLIPS_UP, STICKS
 from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts
-from polyida.integrate.start import on_velocity
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import State, between
 from polyida.linear.lu import SingularSystem
+from polyida.model.differences import beside
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slips
-from polyida.run.events import NODES, Change, Happenings
+from polyida.run.events import NODES, OFFSET, Change, Happenings
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
 UNIQUE = 1e-7  # of `Slips.uniqueness`: below it forces are errors of the state, 1e7 times as large
 AT_ONCE = 10  # changes of one row at one time
+LONG_AGO = 1e-6  # s: kinks and samples at the start of a run count
+SHORTER = 1 / 8  # of a step whose forces end a status that the consistent ones do not end: the next step
 DEPENDENT = 1e-10  # of G_ii: rows that depend on others
 AT_BOUND = 1e-4  # of the largest force, now or in the mode: a row at its bound by consistent forces; farther away the integrator's own ones were inexact
 MOVES, RESTS = 2.0, 1e-3  # of `Contacts.still`: rates of rows that begin to move, and that are at rest again
@@ -51,6 +57,20 @@ class RowEvent:
     direction: str = "falling"
 
 
+def timed(method):
+    """A method of Modes whose CPU time counts as spent on laws."""
+
+    @wraps(method)
+    def measured(self, *arguments):
+        begin = process_time()
+        try:
+            return method(self, *arguments)
+        finally:
+            self.happened.watch_seconds += process_time() - begin
+
+    return measured
+
+
 class Modes(Happenings):
     """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure."""
 
@@ -60,11 +80,16 @@ class Modes(Happenings):
             names = ", ".join(law.name for law in self.whole.row_laws if law.row in [rows.first for rows in self.whole.edge_rows])
             why = "their rows are not smooth, which takes polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
             raise InputError(f"{method.class_name()}: the contacts of {names} are with edges; {why}")
-        self.happened, self.width = Events(given=True) if happened is None else happened, self.whole.m
+        self.happened, self.width = happened, self.whole.m
+        if happened is None:
+            self.happened = Events(given=True)
+            self.happened.watch_seconds = 0.0
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
         self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
         self.last, self.modes, self.mode, self._forces, self._held = -np.inf, {}, self.whole, (None, None), (None, None)
         self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
+        self.seen = set()  # statuses at the time of the last change
+        self.pieces = np.zeros(3)  # length and end of a piece of the motion, and the length from which it is whole again; 0: it is whole
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -80,15 +105,23 @@ class Modes(Happenings):
 
     def whole_state(self, state):
         state = super().whole_state(state)
-        return replace(state, memory=state.memory | {"status": self.status.astype(float)}) if state.restart else state
+        if not state.restart:
+            return state
+        return replace(state, memory=state.memory | self._memory())
+
+    def _memory(self):
+        """What a run goes on with: of events, of the statuses and of the pieces of a motion."""
+        return {"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float), "pieces": self.pieces}
 
     def spread(self, state):
         return replace(super().spread(state), lam=self._all_forces(state))
 
     def stretches(self, state, t_end, counts):
         memory = dict(state.memory)
-        self.status = np.asarray(memory.pop("status"), np.int64)
+        self.status, self.pieces = np.asarray(memory.pop("status"), np.int64), np.array(memory.pop("pieces", np.zeros(3)))
         self._set_mode(state.t, state.q, state.v)
+        span = state.t - LONG_AGO, t_end
+        self.jumps = bool(tuple(self.whole.kinks(*span))) or any(True for _ in self.whole.samples(*span))
         return super().stretches(replace(state, memory=memory), t_end, counts)
 
     def value(self, event, state):
@@ -118,7 +151,7 @@ class Modes(Happenings):
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
-            yield from super()._motion(before, t_end, counts)
+            yield from self._in_pieces(before, t_end, counts)
         except (StepFailure, SingularSystem) as error:  # a step across the end of a unique force may have no solution
             ahead = self._singular_ahead(self.at, self.step, 4.0) if isinstance(self.mode, Slips) and self.step else None
             self.at, error = (ahead, self.mode.singular()) if ahead else (self.at, error)
@@ -126,15 +159,30 @@ class Modes(Happenings):
                 raise
             raise StepFailure("singular", str(error), self.at.t) from None
 
+    def _in_pieces(self, before, t_end, counts):
+        """The motion of a mode; behind a step whose forces were not the consistent ones in pieces, which begin short and grow."""
+        while True:
+            length, end, longest = self.pieces
+            if length and end <= before.t:
+                length = 2.0 * length if end else length
+                self.pieces = np.array([length, before.t + length, longest]) if length < longest else np.zeros(3)
+            end, part = self.pieces[1] or t_end, None
+            for part in super()._motion(before, min(end, t_end), counts):
+                yield part
+            if isinstance(part, Change) or end >= t_end:
+                return
+            before = State(self.at.t, self.at.q, self.at.v, self.at.a, self.at.lam, self.at.memory | {"polynomials": 1.0})
+
     def _uniqueness(self, before, state):
         """What is positive while friction that slips has a unique force; rows press in the directions that they had before."""
         return self.mode.uniqueness(state, before.lam) if isinstance(self.mode, Slips) else 1.0
 
+    @timed
     def _first(self, before, after):
         """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
         # speeds that are round-off of the motion so far: at rest, and without gravity, a state gives no size for them
         self.contacts.speed = max(self.contacts.speed, float(np.abs(before.v).max(initial=0.0)))
-        hit = super()._first(before, after)
+        hit = self._jumped(before) or super()._first(before, after)
         watched = self._first_watched(before, after)
         if watched and (hit is None or watched[0] <= hit[0]):
             hit = watched
@@ -147,6 +195,27 @@ class Modes(Happenings):
             raise self.mode.singular()
         self.at, self.step = after, after.t - before.t
         return hit
+
+    def _behind(self, t, q, v):
+        """(t, v) with the forces behind a jump at t: beside a kink, with the outputs of controllers that sample."""
+        return beside(t, 1.0) if at_kink(self.whole, t) else t, self.whole.sampled(t, q, v)
+
+    def _with_forces_behind(self, state):
+        """A state of the mode, with the accelerations and multipliers behind a jump of forces at its time."""
+        t, v = self._behind(state.t, state.q, state.v)
+        if t == state.t and v is state.v:
+            return state
+        a, lam = consistent_acceleration(self.mode, t, state.q, v)
+        return State(state.t, state.q, state.v, a, lam, restart=False)
+
+    def _jumped(self, before):
+        """(time, numbers of the rows) whose status a jump of forces at the start of a step ends, or None."""
+        state = self._with_forces_behind(before) if self.jumps else before
+        if state is before:
+            return None
+        values = np.array([self.value(event, state) for event in self.events])
+        rows = np.flatnonzero((values < -OFFSET * np.maximum(self.sizes, np.abs(values))) & (self.values > 0.0) & (self.status < SLIPS_UP))
+        return (before.t, rows.tolist()) if len(rows) else None
 
     def _first_watched(self, before, after):
         """(time, numbers of the rows) at which equations begin to move rows at rest in a step, or no longer move rows of friction, or None."""
@@ -289,7 +358,8 @@ class Modes(Happenings):
         dwells: rows that equations hold at rest from now on.
         """
         contacts = self.contacts
-        a, lam, p, status = contacts.accelerations(t, q, v, closed, begins=begins, dwells=dwells)
+        behind, sampled = self._behind(t, q, v)
+        a, lam, p, status = contacts.accelerations(behind, q, sampled, closed, begins=begins, dwells=dwells)
         rates = self.whole.phi_rate(t, q, v)[contacts.rows]
         bounded = np.array([law.is_contact or law.mu > 0.0 or law.constant > 0.0 for law in self.whole.row_laws])
         slips = ~contacts.contact & (np.abs(rates) > contacts.still(v))
@@ -299,10 +369,12 @@ class Modes(Happenings):
         self._set_mode(t, q, v)
         return State(t, q, v, a, contacts.all(lam, p), restart=False)
 
+    @timed
     def _change(self, state, fired):
         if not self._uniqueness(state, state) > 0.0:  # the event is of forces within round-off of that point
             self.at, self.step = state, 0.0
             raise self.mode.singular()
+        state = self._with_forces_behind(state)
         contacts, t, q = self.contacts, state.t, state.q
         rates, old, hit = self.whole.phi_rate(t, q, state.v)[contacts.rows], self.status.copy(), self._hit(state)
         size, still = TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
@@ -329,7 +401,13 @@ class Modes(Happenings):
             free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"
             word = WORDS.get(int(self.status[k]), free)
             happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
-        self._require_progress(t, np.union1d(changed, np.flatnonzero(hit)) if len(changed) or hit.any() else fired)
+        rows = np.union1d(changed, np.flatnonzero(hit))
+        advances, now = self._require_progress(t, rows if len(rows) else fired), self.status.tobytes()
+        self.seen = {old.tobytes()} if advances else self.seen
+        # the same statuses again: forces of the step were not the consistent ones, as of mesh modes that it does not resolve
+        again = now in self.seen and not (advances or hit.any())
+        self.seen.add(now)
+        self.pieces = np.array([SHORTER * self.step, 0.0, max(self.step, self.pieces[2])]) if again else np.zeros(3)
         self.happened.happened += happened
         moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
         self.values = np.array([self.value(event, moment) for event in self.events])
@@ -337,11 +415,7 @@ class Modes(Happenings):
         begins = np.where(contacts.contact, self.status == 0, self.status >= SLIPS_UP)
         begins &= self.values <= np.where(contacts.contact, size, still)
         self.sides, self.sizes = np.where(begins, 0.0, 1.0), np.abs(self.values)
-        return (
-            replace(behind, memory={"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float)}, restart=True),
-            happened,
-            "",
-        )
+        return replace(behind, memory=self._memory(), restart=True), happened, ""
 
     def _hit(self, state):
         """True for the contacts that have closed and approach."""
@@ -364,8 +438,9 @@ class Modes(Happenings):
         return begins
 
     def _require_progress(self, t, rows):
-        """Raise StepFailure if rows change too often, in all or at one time."""
-        if t > self.last + 1e-12 * max(1.0, abs(t)):
+        """True if a change is behind the last one; raises StepFailure if rows change too often, in all or at one time."""
+        advances = t > self.last + 1e-12 * max(1.0, abs(t))
+        if advances:
             self.counts[1], self.last = 0, t
         self.counts[:, rows] += 1
         for limit, counts, why in ((MOST, self.counts[0], "changed"), (AT_ONCE, self.counts[1], "changed at one time")):
@@ -373,6 +448,7 @@ class Modes(Happenings):
                 name = self.contacts.names[int(np.argmax(counts))]
                 advice = "use polyida.NonsmoothAlpha(h=...), which steps through"
                 raise StepFailure("events", f"the contact or friction of {name!r} {why} more than {limit} times; {advice}", t)
+        return advances
 
 
 def _ahead(state, t):

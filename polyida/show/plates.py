@@ -5,8 +5,21 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.results.curves import curves_of, curves_of_mesh
-from polyida.show.styles import INK, MARK, PALETTE, STICK, bounds, figure, height_to_scale, line_style, literal, settings, show_to_scale
-from polyida.validation import flag, is_whole
+from polyida.show.styles import (
+    INK,
+    MARK,
+    PALETTE,
+    STICK,
+    bounds,
+    figure,
+    height_to_scale,
+    line_style,
+    literal,
+    require_axes,
+    settings,
+    show_to_scale,
+)
+from polyida.validation import flag, is_whole, positive
 
 EVENT_FRAMES, EVENT_TEXT = 5, 30  # frames that show the name of an event; characters of names
 AMPLITUDE = 0.12  # largest displacement of a drawn shape, relative to the size of the scene
@@ -167,6 +180,22 @@ def clock(run, frames):
             shown[event.name] = None
     texts = [f", {cut(', '.join(shown), EVENT_TEXT)}" if shown else "" for shown in names]
     return [f"t = {run.t[k]:.3f} s{text}" for k, text in zip(frames, texts)]
+
+
+def plot_modes(part, found, q, number, scale, axes):
+    """The Figure of `modes.plot` and `buckling.plot`: of all modes of a result, or those of these indices, or of one on the user's axes.
+
+    found: has model, shapes (count, n) and title(k). Raises InputError, in the name of `part`.
+    """
+    count = len(found.shapes)
+    numbers = list(range(count)) if number is None else number if isinstance(number, list) else [number]
+    if not numbers or not all(is_whole(k, 0, count - 1) for k in numbers):
+        raise InputError(f"{part}: number = {number!r} must be the index of one of {count} modes, or a list of these")
+    scale = positive(part, "scale", scale, "no unit")
+    if axes is None:
+        return shapes(found.model, q, [(found.title(k), found.shapes[k]) for k in numbers], scale)
+    draw(require_axes(axes), found.model, q, found.shapes[numbers[0]], found.title(numbers[0]), scale)
+    return axes.figure
 
 
 def shapes(model, q, modes, scale=1.0):

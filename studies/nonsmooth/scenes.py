@@ -135,6 +135,27 @@ def slider_crank(mu=0.2):
     return scene
 
 
+PLATE = pi.Material(2e9, nu=0.3, rho=1200.0, viscosity=2e-6)
+
+
+def plate_crank(mu, cells=40, modes=0, torque=0.0):
+    """The slider-crank at rest with a plate as rod, or its `Reduced` with `modes`; a torque acts on its crank from the start, N m."""
+    scene, back = pi.Scene(gravity=(0.0, -G)), -np.arcsin(CRANK / ROD * np.sin(ANGLE))
+    pin = CRANK * np.array([np.cos(ANGLE), np.sin(ANGLE)])
+    crank = scene.add(pi.RigidBody.bar(CRANK, MASSES[0], angle=ANGLE, name="crank"))
+    plate = pi.Plate(pi.mesh.rectangle(ROD, 0.02, cells=cells, seed=1), PLATE, 0.01, origin=tuple(pin), angle=back, name="rod")
+    rod = scene.add(pi.Reduced(plate, modes=modes) if modes else plate)
+    place = (pin[0] + ROD * np.cos(back), 0.0)
+    slider = scene.add(pi.RigidBody(mass=MASSES[2], inertia=1e-3, points={"c": (0.0, 0.0)}, origin=place, name="slider"))
+    scene.add(pi.Revolute(pi.ground, crank.at("left"), name="bearing"))
+    scene.add(pi.Revolute(crank.at("right"), rod.section("left"), name="crank pin"))
+    scene.add(pi.Revolute(rod.section("right"), slider.at("c"), name="slider pin"))
+    scene.add(pi.Prismatic(FLOOR, slider.at("c"), friction=mu, name="guide"))
+    if torque:
+        scene.add(pi.Torque(crank.at("left"), torque, name="drive"))
+    return scene
+
+
 def sliding_rod(angle=0.5, spin=0.5, speed=-20.0, mu=5 / 3, held=False):
     """A rod of 1 kg and 2 m leans with an angle over rough ground, its lower tip slides to the left at `speed`, m/s, g = 10 m/s^2.
 

@@ -118,6 +118,13 @@ def made_up(name, task):
         random = ("beyond_cone", "energy_growth", "energy_growth_in_all", "momentum_in_a_step", "momentum_in_all", "lowest_gap")
         curves = {"t": T, "energy": [0.0, 1e-9, 1e-9, 1e-9], "force": [0.0, 1.0, 0.0, 0.0], "bottom": [1.0, 0.0, 0.0, 1.0]}
         plate = dict.fromkeys(("cost_of_contact", "iterations_in_contact", "iterations_without", "solves_in_contact", "factors", "n"), 2)
+        plate |= dict.fromkeys(("friction_over_none", "with_ms", "without_ms"), 2.0) | {
+            "runs": 40,
+            "stated": 1,
+            "stops": 0,
+            "far": 0,
+            "apart": 1e-6,
+        }
         return work | off | plate | dict.fromkeys(random, 1e-9) | curves | {"error_q": size, "events": 2, "energy_change": 1e-9}
     if name == "closed_chain":
         if task["side"] == "derive":

@@ -12,6 +12,7 @@ with the constant c_0 and the coefficient mu of friction, and its pressing entri
 3. The same from the solution with the present bounds of friction, `solve_box_lcp`: a convex quadratic problem whose sets change one row at a time
    (Nocedal, Wright, Numerical Optimization (2006), section 16.5).
 4. The same from projected Gauss-Seidel sweeps, `sweep`, a few times.
+5. As 3., a few times: bounds that change little with the forces are then found though G is nearly singular.
 
 Where G is singular, as with redundant contacts, pressures are those of least norm among the solutions near the start.
 """
@@ -28,6 +29,7 @@ OPEN, CLOSED, STICKS, SLIPS_UP, SLIPS_DOWN = range(5)  # statuses; SLIPS_UP: rat
 NEWTON = 30  # most iterations of Newton's method from one start
 SWEEPS = 400  # of Gauss-Seidel in one round
 ROUNDS = 4  # starts of Newton's method beyond the first two
+AGAIN = 8  # further starts, from bounds of friction that are computed again
 EXACT = 1e-13  # of the largest pressure: error of p
 GOOD = 1e-8  # the same that is accepted if no iteration is better
 LEAST = 1e-200  # of G_ii, which is round-off of either sign where a row cannot hold the motion, as friction at a dead point
@@ -226,13 +228,13 @@ def solve_cone(delassus, free_rates, cone, forces, status):
             put(1.0, right, forces)
             total += count
             error, count = newton(delassus, free_rates, cone, forces, status, matrix, right, slope)
-    for turn in range(ROUNDS):
+    for turn in range(ROUNDS + AGAIN):
         total += count
         if error <= GOOD:
             return total
         if not error < np.inf:
             forces[:] = 0.0
-        if turn == 0:
+        if turn == 0 or turn >= ROUNDS:
             low, high = np.zeros(k), np.full(k, np.inf)
             for i in range(k):
                 if cone.kind[i] == FRICTION:

@@ -124,22 +124,10 @@ class Contacts:
         if B is None or (self.turning and not (known_q is q and known_t == t and known_model is model)):
             if len(self._slopes) >= KEPT:
                 self._slopes.clear()
-            B = self._slopes_at(t, q, which, model)
+            rows = self.rows[which]
+            B = model.phi_q_rows(t, q, rows) if model.is_scene else dense(model.phi_q(t, q)[rows]) if len(rows) else np.zeros((0, model.n))
             self._slopes[key] = q, t, model, B
         return B
-
-    def _slopes_at(self, t, q, which, model):
-        """phi_q of the rows with laws that `which` selects, (k, n), dense; the entries are picked from a scene's CSR matrix."""
-        if model.is_scene and model.small:
-            return model.small_phi_q(t, q)[self.rows[which]]
-        rows = self.rows[which]
-        if not (model.is_scene and len(rows)):
-            return dense(model.phi_q(t, q)[rows]) if len(rows) else np.zeros((0, model.n))
-        B, result = model.phi_q(t, q), np.zeros((len(rows), model.n))
-        counts, first = np.diff(B.indptr)[rows], B.indptr[rows]
-        entries = np.arange(counts.sum()) + np.repeat(first - np.cumsum(counts) + counts, counts)
-        result[np.repeat(np.arange(len(rows)), counts), B.indices[entries]] = B.data[entries]
-        return result
 
     def mobility(self, B):
         """Squares of the rows B over the largest mass, (k,); those of the last B are kept."""
