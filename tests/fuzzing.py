@@ -334,6 +334,7 @@ CALLS = {  # what else a good call takes
     "Buckling.title": {"number": 0},
     "Domain.distance": {"points": MESH.points},
     "Result.report": {"folder": "report", "overwrite": True},
+    "Result.to_latex": {"columns": ["number"]},
 }
 
 INSTANCES = {  # an object of each class whose methods users call

@@ -53,13 +53,21 @@ def _legend(axes, handles, names):
     room = box.width / axes.figure.dpi * POINTS / size  # in sizes of the font
     longest = int((room - HANDLE) / LETTER)
     names = [cut(name, max(8, longest)) for name in names]
-    columns = int(room / (HANDLE + LETTER * max(map(len, names))))
-    columns = max(1, min(columns, len(names)))
+    columns = _fitting_columns(names, room)
     above = POWER_HEIGHT if _has_power(axes.yaxis) else 0.3
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": above}
     look = {"frameon": False, "handlelength": 1.8, "columnspacing": 1.2, "labelspacing": 0.25}
     legend = axes.legend(handles, names, ncols=columns, **place, **look)
     return legend.get_window_extent().height / axes.figure.dpi * POINTS + above * size
+
+
+def _fitting_columns(names, room):
+    """The largest number of columns that fit; a column is as wide as its longest name."""
+    for columns in range(len(names), 1, -1):
+        longest = [max(map(len, column)) for column in np.array_split(np.array(names, dtype=object), columns)]
+        if sum(HANDLE + LETTER * length for length in longest) <= room:
+            return columns
+    return 1
 
 
 def _has_power(axis):

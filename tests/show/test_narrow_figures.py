@@ -9,6 +9,7 @@ from matplotlib.text import Text
 
 import polyida as pi
 from polyida.errors import InputError
+from polyida.show.axes import finish
 from polyida.study.invariants import Drift, EnergyKept
 from polyida.study.precision import StepSizes, WorkPrecision
 
@@ -175,3 +176,14 @@ def test_a_style_holds_within_its_with_and_new_axes_are_a_column_wide(swing):
         with pytest.raises(InputError), pi.show.style(**wrong):
             pass
     pyplot.close("all")
+
+
+def test_a_legend_has_as_many_columns_as_fit_by_their_own_names():
+    with pi.show.style("paper"):
+        figure, axes = pyplot.subplots()
+        for name in ("generalized-alpha", "Radau IIA", "IDA"):
+            axes.plot([1.0, 2.0], [1.0, 2.0], label=name)
+        finish(axes)
+        assert axes.get_legend()._ncols == 2  # two columns of the longest name would be too wide
+    require_apart(figure)
+    pyplot.close(figure)
