@@ -24,7 +24,7 @@ EXAMPLES = {
     "polyida list": "names of scenes, integrators and studies",
     "polyida COMMAND --help": "more on each command",
 }
-TITLE = "Flexible multibody dynamics with polygonal finite elements."
+TITLE = "Flexible multibody dynamics in the plane: one model through six integrators."
 app = typer.Typer(
     cls=Groups, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None, help=TITLE, epilog=examples(EXAMPLES)
 )
