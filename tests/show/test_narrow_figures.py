@@ -51,13 +51,17 @@ def kept(kind):
     return kind("mechanism", ends, [], histories)
 
 
-@pytest.fixture(scope="module")
-def swing():
+def swing_scene():
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody.bar(0.3, 1.0, name="bar"))
     scene.add(pi.Revolute(pi.ground, bar.at("left"), name="bearing"))
     scene.add(pi.PointMass(bar.at("right"), 0.1, name="tip"))
-    return pi.solve(scene.build(), 0.3, pi.GeneralizedAlpha(h=2e-3))
+    return scene
+
+
+@pytest.fixture(scope="module")
+def swing():
+    return pi.solve(swing_scene().build(), 0.3, pi.GeneralizedAlpha(h=2e-3))
 
 
 PICTURES = {
@@ -72,6 +76,7 @@ PICTURES = {
     "path": lambda axes, run: run.plot.tip(axes=axes),
     "place": lambda axes, run: run.plot.position(axes=axes),
     "bodies": lambda axes, run: run.plot.deformed(axes=axes),
+    "scene": lambda axes, _: swing_scene().plot(axes),
 }
 
 
