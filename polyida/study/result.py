@@ -190,10 +190,9 @@ class Result:
         """The blocks of the report's page."""
         pictures = self.report_pictures()
         numbers = [{"name": name, "value": value} for name, value in self.figures.items()]
-        blocks: list = [html.Notes(self.notes)]
-        blocks += [html.Heading("Figures"), *pictures] if pictures else []
+        blocks: list = [html.Heading("Figures"), *pictures] if pictures else []
         blocks += [html.Heading("Numbers"), html.Table(NUMBERS, numbers)] if numbers else []
-        return [*blocks, html.Heading("Rows"), *self.report_tables()]
+        return [*blocks, html.Heading("Rows"), *self.report_tables(), html.Notes(self.notes)]
 
     def report_pictures(self) -> list:
         """The pictures as blocks of the page."""
