@@ -1,4 +1,9 @@
-"""polyida: flexible multibody dynamics with polygonal elements, one model through three kinds of integrator."""
+"""polyida: flexible multibody dynamics in the plane and differential-algebraic equations, one model through six integrators.
+
+A scene of plates, rigid bodies, joints, forces and contacts, or equations of your own, become one residual r = M a + g + phi_q^T lam and one
+constraint vector phi. `GeneralizedAlpha`, `EnergyMomentum`, `RadauIIA`, `IDA`, `NonsmoothAlpha` and `MoreauJean` solve these two. Runs have
+gradients, estimates of their errors, studies and reports.
+"""
 
 from polyida import registry
 
@@ -45,7 +50,7 @@ _MODULES = {
 }
 _MODULES["export"] = "show.vtu"
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [*_PLACES, *_MODULES]
 # importing polyida costs nothing that a script does not need
 __getattr__, __dir__ = registry.attributes(__name__, _PLACES | {name: f"polyida.{module}" for name, module in _MODULES.items()})

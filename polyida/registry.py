@@ -67,6 +67,7 @@ problems: dict[str, Any] = {
 views: dict[str, Any] = {  # attributes of a run that draw it
     "plot": "polyida.show.plots:RunPlots",
     "drawing": "polyida.show.plots:drawing",
+    "animate": "polyida.show.animations:Animation",
 }
 studies: dict[str, Any] = {}  # users' own; those of the repository are the scripts of ./studies
 __all__ = ["find", "integrators", "name_of", "parts", "problems", "studies"]

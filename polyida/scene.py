@@ -119,7 +119,6 @@ class Scene:
 
         self.require_sides("plot")
         bodies: dict[str, tuple] = {}
-        connections = []
         for name, part in self.parts.items():
             if isinstance(part, (Plate, Body)):
                 plate = part if isinstance(part, Plate) else part.plate
@@ -127,13 +126,9 @@ class Scene:
                     bodies[name] = None, sticks_between(np.reshape([point.point for point in points_of(part)], (-1, 2)))
                 else:
                     bodies[name] = plate.mesh, plate.points
-            else:
-                kind = "joint" if isinstance(part, Joint) else "force" if isinstance(part, ForceElement) else "mass"
-                kind = "load" if isinstance(part, (PointLoad, EdgeTraction)) else kind
-                places = _places_of(name, part)
-                connections += [(name, kind, places)] if len(places) else []  # none of a user's joint whose sides have other names
+        places = {name: _places_of(name, part) for name, part in self.parts.items() if name not in bodies}
         with on_axes(axes) as axis:
-            draw_scene(axis, bodies, connections)
+            draw_scene(axis, bodies, self.parts, places)
             return axis
 
     def assemble(self) -> Assembly:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
+    from polyida.show.animations import Animation
     from polyida.show.plots import RunPlots
 
 
@@ -479,6 +480,25 @@ class Trajectory:
     def plot(self) -> RunPlots:
         """Plots on matplotlib axes: `run.plot.energy()`, `position("tip")`, `tip()`, `reactions("shoulder")`, `drift()`, `deformed()`."""
         return registry.find(registry.views, "plot")(self)
+
+    def animate(self, seconds: float | None = None) -> Animation:
+        """Return the motion: a notebook shows it with a slider, `.save("motion.gif")` writes it, also as .mp4, .svg and .html.
+
+        Parameters
+        ----------
+        seconds : float, s, optional
+            Duration. Default: the simulated time, between 4 and 12 s.
+
+        Returns
+        -------
+        animation : Animation
+
+        Raises
+        ------
+        InputError
+            For a run without anything to draw.
+        """
+        return registry.find(registry.views, "animate")(self, seconds)
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with a row for each frame.

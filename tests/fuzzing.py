@@ -297,6 +297,8 @@ CALLS = {  # what else a good call takes
     "symbolic.equations": {"M": [[2.0]], "g": [3 * ANGLE], "q": [ANGLE], "compiled": False},
     "symbolic.mechanics": {"method": lambda: LagrangesMethod(ANGLE.diff() ** 2 / 2 - ANGLE**2, [ANGLE]), "compiled": False},
     "show.animation": {"path": "a.gif", "frames": 2, "overwrite": True},
+    "show.Animation": {},
+    "Animation.save": {"path": "a.gif", "frames": 2, "overwrite": True},
     "show.save": {"figure": lambda: pi.show.figure()[0], "path": "a.png"},
     "export.vtu": {"overwrite": True, "run": plate_run},
     "Plate.node": {"where": 0},
@@ -334,6 +336,7 @@ CALLS = {  # what else a good call takes
     "Buckling.title": {"number": 0},
     "Domain.distance": {"points": MESH.points},
     "Result.report": {"folder": "report", "overwrite": True},
+    "Result.to_latex": {"columns": ["number"]},
 }
 
 INSTANCES = {  # an object of each class whose methods users call
@@ -366,6 +369,7 @@ INSTANCES = {  # an object of each class whose methods users call
     "Result": sweep,
     "Sweep": sweep,
     "RunPlots": lambda: pi.show.RunPlots(plate_run()),
+    "Animation": lambda: pi.show.Animation(plate_run()),
     "Gradient": lambda: pi.gradient(run(), pi.objective.Deviation("load", (0.0, 0.0))),
 }
 

@@ -147,10 +147,18 @@ def test_compare_prints_a_table_and_writes_the_folder(compared):
     folder, out, _ = compared
     for text in ("generalized-alpha", "IDA", "refined run", "tip error, largest, m", "CPU s", "apart"):
         assert text in out
-    files = {"report.html", "figures.json", "generalized-alpha.h5", "IDA.h5", "frames"}
+    files = {"report.html", "figures.json"}
     files |= {"mesh.png", "deformed.pdf", "tip.png", "reactions.pdf", "energy.png", "drift.pdf"}
     assert {path.name for path in folder.iterdir()} >= files and (folder / "mine.txt").read_text() == "keep"
-    assert (folder / "frames" / "run.pvd").is_file()
+    assert not list(folder.glob("*.h5")) and not (folder / "frames").exists()
+    assert sum(path.stat().st_size for path in folder.rglob("*")) < 5e6
+
+
+def test_compare_keeps_runs_and_frames_when_asked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "double-plate-motors", *SMALL, "--integrators", "alpha", "--out", "r", "--keep-runs"]) == 0
+    run = pi.load(tmp_path / "r" / "generalized-alpha.h5")
+    assert len(run) == run.steps + 1 == 21 and (tmp_path / "r" / "frames" / "run.pvd").is_file()
 
 
 def test_report_stands_alone_and_figures_are_numbers(compared):

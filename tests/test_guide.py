@@ -71,9 +71,16 @@ def test_an_example_begins_with_what_it_is(name):
     assert title and rule == "=" * len(title)
 
 
-def test_the_readme_shows_a_small_picture():
-    picture = ROOT / re.search(r"!\[.+\]\((.+)\)", TEXTS["README"])[1]
-    assert picture.stat().st_size < 150_000
+def test_the_readme_shows_small_pictures_for_light_and_dark_pages():
+    named = re.findall(r"!\[.+\]\((.+)\)", TEXTS["README"])
+    pictures = [(ROOT / name).read_text(encoding="utf-8") for name in named]
+    assert len(pictures) > 1 and "<animate" in pictures[0]
+    assert all(len(text) < 150_000 and "prefers-color-scheme: dark" in text for text in pictures)
+
+
+def test_steel_is_steel():
+    stiff = [float(value) for text in TEXTS.values() for value in re.findall(r"steel = pi\.Material\(E=([\d.e]+)", text)]
+    assert stiff and all(190e9 < value < 220e9 for value in stiff)
 
 
 def test_files_of_the_map_exist():

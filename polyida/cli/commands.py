@@ -24,7 +24,7 @@ EXAMPLES = {
     "polyida list": "names of scenes, integrators and studies",
     "polyida COMMAND --help": "more on each command",
 }
-TITLE = "Flexible multibody dynamics with polygonal finite elements."
+TITLE = "Flexible multibody dynamics in the plane: one model through six integrators."
 app = typer.Typer(
     cls=Groups, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None, help=TITLE, epilog=examples(EXAMPLES)
 )
@@ -120,6 +120,7 @@ def _load_run(file):
         "polyida compare my_scene.py:build --time 2": "a scene that a function of yours returns",
         "polyida compare my_scene.py:build --mu 0.0": "with another value of its argument mu",
         "polyida compare pendulum --integrators alpha,ida,my.py:Mine": "your integrator beside two of ours",
+        "polyida compare double-plate --keep-runs": "with the runs as HDF5 and frames for ParaView",
         "polyida compare pendulum --json > pendulum.json": "the numbers for another program",
     },
     context_settings=OWN_OPTIONS,
@@ -135,13 +136,14 @@ def compare(
     rtol: options.Rtol = None,
     integrators: options.Integrators = None,
     errors: options.Errors = False,
+    keep_runs: options.Keep = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ):
     """Compare integrators on one scene: a table and a report.
 
-    Errors are measured against a refined run. The report is a folder with a page, figures, their numbers and the runs. Other options are
-    arguments of the function that builds the scene, typed by their defaults.
+    Errors are measured against a refined run. The report is a folder with a page, figures and their numbers. Other options are arguments of the
+    function that builds the scene, typed by their defaults.
     """
     from polyida.show.figure_files import FigureWriter
     from polyida.study import comparison
@@ -161,11 +163,15 @@ def compare(
                 comparison.prepare(ivp, members, progress)
                 writer.wait_until_ready()
                 runs = comparison.run_timed(ivp, members, progress)
-                for name, (draw, _) in comparison.run_figures(ivp, runs).items():  # drawn while the reference run is computed
+                pictured = comparison.with_frames_between(ivp, runs)
+                for name, (draw, _) in comparison.run_figures(
+                    ivp, runs, pictured=pictured
+                ).items():  # drawn while the reference run is computed
                     with suppress(Exception):  # a figure that fails is drawn later
                         writer.add(name, draw())
                 result = comparison.measure(ivp, runs, progress, errors)
-                data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text))
+                result.pictured = pictured
+                data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text), keep_runs)
         finally:
             if not any(folder.iterdir()):
                 folder.rmdir()
@@ -356,14 +362,21 @@ def show(context: typer.Context, file: options.RunFile, json: options.Json = Fal
         print_texts(["", ""], rows, str(file))
 
 
-@_command(LOOK, {"polyida animate run.h5": "run.gif", "polyida animate run.h5 --out run.mp4": "a film (pip install 'polyida[movie]')"})
+@_command(
+    LOOK,
+    {
+        "polyida animate run.h5": "run.gif",
+        "polyida animate run.h5 --out run.svg": "a small picture that moves, for a page",
+        "polyida animate run.h5 --out run.mp4": "a film (pip install 'polyida[movie]')",
+    },
+)
 def animate(
     file: options.RunFile,
-    out: option(Path, "File that ends in .gif or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
-    frames: option(int, "Frames at most; 80 of a GIF, 25 a second of MP4 by default.", min=1) = None,
+    out: option(Path, "File that ends in .gif, .svg, .html or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
+    frames: option(int, "Frames at most; 80 of a GIF, 40 of an SVG, 25 a second of MP4 by default.", min=1) = None,
     overwrite: options.Overwrite = False,
 ):
-    """Draw the plates of a saved run as an animated GIF or as MP4, coloured by von Mises stress."""
+    """Draw the motion of a saved run as an animated GIF, SVG, MP4 or page, plates coloured by von Mises stress."""
     from polyida.show.animations import animation
 
     run, path = _load_run(file), free_path(out, file.with_suffix(".gif"), overwrite)

@@ -79,6 +79,7 @@ STUDY_HELP = "A name from the list, or my_study.py:NAME (the file is executed)."
 StudyOrNone = Annotated[str | None, typer.Argument(metavar="NAME", help=STUDY_HELP, show_default=False, autocompletion=complete_study)]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by `polyida run` or `polyida compare`.")]
 Overwrite = flag("Replace existing files.", "--overwrite", "--force")
+Keep = flag("Also write each run as HDF5, and VTU frames for ParaView.", "--keep-runs")
 Errors = flag("Estimate the errors of runs of generalized-alpha too, by their adjoint.", "--errors")
 Json = flag("One JSON document on standard output; all other output goes to the error stream.", "--json")
 Cells = option(int, "Polygons in each plate.")

@@ -1,10 +1,10 @@
-"""What keeps the texts of one axes apart at the width of a column: its legend and title above it, and ticks of logarithmic axes."""
+"""What keeps the texts of one axes apart at the width of a column: its legend and title above it, ticks of logarithmic axes, names of places."""
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.reprs import cut
-from polyida.show.styles import FAILED, literal
+from polyida.show.styles import FAILED, INK, literal
 from polyida.validation import instance
 
 LETTER = 0.55  # mean width of a letter, of the font's size
@@ -12,6 +12,8 @@ HANDLE = 4.2  # width of a line in a legend with the spaces around it, of the fo
 POINTS = 72.0  # in an inch
 POWER_HEIGHT = 1.5  # sizes of the font that a power of ten above an axis takes
 GAP = 4.0  # points between legend and title
+AROUND = ((1, 1), (-1, 1), (1, -1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))  # where a name may stand beside its place
+DISTANCES = (5.0, 13.0, 22.0)  # points from its place to its name
 
 
 def finish(axes, title=None, labels=None, ending="", part="plot"):
@@ -53,13 +55,21 @@ def _legend(axes, handles, names):
     room = box.width / axes.figure.dpi * POINTS / size  # in sizes of the font
     longest = int((room - HANDLE) / LETTER)
     names = [cut(name, max(8, longest)) for name in names]
-    columns = int(room / (HANDLE + LETTER * max(map(len, names))))
-    columns = max(1, min(columns, len(names)))
+    columns = _fitting_columns(names, room)
     above = POWER_HEIGHT if _has_power(axes.yaxis) else 0.3
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": above}
     look = {"frameon": False, "handlelength": 1.8, "columnspacing": 1.2, "labelspacing": 0.25}
     legend = axes.legend(handles, names, ncols=columns, **place, **look)
     return legend.get_window_extent().height / axes.figure.dpi * POINTS + above * size
+
+
+def _fitting_columns(names, room):
+    """The largest number of columns that fit; a column is as wide as its longest name."""
+    for columns in range(len(names), 1, -1):
+        longest = [max(map(len, column)) for column in np.array_split(np.array(names, dtype=object), columns)]
+        if sum(HANDLE + LETTER * length for length in longest) <= room:
+            return columns
+    return 1
 
 
 def _has_power(axis):
@@ -94,3 +104,48 @@ def _tidy_log(axis):
         low = min(low, marks[marks <= low].max())
         high = max(high, marks[marks >= high].min())
         axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
+
+
+def place_labels(axes, labels, required=True):
+    """Write texts beside their places where they cover neither each other nor another place, and stay within the axes.
+
+    labels: [(place (2,), in data, text, direction (2,) in which the text should be, or None)], the most important first. required: False leaves
+    out what finds no room close to its place. Call it when all else is drawn.
+    """
+    from matplotlib.patheffects import withStroke
+
+    figure = axes.figure.canvas.figure
+    for _ in range(2) if figure.get_layout_engine() else ():  # the layout decides where places are; axes to scale move in a second one
+        figure.get_layout_engine().execute(figure)
+    axes.apply_aspect()
+    anchors, size = axes.transData.transform([place for place, *_ in labels]), figure.dpi / POINTS
+    taken: list = []
+    halo = [withStroke(linewidth=2.0, foreground="white")]
+    for k, (place, text, direction) in enumerate(labels):
+        others = [anchor for i, anchor in enumerate(anchors) if i != k]
+        look = {"textcoords": "offset points", "color": INK, "fontsize": "small", "annotation_clip": False, "path_effects": halo}
+        label = axes.annotate(literal(text), place, xytext=(0, 0), **look)
+        for distance in DISTANCES if required else DISTANCES[:1]:
+            box = next((box for box in _boxes(label, distance, direction) if _is_free(box, taken, others, axes.bbox)), None)
+            if box:
+                break
+        if box:
+            taken.append(box.padded(size))
+        elif not required:
+            label.remove()
+        else:
+            taken.append(label.get_window_extent())
+
+
+def _boxes(label, distance, direction):
+    """Move a label around its place, first where a direction points; gives its box at each side."""
+    sides = AROUND if direction is None else sorted(AROUND, key=lambda side: -np.dot(side, direction) / np.hypot(*side))
+    for x, y in sides:
+        label.xyann = (distance * x, distance * y)
+        label.set(ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
+        yield label.get_window_extent()
+
+
+def _is_free(box, taken, points, page):
+    inside = box.x0 >= page.x0 and box.x1 <= page.x1 and box.y0 >= page.y0 and box.y1 <= page.y1
+    return inside and not any(box.overlaps(other) for other in taken) and not any(box.contains(*point) for point in points)

@@ -26,7 +26,7 @@ from polyida.errors import InputError
 from polyida.files import remove_left_over, replacing
 from polyida.show import plates
 from polyida.show.figure_files import figure_files
-from polyida.show.styles import STICK, bounds, colour_limit
+from polyida.show.styles import STICK, colour_limit
 
 COLOURS = {  # colour of a figure: colour variable of the page, which has a light and a dark value
     "#ffffff": "paper",
@@ -177,7 +177,7 @@ MIN_FRAMES, MAX_FRAMES = 12, 60
 
 @dataclass(frozen=True, eq=False)
 class Movie:
-    """Animation of a run's plates, coloured by von Mises stress, of bodies without a mesh as sticks, and names of events.
+    """Animation of a run's plates, coloured by von Mises stress, of bodies without a mesh as sticks, of joints and forces, and names of events.
 
     seconds: duration; None: the simulated time, between 4 and 12 s. Raises InputError for a run without plates.
     """
@@ -186,6 +186,7 @@ class Movie:
     run: object = field(repr=False)
     caption: str = "The motion, coloured by the von Mises stress of every element."
     seconds: float | None = None
+    frames: int = MAX_FRAMES  # at most
 
     def data(self):
         """(data of the script as integers, upper end of the colours in kPa). Fine meshes are reduced to their outline."""
@@ -201,30 +202,55 @@ class Movie:
             shown, nodes, offsets = np.unique(edges), nodes[:0], offsets[:1]
             edges = np.searchsorted(shown, edges)
         sticks = len(plates.sticks(run, 0))
-        frames = plates.spread(run, int(np.clip(MAX_POINTS // (len(shown) + 2 * sticks + 1), MIN_FRAMES, MAX_FRAMES)))
-        points = np.array(
+        symbols = plates.symbols_of(run, [0])[0]
+        parts = [2 * sticks, 2 * symbols.joints.shape[1], 2 * symbols.forces.shape[1], symbols.pins.shape[1]]
+        frames = plates.spread(run, int(np.clip(MAX_POINTS // (len(shown) + sum(parts) + 1), min(MIN_FRAMES, self.frames), self.frames)))
+        symbols, low, high = plates.symbols_of(run, frames)
+        bodies = np.array(
             [np.concatenate([lines.places(run.node_positions(k))[shown], plates.sticks(run, k).reshape(-1, 2)]) for k in frames]
         )
+        count = len(frames)
+        drawn = [kind.reshape(count, -1, 2) for kind in symbols]
+        points = np.concatenate([bodies, *drawn], axis=1)
         stress = np.array([[] if outline_only else run.von_mises(k) / 1e3 for k in frames])
-        (low, high), top = bounds(points.reshape(-1, 2)), colour_limit([*stress])
+        top = colour_limit([*stress])
         size = (high - low).max() or 1.0
         width, height = np.maximum((high - low) / size, 0.05) * POSITIONS
         packed = lambda values, kind: b64encode(np.rint(values).astype(kind).tobytes()).decode()  # noqa: E731
+        firsts = len(shown) + np.cumsum([0, *parts])  # of sticks, joints, forces, pins
+        pairs = [(first + np.arange(length).reshape(-1, 2)).tolist() for first, length in zip(firsts, parts[:3])]
         return {
             "t": run.t[frames].tolist(),
             "clock": plates.clock(run, frames),
             "seconds": float(np.clip(run.t[-1] - run.t[0], 4, 12)) if self.seconds is None else self.seconds,
+            "start": int(
+                np.abs(bodies - bodies[0]).sum(axis=(1, 2)).argmax()
+            ),  # what is shown before it plays: the farthest from the first
             "width": float(width),
             "height": float(height),
+            "low": low.tolist(),
+            "size": float(size),
+            "ticks": [_ticks(*ends, size) for ends in zip(low, high)],
             "offsets": offsets.tolist(),
             "nodes": nodes.tolist(),
             "edges": edges.tolist(),
-            "sticks": (len(shown) + np.arange(2 * sticks).reshape(-1, 2)).tolist(),
+            "sticks": pairs[0],
+            "joints": pairs[1],
+            "forces": pairs[2],
+            "pins": np.arange(firsts[3], firsts[4]).tolist(),
             "stick": STICK,
             "places": packed(POSITIONS * (points - low) / size, "<u2"),
             "stress": packed((SHADES - 1) * np.minimum(stress / top, 1), "u1"),
             "colours": [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0, 1, SHADES))],
         }, top
+
+
+def _ticks(low, high, size):
+    """[[place, text]] of the marks of an axis from low to high, m."""
+    from matplotlib.ticker import MaxNLocator
+
+    values = MaxNLocator(nbins=6, steps=[1, 2, 5, 10]).tick_values(low, high)
+    return [[float(POSITIONS * (value - low) / size), f"{value:.6g}"] for value in values if low <= value <= high]
 
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -261,6 +287,15 @@ def block_html(block, files=None):
     return str(_templates()[0].module.part(block, files or {}))
 
 
+def page_text(title, blocks, files=None, lead="", command="", machine=""):
+    """The text of a whole page. files: {name: {kind: bytes}} of the pictures; without a command the page has no foot."""
+    template, Markup = _templates()
+    style, *scripts = (Markup((TEMPLATES / name).read_text(encoding="utf-8")) for name in ("page.css", "table.js", "movie.js"))
+    script = Markup("\n").join(scripts)
+    about = {"title": title, "lead": lead, "command": command, "machine": machine}
+    return template.render(about, blocks=blocks, files=files or {}, style=style, script=script, policy=policy(script))
+
+
 def write(folder, title, blocks, command, machine=None, lead="", writer=None):
     """Write report.html into a folder, with name.png, name.pdf and name.csv of each Picture; returns its path.
 
@@ -277,12 +312,8 @@ def write(folder, title, blocks, command, machine=None, lead="", writer=None):
         if writer and picture.name not in writer.figures:
             writer.add(picture.name, picture.figure)
     files = writer.files() if writer else {picture.name: figure_files(picture.figure) for picture in pictures}
-    template, Markup = _templates()
-    style, *scripts = (Markup((TEMPLATES / name).read_text(encoding="utf-8")) for name in ("page.css", "table.js", "movie.js"))
-    text = {"title": title, "lead": lead, "command": command, "machine": footer(machine or machine_info())}
+    page = page_text(title, blocks, files, lead, command, footer(machine or machine_info()))
     path = folder / "report.html"
-    script = Markup("\n").join(scripts)
-    page = template.render(text, blocks=blocks, files=files, style=style, script=script, policy=policy(script))
     with ExitStack() as whole:  # all files are written before the first of them is replaced
         for name, kind in product(names, ("png", "pdf", "csv")):
             whole.enter_context(replacing(folder / f"{name}.{kind}")).write_bytes(files[name][kind])

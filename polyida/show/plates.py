@@ -5,9 +5,10 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.reprs import cut
 from polyida.results.curves import curves_of, curves_of_mesh
+from polyida.show.axes import place_labels
+from polyida.show.mechanism import SYMBOL, symbols
 from polyida.show.styles import (
     INK,
-    MARK,
     PALETTE,
     STICK,
     bounds,
@@ -28,7 +29,7 @@ MAX_EDGES = 2000  # cells; edges of more cells would hide them
 PROBE = 1e-5  # of the extent: displacement from which the scale of a shape is measured
 ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
 REST, MOVED = "#9A9A9A", "#D5E5F0"
-KINDS = {"joint": "o", "force": "s", "load": "^", "mass": "D"}  # markers of the parts of a scene
+FORCE = PALETTE[0]  # of springs, dampers, loads
 ABOVE = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4}  # a legend
 NEAR = 0.02  # of the size of a scene: parts that are closer share a label
 
@@ -115,45 +116,75 @@ def draw_mesh(axes, mesh, values=None, label="", symmetric=False, sections=None)
     show_to_scale(axes, low, high)
 
 
-def draw_scene(axes, bodies, connections):
-    """Draw the parts of a scene to scale. A line joins the points of a connection that are apart.
+def draw_scene(axes, bodies, parts, places):
+    """Draw the parts of a scene to scale with their names.
 
-    bodies: {name: (mesh and places of its nodes, or None and segments (k, 2, 2))}; connections: [(name, kind of KINDS, points (k, 2))].
+    bodies: {name: (mesh and places of its nodes, or None and segments (k, 2, 2))}; parts: {name: part}; places: {name: (k, 2)} of the others,
+    where they hold on to bodies and to the ground.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    points, labels = [places for _, _, places in connections], []
-    for name, (mesh, places) in bodies.items():
-        points.append(places.reshape(-1, 2))
+    points, labels = [*places.values()], []
+    for name, (mesh, at) in bodies.items():
+        points.append(at.reshape(-1, 2))
         if mesh is None:
-            axes.add_collection(LineCollection(places, colors=STICK, linewidths=1.6, capstyle="round"))
+            axes.add_collection(LineCollection(at, colors=STICK, linewidths=1.6, capstyle="round"))
         else:
             lines = curves_of_mesh(mesh)
-            cells = lines.polygons(places)
+            cells = lines.polygons(at)
             axes.add_collection(
                 PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES)
             )
-            axes.add_collection(LineCollection(lines.outlines(places), colors=INK, linewidths=0.7))
+            axes.add_collection(LineCollection(lines.outlines(at), colors=INK, linewidths=0.7))
         if len(points[-1]):
-            axes.annotate(literal(name), points[-1].mean(axis=0), color=MARK, fontsize=7.5, ha="center", va="center")
+            labels.append((points[-1].mean(axis=0), [name]))
     low, high = bounds(np.concatenate(points))
-    for name, kind, places in connections:
-        colour, dashes = PALETTE[list(KINDS).index(kind)], "--" if kind == "joint" else "-"
-        marker = {"marker": KINDS[kind], "markersize": 4, "markerfacecolor": "white"}
-        axes.plot(*places.T, color=colour, linewidth=1.0, linestyle=dashes, label=kind, **marker)
-        middle = places.mean(axis=0)
-        near = [names for place, names in labels if np.hypot(*(place - middle)) < NEAR * (high - low).max()]
-        if near:
-            near[0].append(name)
-        else:
-            labels.append((middle, [name]))
-    for place, names in labels:
-        text = literal(", ".join(names))
-        axes.annotate(text, place, xytext=(5, 5), textcoords="offset points", color=INK, fontsize=7.5, annotation_clip=False)
-    handles = {label: line for line, label in zip(*axes.get_legend_handles_labels())}
-    if handles:
-        axes.legend(handles.values(), handles, **ABOVE)
-    show_to_scale(axes, low, high, margin=0.09)
+    size = float((high - low).max()) or 1.0
+    drawn = symbols(parts, _as_drawn, SYMBOL * size)
+    draw_symbols(axes, drawn, 0)
+    for name, at in places.items():
+        if len(at):
+            middle = at.mean(axis=0)
+            near = [names for place, names in labels[len(bodies) :] if np.hypot(*(place - middle)) < NEAR * size]
+            if near:
+                near[0].append(name)
+            else:
+                labels.append((middle, [name]))
+    show_to_scale(axes, *reach(low, high, drawn), margin=0.09)
+    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels])
+
+
+def _as_drawn(side, part):
+    """Place or direction of an attachment, or of the ground, in the drawing of its body."""
+    return np.array([complex(*getattr(side, part))])
+
+
+def symbols_of(run, frames):
+    """(Symbols of a run's scene in some frames, lower left and upper right corner of them and of the bodies)."""
+    boxes = np.array([bounds(places(run, k)) for k in frames])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    q = np.asarray(run.q[np.asarray(frames)], float)
+    size = SYMBOL * (float((high - low).max()) or 1.0)
+    parts = run.model.parts if run.model.is_scene else {}
+    drawn = symbols(parts, lambda side, part: run.model.place((side, part), q), size)
+    return drawn, *reach(low, high, drawn)
+
+
+def draw_symbols(axes, drawn, k, **options):
+    """Draw frame k of Symbols; returns the artists of joints, forces and pins."""
+    from matplotlib.collections import LineCollection
+
+    joints = axes.add_collection(LineCollection(drawn.joints[k], colors=INK, linewidths=0.6, zorder=2.5, **options))
+    forces = axes.add_collection(LineCollection(drawn.forces[k], colors=FORCE, linewidths=0.9, zorder=2.6, **options))
+    look = {"marker": "o", "markersize": 3.0, "markerfacecolor": "white", "markeredgecolor": INK, "markeredgewidth": 0.7}
+    (pins,) = axes.plot(*drawn.pins[k].T, linestyle="none", zorder=2.7, label="_pins", **look, **options)
+    return joints, forces, pins
+
+
+def reach(low, high, drawn):
+    """The corners of a box that holds another one, and all symbols."""
+    points = np.concatenate([np.array([low, high]), *(part.reshape(-1, 2) for part in drawn)])
+    return bounds(points)
 
 
 def frames_at(run, times):

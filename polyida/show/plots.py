@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.reprs import cut
+from polyida.results.curves import curves_of_mesh
 from polyida.results.motion import quantity, unbalanced
 from polyida.show import plates
-from polyida.show.axes import finish
+from polyida.show.axes import finish, place_labels
 from polyida.show.styles import (
     FAILED,
     INK,
@@ -53,25 +54,28 @@ LONGEST_NAME = 48  # characters of a name in a picture
 
 
 def mesh(model):
-    """Figure of the polygon meshes in the reference configuration. Raises InputError for a model without plates."""
+    """Figure of the mesh of the body with the most polygons, as drawn; the title counts those of all bodies. Raises InputError without plates."""
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
     if model is None or not model.drawn:
         raise InputError(f"{type(model).__name__} has no plates, so there is no mesh to draw")
     with settings():
-        cells = plates.curves(model).polygons(model.drawn_points)
+        shown = max(model.drawn, key=lambda body: body.mesh.n_cells)
+        cells = curves_of_mesh(shown.mesh).polygons(shown.points)
         low, high = bounds(np.concatenate(cells))
         new, axes = figure(6.4, height_to_scale(low, high, 6.4, 0.75))
         nodes, offsets = plates.connectivity(model)
         count = np.diff(offsets) // np.concatenate([np.full(body.mesh.n_cells, body.mesh.order) for body in model.drawn])
-        colours = np.array(list(CORNER_COLOURS.values()))[np.clip(count, 4, 7) - 4]
+        own = np.diff(shown.mesh.offsets) // shown.mesh.order
+        colours = np.array(list(CORNER_COLOURS.values()))[np.clip(own, 4, 7) - 4]
         axes.add_collection(PolyCollection(cells, facecolors=colours, edgecolors=PALETTE[0], linewidths=0.4, label="mesh"))
         show_to_scale(axes, low, high)
         corners = " to ".join(map(str, np.unique([count.min(), count.max()])))
-        axes.set_title(f"{len(cells)} polygons of {corners} corners, {nodes.max() + 1} nodes")
-        names = {4: f"{count.min()} or 4" if count.min() < 4 else "4", 7: f"7 to {count.max()}" if count.max() > 7 else "7"}
-        kinds = np.unique(np.clip(count, 4, 7))
+        whole = f"{len(count)} polygons of {corners} corners, {nodes.max() + 1} nodes"
+        axes.set_title(f"{len(cells)} of {whole}" if len(cells) < len(count) else whole)
+        names = {4: f"{own.min()} or 4" if own.min() < 4 else "4", 7: f"7 to {own.max()}" if own.max() > 7 else "7"}
+        kinds = np.unique(np.clip(own, 4, 7))
         key = [Patch(facecolor=CORNER_COLOURS[kind], edgecolor=PALETTE[0], label=f"{names.get(kind, kind)} corners") for kind in kinds]
         new.legend(handles=key, loc="outside lower center", ncols=4)
         return new
@@ -81,10 +85,12 @@ def deformed(run, times=None, snapshots=6, width=6.4):
     """Figure of the bodies at `times`, s, or at `snapshots` times spread over the run; plates coloured by von Mises stress."""
     with settings():
         frames = _frames(run, times, snapshots)
-        new, axes, side = figure_to_scale(*_bounds_of_frames(run, frames), width, bool(run.model.drawn))
+        _, low, high = plates.symbols_of(run, frames)
+        new, axes, side = figure_to_scale(low, high, width, bool(run.model.drawn))
         cells = draw_frames(axes, run, frames)
         if run.model.drawn:
             stress_colorbar(new, axes, cells, side)
+        label_times(axes, run, frames)
         return new
 
 
@@ -97,12 +103,8 @@ def _frames(run, times, snapshots):
     return plates.frames_at(run, times)
 
 
-def _bounds_of_frames(run, frames):
-    return bounds(np.concatenate([plates.places(run, k) for k in frames]))
-
-
 def draw_frames(axes, run, frames):
-    """Draw the bodies of several frames to scale with their times; returns the last frame's cells, which a colorbar explains."""
+    """Draw the bodies of several frames to scale, and joints and forces of the last; returns its cells, which a colorbar explains."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
@@ -121,25 +123,20 @@ def draw_frames(axes, run, frames):
     for k in frames:
         label = f"sticks, t = {run.t[k]:.6g} s"
         axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round", label=label))
-    low, high = _bounds_of_frames(run, frames)
-    _label_times(axes, run, frames, 0.05 * (high - low).max())
-    show_to_scale(axes, low, high, margin=0.09)
+    symbols, low, high = plates.symbols_of(run, frames)
+    plates.draw_symbols(axes, symbols, -1)
+    show_to_scale(axes, low, high, margin=0.12)
     return drawn
 
 
-def _label_times(axes, run, frames, min_distance):
-    """Write each time beside the last body's point of largest x, ahead of it; of labels closer than `min_distance`, m, the later one stays."""
-    last, labelled = plates.bodies(run.model)[-1:], []
+def label_times(axes, run, frames):
+    """Write each time beside the last body's point of largest x; of times that have no room beside each other the later ones stay."""
+    last, labels = plates.bodies(run.model)[-1:], []
     end = int(np.argmax(last[0].points[:, 0])) if last else -1
     for k in reversed(frames):
         positions = run.node_positions(k)[last[0].nodes] if last else plates.sticks(run, k).reshape(-1, 2)
-        if any(np.hypot(*(positions[end] - other)) < min_distance for other in labelled):
-            continue
-        labelled.append(positions[end])
-        direction = positions[end] - positions.mean(axis=0)
-        offset = 12 * direction / (np.hypot(*direction) + 1e-300)
-        place = {"xytext": offset, "textcoords": "offset points", "ha": "center", "va": "center", "annotation_clip": False}
-        axes.annotate(f"{run.t[k]:.3g} s", positions[end], fontsize=7.5, color=INK, **place)
+        labels.append((positions[end], f"{run.t[k]:.3g} s", positions[end] - positions.mean(axis=0)))
+    place_labels(axes, labels, required=False)
 
 
 def tip(runs, point="tip"):
@@ -183,7 +180,8 @@ def reactions(runs, names, limit=8):
     """Figure of joint reactions against time: a panel for each joint and component, at most `limit` panels, a line for each run."""
     first = next(iter(runs.values()))
     panels = [(name, k) for name in names for k in range(first.reaction(name).shape[1])][:limit]
-    titles = [(_name(name), ", ".join(filter(None, quantity(first.model, name, k)))) for name, k in panels]
+    kinds = [quantity(first.model, name, k) for name, k in panels]
+    titles = [(", ".join([_name(name), kind[0]]), ", ".join(filter(None, kind))) for (name, _), kind in zip(panels, kinds)]
     return _history_panels(runs, titles, [lambda run, name=name, k=k: run.reaction(name)[:, k] for name, k in panels], 1.75, 0.4)
 
 
@@ -486,6 +484,7 @@ class RunPlots:
                 axis.set_title(literal(ended), color=FAILED, loc="right")
             if axes is None and self._run.model.drawn:
                 axis.figure.colorbar(cells, ax=axis, extend="max", shrink=0.8, label="von Mises stress, kPa")
+            label_times(axis, self._run, frames)
             return axis
 
     def _draw_histories(self, histories, heading, axes):

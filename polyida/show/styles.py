@@ -62,6 +62,11 @@ def style(name: str = "paper", columns: int = 1) -> Iterator[None]:
     columns : {1, 2}
         Of "paper": width of new figures in columns, 3.3 or 6.9 inches.
 
+    Yields
+    ------
+    None
+        The settings before are restored at the end.
+
     Raises
     ------
     InputError

@@ -1,6 +1,7 @@
 """`polyida compare`: integrators on one initial value problem against a reference run, and the report with runs, pictures and movie."""
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -28,6 +29,7 @@ MAX_RTOL, RTOL_RATIO, MIN_RTOL = 1e-9, 1000, 1e-13  # rtol of the reference: a t
 NEGLIGIBLE = 0.1  # of an estimated distance: a direction with less is not asked whether it is trusted
 MAX_LABEL = 60  # characters; labels are file names
 MAX_VTU_FRAMES = 50
+FEW_FRAMES = 200  # runs with fewer frames are drawn through the polynomials between their steps
 MAX_EVENTS = 50  # rows of the table of a run's events
 EVENT_COLUMNS = {  # attribute of an event: (heading, format)
     "t": ("t, s", "{:.6g}"),
@@ -69,6 +71,7 @@ class Comparison(Result):
         super().__init__(rows, notes)
         self.estimates = list(estimates)
         self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
+        self.pictured: dict = {}  # {label: Trajectory} that the pictures show, with frames between few steps
         self.quantity, self.unit = (ivp.point, "m") if ivp.point else ("coordinates", "")
         *others, last = runs
         self.title = f"{ivp.name}: {' and '.join(filter(None, [', '.join(others), last]))}"
@@ -105,12 +108,12 @@ class Comparison(Result):
         subject = "the two integrators are" if len(self.runs) == 2 else "two of the integrators are at most"
         return " ".join(f"At the end {subject} {self.gap:.2e} {self.unit} apart.".split())
 
-    def write(self, folder, command, writer=None, progress=lambda text: None):
-        """Write the runs, the VTU frames, figures.json and the page. writer: a FigureWriter that may already have some pictures."""
-        for label, run in self.runs.items():  # first what takes longest to compute again
+    def write(self, folder, command, writer=None, progress=lambda text: None, keep=False):
+        """Write figures.json and the page; keep: also the runs and VTU frames. writer: a FigureWriter that may already have some pictures."""
+        for label, run in self.runs.items() if keep else ():  # first what takes longest to compute again
             progress(f"{label}.h5")
             run.save(folder / f"{label}.h5", overwrite=True)
-        if (run := _drawable(self.runs)) and run.model.drawn:
+        if keep and (run := _drawable(self.runs)) and run.model.drawn:
             from polyida.show.vtu import vtu
 
             progress("frames")
@@ -123,14 +126,27 @@ class Comparison(Result):
         run = _drawable(self.runs)
         label = next((label for label, other in self.runs.items() if other is run), "")
         movie = [html.Heading("Motion"), html.Movie(run, f"The motion by {label}.")] if run else []
-        blocks = [html.Notes(self.notes), html.Heading("Result"), html.Table(self.shown_columns(), self.rows)]
+        blocks = [html.Heading("Result"), html.Table(self.shown_columns(), self.rows), html.Notes(self.notes)]
         settings = html.Table({"run": ("run", "{}"), "settings": ("settings", "code")}, self.rows)
         blocks += [html.Text(" ".join([ERRORS, self.gap_text(), *self.estimates])), html.Heading("Settings"), settings]
         return [*blocks, *event_tables(self.runs), *movie, html.Heading("Figures"), *self.report_pictures()]
 
     def report_pictures(self):
-        figures = run_figures(self.ivp, self.runs, self)
+        figures = run_figures(self.ivp, self.runs, self, self.pictured or with_frames_between(self.ivp, self.runs))
         return [html.Picture(name, caption, self._drawn.get(name) or draw()) for name, (draw, caption) in figures.items()]
+
+
+def with_frames_between(ivp, runs):
+    """{label: Trajectory} for pictures: those with few frames are computed again, with frames of the polynomials between their steps."""
+    result = {}
+    for label, run in runs.items():
+        result[label] = run
+        if run.success and 1 < len(run) < FEW_FRAMES:
+            times = np.union1d(run.t, np.linspace(run.t[0], run.t[-1], FEW_FRAMES))
+            with suppress(InputError), ivp.user_errors():  # of an integrator that gives its steps alone
+                finer = ivp.run(run.integrator, output=times)
+                result[label] = finer if finer.success else run
+    return result
 
 
 def event_tables(runs):
@@ -143,11 +159,15 @@ def event_tables(runs):
     return [html.Heading("Events"), *blocks] if blocks else []
 
 
-def run_figures(ivp, runs, comparison=None):
-    """{file name: (function that draws the figure, caption)} of {label: Trajectory}; with a Comparison also the errors."""
+def run_figures(ivp, runs, comparison=None, pictured=None):
+    """{file name: (function that draws the figure, caption)} of {label: Trajectory}; with a Comparison also the errors.
+
+    pictured: the runs with frames between few steps, for motion and forces. Energies and violations are those of the steps.
+    """
     runs_with_frames, drawable, figures = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
+    smooth = {label: (pictured or runs)[label] for label in runs_with_frames}
     if drawable and drawable.model.drawn:
-        figures["mesh"] = lambda: plots.mesh(ivp.model), "Polygon meshes at rest; colours show the number of corners."
+        figures["mesh"] = lambda: plots.mesh(ivp.model), "The polygon mesh of one body at rest; colours show the number of corners."
     if drawable:
         meshed = "The plates at several times, coloured by the von Mises stress of every element."
         sticks = "The bodies at several times, each drawn between its points."
@@ -155,18 +175,15 @@ def run_figures(ivp, runs, comparison=None):
     if not runs_with_frames:
         return figures
     if ivp.point:
-        figures["tip"] = (
-            lambda: plots.tip(runs_with_frames, ivp.point),
-            f"Path of {ivp.point}, and the differences of the other runs from it.",
-        )
+        figures["tip"] = (lambda: plots.tip(smooth, ivp.point), f"Path of {ivp.point}, and the differences of the other runs from it.")
     else:
-        figures["coordinates"] = lambda: plots.coordinates(runs_with_frames), "The first coordinates."
+        figures["coordinates"] = lambda: plots.coordinates(smooth), "The first coordinates."
     if comparison:
         distances = {label: comparison.distances[label] for label in runs_with_frames}
         caption = f"Distance of {comparison.quantity} from the refined run."
         figures["error"] = lambda: plots.errors(distances, comparison.unit), caption
     if ivp.model.rows:
-        figures["reactions"] = lambda: plots.reactions(runs_with_frames, list(ivp.model.rows)), "Reaction of each joint on its body b."
+        figures["reactions"] = lambda: plots.reactions(smooth, list(ivp.model.rows)), "Reaction of each joint on its body b."
     caption = "Energies of the first run, and the change of each run's energy less external work plus dissipation."
     figures["energy"] = lambda: plots.energy(runs_with_frames), caption
     if ivp.model.m:

@@ -156,6 +156,10 @@ class Precision(Result):
         orders = {f"order_{part} {label}": value for label, parts in self.orders.items() for part, value in parts.items()}
         return numbers | {name: value for name, value in orders.items() if value == value}
 
+    def _paper_heading(self, name, heading):
+        unit = self.reference.get("units", {}).get(name.removeprefix("error_"))
+        return f"{heading}, {unit}" if unit else heading
+
     def _accuracy(self, part):
         known = self.known_to[part]
         return known if known == known else 0.0

@@ -21,6 +21,7 @@ from polyida.results.motion import xarray
 from polyida.show import html
 from polyida.show.styles import figure, settings
 from polyida.study.executors import to_json
+from polyida.study.latex import latex_table
 from polyida.validation import flag, instance, listed, path_of
 
 if TYPE_CHECKING:
@@ -88,6 +89,45 @@ class Result:
         columns = {name: (["run", "frame"], values) for name, values in zip(names, data)}
         return Dataset(columns, coords={"run": list(self.histories)}).set_coords("t")
 
+    def to_latex(self, columns: Iterable[str] | None = None, siunitx: bool = False) -> str:
+        """Return the table for a paper in LaTeX, with symbols and units in its headings.
+
+        Parameters
+        ----------
+        columns : iterable of str, optional
+            Names of values of the rows, in their order. Default: the columns of the printed table.
+        siunitx : bool
+            Columns `S` of siunitx, which align numbers at their decimal point; False: plain mathematics.
+
+        Returns
+        -------
+        text : str
+            A `tabular` with the rules of booktabs. Its first line is a comment that names the packages it needs.
+
+        Raises
+        ------
+        InputError
+            For a name that no row has, and if there are no rows.
+        """
+        flag("to_latex", "siunitx", siunitx)
+        if not self.rows:
+            raise InputError("to_latex: the study has no rows")
+        shown = self.shown_columns()
+        if columns is not None:
+            known, chosen = self._names(), listed("to_latex", "columns", columns)
+            if not chosen:
+                raise InputError("to_latex: columns = [] has no name; give one, or leave it out")
+            for name in chosen:
+                if not isinstance(name, str) or name not in known:
+                    raise InputError(f"to_latex: columns has {name!r:.60}, which no row has; rows have {', '.join(map(str, known))}")
+            shown = {name: shown.get(name) or self.columns.get(name, (str(name), "{:.4g}")) for name in chosen}
+        headed = {name: (self._paper_heading(name, heading), form) for name, (heading, form) in shown.items()}
+        return latex_table(headed, self.rows, siunitx)
+
+    def _paper_heading(self, name, heading):
+        """The heading of a column of a paper, with its unit."""
+        return heading
+
     def plot(self, *what: Any, **options: Any) -> Any:
         """Draw the main figure into matplotlib axes, new ones if None, and return the axes."""
         raise InputError(f"{type(self).__name__} has no picture of its own; draw its rows")
@@ -150,10 +190,9 @@ class Result:
         """The blocks of the report's page."""
         pictures = self.report_pictures()
         numbers = [{"name": name, "value": value} for name, value in self.figures.items()]
-        blocks: list = [html.Notes(self.notes)]
-        blocks += [html.Heading("Figures"), *pictures] if pictures else []
+        blocks: list = [html.Heading("Figures"), *pictures] if pictures else []
         blocks += [html.Heading("Numbers"), html.Table(NUMBERS, numbers)] if numbers else []
-        return [*blocks, html.Heading("Rows"), *self.report_tables()]
+        return [*blocks, html.Heading("Rows"), *self.report_tables(), html.Notes(self.notes)]
 
     def report_pictures(self) -> list:
         """The pictures as blocks of the page."""

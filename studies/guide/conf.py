@@ -65,4 +65,6 @@ sphinx_gallery_conf = {
     "capture_repr": (),  # what a line gives is not shown, what it prints is
     "remove_config_comments": True,
     "image_srcset": ["2x"],
+    "thumbnail_size": (640, 448),  # twice as many pixels as are shown
+    "reset_modules": ("matplotlib", "rendering.gallery_style.use_style"),
 }

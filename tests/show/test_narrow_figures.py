@@ -9,6 +9,7 @@ from matplotlib.text import Text
 
 import polyida as pi
 from polyida.errors import InputError
+from polyida.show.axes import finish
 from polyida.study.invariants import Drift, EnergyKept
 from polyida.study.precision import StepSizes, WorkPrecision
 
@@ -50,13 +51,17 @@ def kept(kind):
     return kind("mechanism", ends, [], histories)
 
 
-@pytest.fixture(scope="module")
-def swing():
+def swing_scene():
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody.bar(0.3, 1.0, name="bar"))
     scene.add(pi.Revolute(pi.ground, bar.at("left"), name="bearing"))
     scene.add(pi.PointMass(bar.at("right"), 0.1, name="tip"))
-    return pi.solve(scene.build(), 0.3, pi.GeneralizedAlpha(h=2e-3))
+    return scene
+
+
+@pytest.fixture(scope="module")
+def swing():
+    return pi.solve(swing_scene().build(), 0.3, pi.GeneralizedAlpha(h=2e-3))
 
 
 PICTURES = {
@@ -71,6 +76,7 @@ PICTURES = {
     "path": lambda axes, run: run.plot.tip(axes=axes),
     "place": lambda axes, run: run.plot.position(axes=axes),
     "bodies": lambda axes, run: run.plot.deformed(axes=axes),
+    "scene": lambda axes, _: swing_scene().plot(axes),
 }
 
 
@@ -175,3 +181,14 @@ def test_a_style_holds_within_its_with_and_new_axes_are_a_column_wide(swing):
         with pytest.raises(InputError), pi.show.style(**wrong):
             pass
     pyplot.close("all")
+
+
+def test_a_legend_has_as_many_columns_as_fit_by_their_own_names():
+    with pi.show.style("paper"):
+        figure, axes = pyplot.subplots()
+        for name in ("generalized-alpha", "Radau IIA", "IDA"):
+            axes.plot([1.0, 2.0], [1.0, 2.0], label=name)
+        finish(axes)
+        assert axes.get_legend()._ncols == 2  # two columns of the longest name would be too wide
+    require_apart(figure)
+    pyplot.close(figure)

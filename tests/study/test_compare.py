@@ -15,7 +15,7 @@ from polyida.problems import plates
 from polyida.problems.mechanisms import slider_crank
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.solve import solve
-from polyida.study.comparison import compare, named_integrators, reference_run
+from polyida.study.comparison import FEW_FRAMES, compare, named_integrators, reference_run, with_frames_between
 from polyida.study.ivp import InitialValueProblem, load
 
 
@@ -172,3 +172,13 @@ def test_the_command_prints_and_reports_estimated_errors(tmp_path, capsys, monke
     assert main(words) == 0
     assert "at the end, estimated" in capsys.readouterr().out
     assert "at the end, estimated" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_a_run_of_few_steps_is_drawn_with_frames_between_them():
+    ivp = load("pendulum", time=0.3)
+    runs = {"Radau IIA": ivp.run(pi.RadauIIA(rtol=1e-6))}
+    drawn = with_frames_between(ivp, runs)["Radau IIA"]
+    assert len(runs["Radau IIA"]) < 50 and len(drawn) >= FEW_FRAMES
+    assert drawn.q[-1] == pytest.approx(runs["Radau IIA"].q[-1], abs=1e-12)
+    length = np.hypot(*drawn.q.T)
+    assert length == pytest.approx(1.0, abs=1e-5)  # a chord between two steps is off by more

@@ -15,7 +15,7 @@ scene = pi.Scene(gravity=(0.0, -9.81))
 crank = scene.add(
     pi.RigidBody(mass=0.4, inertia=1e-3, points={"O": (-r / 2, 0.0), "A": (r / 2, 0.0)}, origin=(0.0, r / 2), angle=np.pi / 2, name="crank")
 )
-steel = pi.Material(E=2e9, nu=0.3, rho=1200.0)
+steel = pi.Material(E=210e9, nu=0.3, rho=7850.0)
 plate = pi.Plate(pi.mesh.rectangle(length, 0.02, cells=60, seed=1), steel, 0.01, origin=(0.0, r), angle=-0.5, name="rod")
 rod = scene.add(pi.Reduced(plate, modes=5))
 slider = scene.add(pi.RigidBody(mass=0.5, inertia=1e-3, points={"B": (0.0, 0.0)}, origin=(0.27, 0.0), name="slider"))

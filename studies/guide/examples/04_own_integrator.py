@@ -84,6 +84,6 @@ study = pi.study.work_precision(
 )
 print(study)
 
-fig, axes = plt.subplots(1, 2, figsize=(9.0, 3.8), layout="constrained")
+fig, axes = plt.subplots(1, 2, figsize=(8.0, 4.4), layout="constrained")
 study.plot("q", axes[0])
 study.plot("lam", axes[1])

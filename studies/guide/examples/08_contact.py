@@ -18,7 +18,7 @@ for end in ("left", "right"):
 run = pi.solve(scene.build(), 1.2, pi.RadauIIA(rtol=1e-6), output=np.linspace(0.0, 1.2, 601))
 print(run.summary())
 
-fig, (motion, energy) = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained", width_ratios=[1.4, 1.0])
+fig, (motion, energy) = plt.subplots(1, 2, figsize=(8.0, 4.4), layout="constrained", width_ratios=[1.4, 1.0])
 left, right = (run.position(bar.at(end)) for end in ("left", "right"))
 for k in range(0, len(run.t), 20):
     motion.plot(*np.stack([left[k], right[k]]).T, color=plt.cm.viridis(run.t[k] / run.t[-1]))

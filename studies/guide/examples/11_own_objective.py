@@ -48,3 +48,9 @@ missed = pi.objective.UserObjective(value, slopes)
 gradient = pi.gradient(run, missed, parameters=["spring.stiffness", "tip.mass"])
 print(f"missed by {abs(height(run.q[-1]) - WANTED):.3f} m; dJ/dstiffness = {gradient['spring.stiffness']:.4g} m2 rad / (N m)")
 print(pi.check_gradient(run, missed, parameters=["spring.stiffness", "tip.mass"]))
+
+# %%
+# The bar at five times, and the height that its right end should have.
+
+axes = run.plot.deformed(snapshots=5)
+axes.axhline(WANTED, color="#D55E00", linestyle="--")

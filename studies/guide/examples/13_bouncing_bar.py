@@ -35,7 +35,7 @@ def exact_bottom(t):
     return np.where(s < 1, fall - 0.5 * g * t**2, np.where(s < 5 / 3, 0.0, g * hit**2 * behind))
 
 
-fig, (place, force, energy) = plt.subplots(1, 3, figsize=(12.0, 3.4), layout="constrained")
+fig, (place, force, energy) = plt.subplots(1, 3, figsize=(8.4, 4.4), layout="constrained")
 scale = 0.5 * rho * length * height * thickness * 2 * g * fall
 for share, color in ((1.0, "tab:orange"), (0.1, "tab:blue")):
     run, bottom = bounce(share)

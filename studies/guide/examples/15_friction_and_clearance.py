@@ -36,7 +36,7 @@ def build(clearance, friction=0.2):
     return scene
 
 
-fig, (force, orbit, guide) = plt.subplots(1, 3, figsize=(12.0, 3.6), layout="constrained", width_ratios=[1.4, 1.0, 1.4])
+fig, (force, orbit, guide) = plt.subplots(1, 3, figsize=(8.4, 4.4), layout="constrained", width_ratios=[1.4, 1.0, 1.4])
 for clearance, color in ((5e-4, "tab:orange"), (0.0, "tab:blue")):
     scene = build(clearance)
     run = pi.solve(scene.build(), 0.35, pi.NonsmoothAlpha(h=2.5e-4))

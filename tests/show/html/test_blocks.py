@@ -155,8 +155,15 @@ def test_a_movie_has_the_plates_where_the_run_has_them(run):
     assert json.loads(json.dumps(data)) == data and len(data["t"]) == len(run.t)
     places, stress = unpacked(data, run)
     exact = np.array([run.node_positions(k) for k in range(len(run.t))])
-    low, size = exact.min(axis=(0, 1)), np.ptp(exact, axis=(0, 1)).max()
-    assert low + places * size / html.POSITIONS == pytest.approx(exact, abs=size / html.POSITIONS)
+    low, size = np.array(data["low"]), data["size"]
+    placed = low + places * size / html.POSITIONS
+    assert placed[:, : exact.shape[1]] == pytest.approx(exact, abs=size / html.POSITIONS)
+    symbols, *_ = plates.symbols_of(run, np.arange(len(run.t)))
+    for name, kind in (("joints", symbols.joints), ("forces", symbols.forces), ("pins", symbols.pins)):
+        assert placed[:, np.array(data[name], int).reshape(kind.shape[1:-1])] == pytest.approx(kind, abs=size / html.POSITIONS)
+    assert data["start"] == np.abs(exact - exact[0]).sum(axis=(1, 2)).argmax() > 0
+    for (place, text), (end, other) in [(marks[0], marks[-1]) for marks in data["ticks"]]:
+        assert (end - place) * size / html.POSITIONS == pytest.approx(float(other) - float(text))
     found = np.array([run.von_mises(k) / 1e3 for k in range(len(run.t))])
     assert stress == pytest.approx(np.minimum(found / top, 1), abs=1 / (html.SHADES - 1))
     nodes, offsets = plates.connectivity(run.model)
@@ -171,7 +178,7 @@ def test_of_a_mesh_too_fine_for_a_page_the_outline_moves(run, monkeypatch):
     places, stress = unpacked(data, run)
     edges = plates.curves(run.model).edges
     assert data["offsets"] == [0] and stress.size == 0 and len(data["t"]) == html.MIN_FRAMES
-    size = np.ptp(np.array([run.node_positions(k) for k in range(len(run.t))]), axis=(0, 1)).max()
+    size = data["size"]
     last = places[-1][np.array(data["edges"])] * size / html.POSITIONS
     assert np.diff(last, axis=1) == pytest.approx(np.diff(whole[-1][edges] * size / html.POSITIONS, axis=1), abs=4 * size / html.POSITIONS)
 

@@ -122,9 +122,11 @@ def test_the_motion_plays_when_asked_and_its_slider_leads_to_every_frame(browser
     browser.open(reports["double-plate"], 1280, motion="reduce")
     browser.value("document.querySelector('canvas').scrollIntoView()")
     browser.value("new Promise((done) => setTimeout(done, 300))")
-    assert browser.value(PLAY) == "Play" and browser.value(FRAME) == 0
-    first = browser.value(CANVAS)
+    assert browser.value(PLAY) == "Play" and browser.value(FRAME) > 0  # a frame far from the first one
     browser.value("document.querySelector('.movie input').focus()")
+    browser.press("Home", 36)
+    assert browser.value(FRAME) == 0
+    first = browser.value(CANVAS)
     browser.press(*RIGHT)
     assert browser.value(FRAME) == 1 and browser.value(CANVAS) != first
     assert browser.value("document.querySelector('.movie output').value") != "t = 0.000 s"
