@@ -276,6 +276,7 @@ CALLS = {  # what else a good call takes
     "profile.Profile": {"value": lambda: float, "d1": lambda: float, "d2": lambda: float},
     "profile.difference": dict.fromkeys(("first", "second"), pi.profile.constant(1.0)),
     "profile.from_function": {"value": lambda: abs},
+    "profile.from_samples": {"t": [0.0, 1.0, 2.0], "y": [0.0, 1.0, 1.0]},
     "profile.scaled": {"profile": pi.profile.constant(1.0)},
     "profile.polynomial": {"coefficients": [1.0]},
     "sensor.state": {"function": lambda: abs},
