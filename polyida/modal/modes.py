@@ -20,6 +20,7 @@ from polyida.model.guarded import guard
 from polyida.reprs import brief
 from polyida.validation import flag, index, named_keywords, whole
 
+FAR = 0.01  # of the extent: displacement by loads beyond which a drawing is not in balance
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root that is less to the right of the imaginary axis is on it
 
@@ -156,7 +157,8 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     ----------
     model : Model
     state : State, optional
-        One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0).
+        One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0), with a warning if the loads would move it
+        by more than 1 % of its size or act on a mechanism.
     count : int
         Number of modes: those of least s^2, with damping of least |s|; all if there are fewer.
     damped : bool
@@ -211,11 +213,26 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         X = X if held is system else system.whole(X)
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
+    if state is None and system.model.is_scene and not damped:
+        _warn_off_balance(system, values, X)
     about = state if isinstance(state, Equilibrium) else system.state
     result = Modes(model, about, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
     if result.unstable.any():
         warnings.warn(f"modes: UNSTABLE, {result.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
     return result
+
+
+def _warn_off_balance(system, values, X):
+    """Warn if the forces move the drawing far, or load a mechanism: values s^2 with -, of columns X. Springs and plates bear small loads."""
+    model, still = system.model, np.zeros(system.n)
+    force = model.force(0.0, still, still)
+    shares, stiff = X.T @ force, values > 0.0
+    moved = float(np.abs(X[:, stiff] @ (shares[stiff] / values[stiff])).max(initial=0.0))
+    if moved > FAR * (model.extent or 1.0) or (force.any() and model.m and not stiff.all()):
+        how = f"its loads move it by {moved:.3g} m" if stiff.all() else "its loads act on a mechanism"
+        warnings.warn(
+            f"modes: the drawing is not in balance, {how}, and the modes leave loads out; give state=pi.static(model)", stacklevel=4
+        )
 
 
 def normalised(M: Any, X: NDArray) -> NDArray:
