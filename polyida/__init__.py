@@ -29,6 +29,7 @@ _BESIDE_REGISTRY = {  # names by the module that defines them; parts and integra
     "study.conditions": ("condition_number",),
     "modal.modes": ("modes", "Modes"),
     "modal.buckling": ("buckling", "Buckling"),
+    "modal.steady": ("steady", "Steady", "Campbell"),
     "modal.state_space": ("linearise", "StateSpace", "frequency_response", "FrequencyResponse"),
     "adjoint.gradient": ("gradient",),
     "adjoint.check": ("check_gradient",),

@@ -95,6 +95,17 @@ def plate_model():
 
 
 @cache
+def rotor():
+    """A plate on a motor."""
+    scene = pi.Scene()
+    scene.add(PLATE)
+    root = PLATE.section("left")
+    scene.add(pi.Revolute(pi.ground.at(root.point), root, name="bearing"))
+    scene.add(pi.AngleMotor(pi.ground, root, 0.0, name="motor"))
+    return scene.build()
+
+
+@cache
 def run():
     """A short run of the bar."""
     return pi.solve(model(), 3e-3, ALPHA)
@@ -238,6 +249,8 @@ CALLS = {  # what else a good call takes
     "condition_number": PLATES,
     "modes": PLATES,
     "buckling": PLATES,
+    "steady": {"model": rotor, "spin": 1.0},
+    "Steady.campbell": {"speeds": [0.0, 1.0], "count": 1},
     "linearise": PLATES | {"modes": 1},
     "frequency_response": PLATES
     | {"input": lambda: np.ones(plate_model().n), "output": lambda: np.ones(plate_model().n), "frequencies": [1.0]},
@@ -348,6 +361,8 @@ INSTANCES = {  # an object of each class whose methods users call
     "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
     "Buckling": lambda: pi.buckling(plate_model(), count=1),
+    "Steady": lambda: pi.steady(rotor(), spin=1.0),
+    "Campbell": lambda: pi.steady(rotor(), spin=1.0).campbell([0.0, 1.0], count=1),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
     "FrequencyResponse": lambda: pi.frequency_response(
         plate_model(), None, np.ones(plate_model().n), np.ones(plate_model().n), [1.0, 2.0], modes=1
@@ -379,6 +394,8 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
         "Needs",
         "Modes",
         "Buckling",
+        "Steady",
+        "Campbell",
         "StateSpace",
         "FrequencyResponse",
         "ErrorBars",

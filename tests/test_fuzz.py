@@ -13,6 +13,8 @@ HANDED_OUT = {
     "Trajectory",
     "Modes",
     "Buckling",
+    "Steady",
+    "Campbell",
     "StateSpace",
     "ErrorBars",
     "EquilibriumPath",

@@ -15,6 +15,7 @@ from polyida.integrate.state import State
 from polyida.integrate.static import Equilibrium
 from polyida.modal import eigen
 from polyida.modal.eigen import linear_system
+from polyida.modal.steady import Steady, modes_of
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.reprs import brief
@@ -146,7 +147,7 @@ class Modes:
 
 
 @named_keywords
-def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
+def modes(model: Model | Steady, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
     """Compute linear modes about a state: `s^2 M x + K x + B^T mu = 0`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
     With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, and `s x = f_q q + f_v v + f_x x` of first-order states, which modes without
@@ -155,7 +156,8 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
 
     Parameters
     ----------
-    model : Model
+    model : Model or Steady
+        Of a `Steady` rotation the modes in the turning frame, with centrifugal and Coriolis terms, of least |s|, without damping.
     state : State, optional
         One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0), with a warning if the loads would move it
         by more than 1 % of its size or act on a mechanism.
@@ -188,6 +190,8 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     --------
     >>> pi.modes(model, state=pi.static(model), count=3).frequencies  # doctest: +SKIP
     """
+    if isinstance(model, Steady):
+        return _turning(model, state, count, damped)
     if guard(model, "modes").strains:
         scene: Any = model
         relaxing = linear_system("modes", scene, state) if damped is True else None
@@ -220,6 +224,17 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     if result.unstable.any():
         warnings.warn(f"modes: UNSTABLE, {result.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
     return result
+
+
+def _turning(found, state, count, damped):
+    """The Modes of a Steady rotation."""
+    if state is not None or damped is not False:
+        raise InputError("modes: a steady rotation has a state of its own and no damping; leave state and damped out")
+    roots, X = modes_of(found, whole("modes", "count", count))
+    model, still = guard(found.model), np.zeros(len(found.q))
+    M = model.mass(found.q)
+    X = normalised(M, X)
+    return Modes(found.model, State(0.0, found.q, still, still, found.lam), roots, X.T.copy(), *effective_masses(model, M, X))
 
 
 def _warn_off_balance(system, values, X):
