@@ -31,6 +31,7 @@ _BESIDE_REGISTRY = {  # names by the module that defines them; parts and integra
     "modal.buckling": ("buckling", "Buckling"),
     "modal.steady": ("steady", "Steady", "Campbell"),
     "modal.state_space": ("linearise", "StateSpace", "frequency_response", "FrequencyResponse"),
+    "fitting": ("fit", "Fit"),
     "adjoint.gradient": ("gradient",),
     "adjoint.check": ("check_gradient",),
     "adjoint.run": ("Gradient",),

@@ -94,6 +94,11 @@ def plate_model():
     return scene.build()
 
 
+def line(slope):
+    """Values of a line."""
+    return slope * np.arange(1.0, 4.0)
+
+
 @cache
 def rotor():
     """A plate on a motor."""
@@ -247,6 +252,7 @@ CALLS = {  # what else a good call takes
     "missing_fields": {"run": reduced_run, "name": "board", "count": 1},
     "von_mises": {"stress": [1.0, 0.0, 0.0]},
     "condition_number": PLATES,
+    "fit": {"function": lambda: line, "measured": [1.0, 2.0, 3.0], "start": {"slope": 1.0}},
     "modes": PLATES,
     "buckling": PLATES,
     "steady": {"model": rotor, "spin": 1.0},
@@ -361,6 +367,7 @@ INSTANCES = {  # an object of each class whose methods users call
     "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
     "Buckling": lambda: pi.buckling(plate_model(), count=1),
+    "Fit": lambda: pi.fit(line, [1.0, 2.0, 3.1], {"slope": 1.0}),
     "Steady": lambda: pi.steady(rotor(), spin=1.0),
     "Campbell": lambda: pi.steady(rotor(), spin=1.0).campbell([0.0, 1.0], count=1),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
@@ -394,6 +401,7 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
         "Needs",
         "Modes",
         "Buckling",
+        "Fit",
         "Steady",
         "Campbell",
         "StateSpace",

@@ -13,6 +13,7 @@ HANDED_OUT = {
     "Trajectory",
     "Modes",
     "Buckling",
+    "Fit",
     "Steady",
     "Campbell",
     "StateSpace",
