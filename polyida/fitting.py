@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -148,6 +149,7 @@ def fit(
     sigma = None if sigma is None else positive("fit", "sigma", sigma, "the unit of the values")
     one_of("fit", "loss", loss, ("linear", "soft_l1"))
     whole("fit", "max_runs", max_runs)
+    _require_taken(function, names)
     calls = _Calls(function, names, target, sigma or 1.0)
     calls.begin(first)
     scale = np.where(first != 0.0, np.abs(first), np.where(np.isfinite(high - low), high - low, 1.0))
@@ -193,6 +195,16 @@ def _parameters(start, bounds):
             limits[name] = two[0], two[1]
     low, high = np.array([*limits.values()], float).T
     return list(start), np.array([float(value) for value in start.values()]), low, high
+
+
+def _require_taken(function, names):
+    """Raise InputError unless the function takes the parameters as keywords."""
+    try:
+        signature(function).bind(**dict.fromkeys(names, 0.0))
+    except TypeError as error:
+        raise InputError(f"fit: function does not take the parameters {', '.join(names)} as keywords: {error}") from None
+    except ValueError:  # it has no signature
+        return
 
 
 class _Calls:

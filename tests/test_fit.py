@@ -63,6 +63,7 @@ def test_parameters_that_cannot_be_told_apart():
 
 WRONG = {
     "no function": (dict(function=3.0), "function = 3.0 must take"),
+    "other parameters": (dict(start={"pace": 1.0}), "does not take the parameters pace as keywords"),
     "text": (dict(measured="text"), "measured = .* must be finite numbers"),
     "too few values": (dict(measured=[1.0], start={"rate": 1.0, "size": 1.0}), "at least as many as the 2 parameters"),
     "a list": (dict(start=[1.0]), "must be a dictionary of the parameters"),
