@@ -260,13 +260,12 @@ def named_keywords(public: Public) -> Public:
 
     @wraps(function)
     def checked(*arguments, **keywords):
-        given = len(arguments)
+        if not keywords.keys() <= known:
+            raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
         for place, name in needed:
-            if place >= given and name not in keywords:
+            if place >= len(arguments) and name not in keywords:
                 raise KeywordError(f"{public.__name__}: {name} is missing; it takes {', '.join(p.name for p in parameters)}")
-        if keywords.keys() <= known:
-            return function(*arguments, **keywords)
-        raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
+        return function(*arguments, **keywords)
 
     if not isclass(public):
         return checked  # type: ignore[return-value]
