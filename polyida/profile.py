@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from math import isfinite
+from warnings import warn
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder
@@ -13,16 +14,34 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.model.differences import around, within
-from polyida.reprs import cut
-from polyida.validation import floats, instance, is_number, named_keywords, number, positive, takes
+from polyida.reprs import cut, short
+from polyida.samples import baseline as line_too_much
+from polyida.samples import continued, evaluated, joined, kinks_of
+from polyida.validation import LARGEST, flag, floats, instance, is_number, is_whole, named_keywords, number, positive, takes, vector
 
-__all__ = ["Profile", "constant", "difference", "from_function", "linear", "polynomial", "quintic", "ramp", "scaled", "sine"]
+__all__ = [
+    "Profile",
+    "constant",
+    "difference",
+    "from_function",
+    "from_samples",
+    "linear",
+    "polynomial",
+    "quintic",
+    "ramp",
+    "scaled",
+    "sine",
+]
 
 SHAPES = {  # coefficients of moves from 0 to 1
     "linear": (0, 1),
     "quintic": (0, 0, 0, 10, -15, 6),
     "ramp": (0, 0, 0, 0, 0, 126, -420, 540, -315, 70),
 }
+SAMPLES = "samples"  # the kind of profiles through samples, of whose formula the other entries are the arguments of `from_samples`
+MEASURED = ("samples", "samples of the rate", "samples of the second derivative")
+APART = 1e-12  # least distance of samples, relative to 1 s or the largest time
+DRIFT = 0.01  # of the largest velocity: what may remain at the end of an acceleration that was integrated twice, without a warning
 REACH = {1: 2e-5, 2: 2e-4}  # s between the values of which differences make a first or second derivative; it resolves 1 kHz or 100 Hz
 
 
@@ -61,7 +80,10 @@ class Profile:
     takes_arrays: bool = False
 
     def __repr__(self):
-        """Kind and numbers; of a user's function its name."""
+        """Kind and numbers; of samples their number, times and the end; of a user's function its name."""
+        if self.formula[:1] == (SAMPLES,):
+            t, derivative = self.formula[1], self.formula[3]
+            return f"Profile({len(t)} {MEASURED[derivative]} from {t[0]:g} to {t[-1]:g} s, {_at_end(self, t[-1])})"
         inner = getattr(self.value, "args", ())[:1] or [self.value]
         return f"Profile({cut(', '.join(map(str, self.formula)) or getattr(inner[0], '__name__', type(inner[0]).__name__))})"
 
@@ -295,6 +317,98 @@ def from_function(
     )
 
 
+@named_keywords
+def from_samples(
+    t: ArrayLike, y: ArrayLike, derivative: int = 0, smooth: bool | None = None, baseline: bool = False, start: float = 0.0
+) -> Profile:
+    """Make a profile from measured values, velocities or accelerations.
+
+    Velocities and accelerations are integrated from `start` at the first sample, accelerations from rest. Before and behind the samples the
+    profile is at rest, or goes on at the velocity that it has there if velocities or accelerations were measured. Steps end at all samples.
+
+    Parameters
+    ----------
+    t : (k,) float, s
+        Times of the samples, ascending; two at least.
+    y : (k,) float
+        Values of the derivative at these times.
+    derivative : int
+        What was measured: 0 the value, 1 its velocity, 2 its acceleration.
+    smooth : bool, optional
+        True: a cubic spline through the samples (not-a-knot). False: straight lines between them. By default straight lines for accelerations,
+        a spline for the others. A value that drives a joint needs a spline: straight lines would jump in velocity.
+    baseline : bool
+        True: take a straight line off accelerations so that the motion ends at rest where it began, or a constant off velocities so that it
+        ends where it began.
+    start : float
+        Value at the first sample, of velocities and accelerations.
+
+    Returns
+    -------
+    Profile
+        The curve; `repr(profile)` states the value and velocity at the end, the drift of what was integrated.
+
+    Raises
+    ------
+    InputError
+        For times that do not ascend and other wrong arguments.
+
+    Warns
+    -----
+    UserWarning
+        If an acceleration leaves more than 1 % of the largest velocity at the end.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 1.0, 101)
+    >>> shaken = pi.profile.from_samples(t, 3.0 * np.sin(2.0 * np.pi * t), derivative=2, baseline=True)
+    """
+    part = "profile.from_samples"
+    times, numbers = vector(part, "t", t), vector(part, "y", y)
+    if len(times) < 2 or not (np.diff(times) >= APART * max(1.0, np.abs(times).max())).all():
+        raise InputError(f"{part}: t = {t!r:.100} must be two ascending times or more, s")
+    if len(numbers) != len(times):
+        raise InputError(f"{part}: y has {len(numbers)} values, t has {len(times)}")
+    if not is_whole(derivative, 0, 2):
+        raise InputError(f"{part}: derivative = {derivative!r:.100} must be 0 for values, 1 for velocities or 2 for accelerations")
+    smooth = derivative < 2 if smooth is None else flag(part, "smooth", smooth)
+    if flag(part, "baseline", baseline) and not derivative:
+        raise InputError(f"{part}: baseline = True needs derivative = 1 or 2: values that were measured do not drift")
+    start = number(part, "start", start, "the unit of the value")
+    if start and not derivative:
+        raise InputError(f"{part}: start = {start!r} needs derivative = 1 or 2: values that were measured begin at y[0]")
+    made = _through(times, numbers, int(derivative), bool(smooth), bool(baseline), start)
+    rates = made.d1(times)
+    if derivative == 2 and abs(rates[-1]) > DRIFT * np.abs(rates).max():
+        end = _at_end(made, times[-1])
+        warn(f"{part}: the motion {end}; if it should be at rest there, baseline=True takes an offset off the accelerations", stacklevel=3)
+    return made
+
+
+def _through(t, y, derivative, smooth, baseline, start):
+    """The profile of `from_samples`, its arguments checked."""
+    t, y = np.array(t, float), np.array(y, float)
+    with np.errstate(all="ignore"):
+        measured = joined(t, y, smooth)
+        if baseline:
+            constant, slope = line_too_much(measured, derivative)
+            measured = joined(t, y - constant - slope * (t - t[0]), smooth)
+        curve = measured.antiderivative(derivative) if derivative else measured
+        curve.c[-1] += start
+        curve = continued(curve, bool(derivative))
+        curves = curve, curve.derivative(1), curve.derivative(2)
+    if not all((np.abs(one.c) <= LARGEST).all() for one in curves):
+        raise InputError(f"profile.from_samples: y = {short(y)} is too large: the profile or a derivative of it would be above {LARGEST:g}")
+    formula = (SAMPLES, tuple(t.tolist()), tuple(y.tolist()), derivative, smooth, baseline, start)
+    value, d1, d2 = (partial(evaluated, one) for one in curves)
+    return Profile(value, d1, d2, tuple(kinks_of(measured).tolist()), formula, float(np.diff(t).min()))
+
+
+def _at_end(profile, t):
+    """How a profile through samples ends, in words."""
+    return f"ends at {profile.value(t):.4g} with the velocity {profile.d1(t):.4g} per second"
+
+
 def _values(function, t):
     """The finite values of a user's function at a time or an array of times."""
     if not np.ndim(t):
@@ -400,6 +514,7 @@ MAKERS: dict[str, Callable[..., Profile]] = {
     "ramp": ramp,
     "linear": linear,
     "sine": sine,
+    SAMPLES: _through,
 }
 
 

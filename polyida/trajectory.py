@@ -192,7 +192,8 @@ class Trajectory:
         pieces = self._pieces("energy")
         if len(self.events) and not self.events.given:  # the energy lost in impacts has the work of the friction in them
             pieces = [pieces[0]._replace(lam=self._without_impacts(pieces[0].model))]
-        return energy_of(pieces, self.events, _settled)
+        thinned = bool(self.plan) and (self.plan.get("every", 1) > 1 or self.plan.get("output") is not None)
+        return energy_of(pieces, self.events, _settled, thinned)
 
     def _without_impacts(self, model):
         """lam without the friction that the energy lost in an impact contains, in the frames of such steps."""

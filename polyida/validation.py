@@ -244,23 +244,28 @@ def path_of(part, name, value):
 
 
 class KeywordError(InputError, TypeError):
-    """Unknown keyword argument. It is an InputError, and the TypeError that Python itself would raise."""
+    """Unknown keyword or missing argument. It is an InputError, and the TypeError that Python itself would raise."""
 
 
 def named_keywords(public: Public) -> Public:
-    """Decorate a public function or class: an unknown keyword raises KeywordError, which lists the known ones.
+    """Decorate a public function or class: an unknown keyword or a missing argument raises KeywordError, which lists the known ones.
 
     A class stays the same class: only its `__init__` is wrapped. Signatures do not change.
     """
     function = public.__init__ if isclass(public) else public  # type: ignore[misc]
     parameters = list(signature(public).parameters.values())
     known = {p.name for p in parameters if p.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)}
+    before = int(isclass(public))  # self, which the signature of a class does not have
+    needed = [(k + before, p.name) for k, p in enumerate(parameters) if p.name in known and p.default is Parameter.empty]
 
     @wraps(function)
     def checked(*arguments, **keywords):
-        if keywords.keys() <= known:
-            return function(*arguments, **keywords)
-        raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
+        if not keywords.keys() <= known:
+            raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
+        for place, name in needed:
+            if place >= len(arguments) and name not in keywords:
+                raise KeywordError(f"{public.__name__}: {name} is missing; it takes {', '.join(p.name for p in parameters)}")
+        return function(*arguments, **keywords)
 
     if not isclass(public):
         return checked  # type: ignore[return-value]

@@ -94,6 +94,22 @@ def plate_model():
     return scene.build()
 
 
+def line(slope):
+    """Values of a line."""
+    return slope * np.arange(1.0, 4.0)
+
+
+@cache
+def rotor():
+    """A plate on a motor."""
+    scene = pi.Scene()
+    scene.add(PLATE)
+    root = PLATE.section("left")
+    scene.add(pi.Revolute(pi.ground.at(root.point), root, name="bearing"))
+    scene.add(pi.AngleMotor(pi.ground, root, 0.0, name="motor"))
+    return scene.build()
+
+
 @cache
 def run():
     """A short run of the bar."""
@@ -236,8 +252,11 @@ CALLS = {  # what else a good call takes
     "missing_fields": {"run": reduced_run, "name": "board", "count": 1},
     "von_mises": {"stress": [1.0, 0.0, 0.0]},
     "condition_number": PLATES,
+    "fit": {"function": lambda: line, "measured": [1.0, 2.0, 3.0], "start": {"slope": 1.0}},
     "modes": PLATES,
     "buckling": PLATES,
+    "steady": {"model": rotor, "spin": 1.0},
+    "Steady.campbell": {"speeds": [0.0, 1.0], "count": 1},
     "linearise": PLATES | {"modes": 1},
     "frequency_response": PLATES
     | {"input": lambda: np.ones(plate_model().n), "output": lambda: np.ones(plate_model().n), "frequencies": [1.0]},
@@ -276,6 +295,7 @@ CALLS = {  # what else a good call takes
     "profile.Profile": {"value": lambda: float, "d1": lambda: float, "d2": lambda: float},
     "profile.difference": dict.fromkeys(("first", "second"), pi.profile.constant(1.0)),
     "profile.from_function": {"value": lambda: abs},
+    "profile.from_samples": {"t": [0.0, 1.0, 2.0], "y": [0.0, 1.0, 1.0]},
     "profile.scaled": {"profile": pi.profile.constant(1.0)},
     "profile.polynomial": {"coefficients": [1.0]},
     "sensor.state": {"function": lambda: abs},
@@ -350,6 +370,9 @@ INSTANCES = {  # an object of each class whose methods users call
     "Trajectory": plate_run,
     "Modes": lambda: pi.modes(plate_model(), count=2),
     "Buckling": lambda: pi.buckling(plate_model(), count=1),
+    "Fit": lambda: pi.fit(line, [1.0, 2.0, 3.1], {"slope": 1.0}),
+    "Steady": lambda: pi.steady(rotor(), spin=1.0),
+    "Campbell": lambda: pi.steady(rotor(), spin=1.0).campbell([0.0, 1.0], count=1),
     "StateSpace": lambda: pi.linearise(plate_model(), modes=1),
     "FrequencyResponse": lambda: pi.frequency_response(
         plate_model(), None, np.ones(plate_model().n), np.ones(plate_model().n), [1.0, 2.0], modes=1
@@ -382,6 +405,9 @@ NOT_CALLED = {  # handed out, made in every step, or to be derived from
         "Needs",
         "Modes",
         "Buckling",
+        "Fit",
+        "Steady",
+        "Campbell",
         "StateSpace",
         "FrequencyResponse",
         "ErrorBars",

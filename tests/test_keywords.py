@@ -78,5 +78,5 @@ def test_further_keywords_and_errors_from_inside_pass():
     assert inner(1, b=0) == 1
     with pytest.raises(KeyError):
         inner(a=1)
-    with pytest.raises(TypeError, match="missing 1 required"):
+    with pytest.raises(TypeError, match="inner: a is missing; it takes a, b"):
         inner()

@@ -21,7 +21,7 @@ from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, profiles_of
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.model.differences import FIRST_ORDER_STEP, along, around, beside, within
-from polyida.profile import MAKERS, REACH, Profile, polynomial, scaled
+from polyida.profile import MAKERS, REACH, SAMPLES, Profile, polynomial, scaled
 from polyida.registry import is_built_in
 from polyida.validation import complex_of_pairs, floats, is_number
 
@@ -317,6 +317,7 @@ def profile_parameters(model, works, slopes):
         if any(profile is default for default in DEFAULTS):
             continue
         kind, *numbers = profile.formula or ("",)
+        kind = "" if kind == SAMPLES else kind  # they have the scale alone
         if kind == "polynomial" and len(numbers) > 1:
             yield PolynomialCoefficients(f"{name}.coefficients", np.array(numbers), model, drive, polynomial, lambda t: 1.0, *shared)
         elif kind:

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.jit import entry, pack, part
-from polyida.profile import SHAPES
+from polyida.profile import SAMPLES, SHAPES
 
 # constants of compiled code
 EPS = 2.0**-52
@@ -134,7 +134,7 @@ class Moves(NamedTuple):
 
 
 def moves(model):
-    """(Moves of a scene, True if all of its profiles have a formula and are in it)."""
+    """(Moves of a scene, True if all of its profiles have a formula, not samples, and are in it)."""
     kinds, rows = [], []
     for profile in model.profiles:
         kind, *numbers = profile.formula or ("",)
@@ -145,6 +145,8 @@ def moves(model):
             begin, end, duration, start = numbers
             span = end - begin
             numbers = [begin, span, duration, start, span, span / duration, span / duration**2, *SHAPES[kind]]
+        elif kind == SAMPLES:
+            numbers = []
         kinds.append({"polynomial": POLYNOMIAL, "sine": SINE}.get(kind, MOVE))
         rows.append(np.array(numbers, float))
     start = np.cumsum([0, *map(len, rows)])

@@ -230,6 +230,13 @@ def require_attachment(part, value):
         raise InputError(f"{part}: {value[:80]} is no attachment; use plate.section(...), plate.rim(...), plate.node(...) or body.at(...)")
 
 
+def require_point_first(label, point, line):
+    """Raise InputError if a place of the ground with a direction of its own stands where a point is asked for, and a body's point for the line."""
+    drawn = isinstance(point, Ground) and point.point is not None and not np.array_equal(point.direction, (1.0, 0.0))
+    if drawn and not isinstance(line, Ground) and not line.has_edges and not np.array_equal(point.direction, line.direction):
+        raise InputError(f"{label}: a = {point!r} has a direction, but a is the point and b the line: exchange the sides")
+
+
 def require_places(part, *sides):
     """Raise InputError for `ground` itself, which has no place."""
     if any(side.point is None for side in sides):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from polyida.errors import InputError
-from polyida.joint.attachment import Ground, require_directions, require_places
+from polyida.joint.attachment import Ground, require_directions, require_places, require_point_first
 from polyida.joint.edges import FacingEdges
 from polyida.joint.formula import Row, Vector, cross, dot
 from polyida.joint.joint import FORCE, Joint
@@ -82,12 +82,13 @@ class Contact(Joint):
     contact_mass: float = 1.0
     kind = "contact"
     components = FORCE
-    placing = "place the bodies apart"
 
     def __post_init__(self):
         super().__post_init__()
         label = self.label
         require_places(label, self.a, self.b)
+        if self.radius is None:
+            require_point_first(label, self.a, self.b)
         require_contact(label, self)
         if self.radius is not None:
             settle(self, radius=positive(label, "radius", self.radius, "metres"))
@@ -102,6 +103,13 @@ class Contact(Joint):
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r} must be in [0.01, 1]")
         if self.contact_mass < 1.0 and (isinstance(self.a, Ground) or self.a.body.few):
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r}, but {self.a!r} is not of a full plate")
+
+    @property
+    def placing(self) -> str:  # type: ignore[override]
+        """Advice in the message that the sides are within each other, as drawn."""
+        of_ground = isinstance(self.a, Ground) and not isinstance(self.b, Ground) and self.radius is None
+        exchange = "exchange the sides if the ground is the line, for a is the point and b the line, or " if of_ground else ""
+        return f"{exchange}place the bodies apart"
 
     @cached_property
     def edges(self) -> FacingEdges | None:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from polyida.errors import InputError
 from polyida.linear.lu import LU, SYMMETRIC_MODE, SingularSystem, block_matrix, dense
@@ -65,11 +66,48 @@ def require_independent(model, phi_q, q):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
     if least(rows) < DEPENDENT:
-        solve = ', or let build(redundant="least-norm") leave it out' if model.is_scene else ""
+        last, others = first_dependent(model, rows)
+        names = [model.constraint_name(k) for k in others]
+        shown = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
+        row, solve = model.constraint_name(last), ', or let build(redundant="least-norm") leave it out' if model.is_scene else ""
         raise InputError(
-            f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
-            f"contradicts them); remove it{solve}, or start elsewhere where only this position is singular"
+            f"constraints {shown + ', ' * bool(shown)}{row} are redundant: {row} follows from the others (or contradicts them)"
+            f"{_loop(model, last, others)}; remove it{solve}, or start elsewhere where only this position is singular"
         )
+
+
+def first_dependent(model, rows):
+    """(The first row that depends on those before it, those that it depends on), in their order, rows that keep bodies rigid before all others.
+
+    The rows before it are independent, so that the dependence is unique: it is that of one loop, whatever other loops there are. The others are
+    without those that keep bodies rigid.
+    """
+    m = len(rows.gram)
+    order = np.array(sorted(range(m), key=lambda k: (not model.keeps_body(k), k)))
+    gram, factor, squares = rows.gram[np.ix_(order, order)], np.zeros((m, m)), np.ones(m)
+    for k in range(m):  # Cholesky's factor, up to the row whose distance from the rows before it is zero
+        factor[k, :k] = solve_triangular(factor[:k, :k], gram[:k, k], lower=True) if k else 0.0
+        squares[k] = gram[k, k] - factor[k, :k] @ factor[k, :k]
+        if squares[k] < DISTANCE**2:
+            break
+        factor[k, k] = math.sqrt(squares[k])
+    last = int(np.argmin(squares))
+    shares = np.abs(solve_triangular(factor[:last, :last], factor[last, :last], trans=1, lower=True)) if last else np.zeros(0)
+    others = [int(k) for k in order[:last][shares > SHARE * shares.max(initial=0.0)] if not model.keeps_body(k)]
+    return int(order[last]), others
+
+
+def _loop(model, last, others):
+    """Which joint of a scene closes the loop of these rows, and the loop's other joints, in words; empty for other models."""
+    if not model.is_scene:
+        return ""
+    parts = {k: name for name, rows in model.rows.items() for k in range(rows.start, rows.stop)}
+    joints = list(dict.fromkeys(parts[k] for k in others if parts[k] != parts[last]))
+    return (
+        f"; {parts[last]!r} closes the loop of {', '.join(map(repr, joints))}"
+        if joints
+        else f"; rows of {parts[last]!r} depend on each other"
+    )
 
 
 SYMMETRIC = 1e-6  # largest asymmetry of K over its largest entry that is an error of derivatives by differences
@@ -116,7 +154,10 @@ def _negative(matrix):
     return int(np.sum(lu.U.diagonal() < 0)), lu.solve
 
 
-MOST = 3  # constraints in a message
+MOST = 3  # constraints in a message of a singular position
+NAMED = 8  # constraints of a dependent loop in a message
+DISTANCE = 1e-5  # of a row of length one from the rows before it, below which it depends on them: ten times DEPENDENT
+SHARE = 1e-4  # of the largest coefficient of a dependence: smaller ones are round-off
 FULL = 10_000  # numbers of phi_q up to which a dense matrix is faster than a sparse one
 
 

@@ -265,7 +265,11 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
         raise InputError(f"SVG path is {repr(path)[:80]}; it must be a text such as 'M 0 0 h 2 v -1 h -2 z'")
 
     def drawing():
-        rings, notes = shape_rings([svg_library().Path(path)])
+        try:
+            shape = svg_library().Path(path)
+        except Exception:  # noqa: BLE001, the library raises all kinds of errors for what is no path
+            raise InputError(f"{path!r:.80} is no path; write one such as 'M 0 0 h 2 v -1 h -2 z'") from None
+        rings, notes = shape_rings([shape])
         return Drawing([ring * [1.0, -1.0] for ring in rings], None, notes)
 
     return _outline("SVG path", drawing, unit, corner)

@@ -15,11 +15,13 @@ from polyida.integrate.state import State
 from polyida.integrate.static import Equilibrium
 from polyida.modal import eigen
 from polyida.modal.eigen import linear_system
+from polyida.modal.steady import Steady, modes_of
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.reprs import brief
 from polyida.validation import flag, index, named_keywords, whole
 
+FAR = 0.01  # of the extent: displacement by loads beyond which a drawing is not in balance
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root that is less to the right of the imaginary axis is on it
 
@@ -145,7 +147,7 @@ class Modes:
 
 
 @named_keywords
-def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
+def modes(model: Model | Steady, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
     """Compute linear modes about a state: `s^2 M x + K x + B^T mu = 0`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
     With damping `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, and `s x = f_q q + f_v v + f_x x` of first-order states, which modes without
@@ -154,9 +156,11 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
 
     Parameters
     ----------
-    model : Model
+    model : Model or Steady
+        Of a `Steady` rotation the modes in the turning frame, with centrifugal and Coriolis terms, of least |s|, without damping.
     state : State, optional
-        One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0).
+        One of `pi.static`, or any other with its lam; by default q = 0 at t = 0 without loads (lam = 0), with a warning if the loads would move it
+        by more than 1 % of its size or act on a mechanism.
     count : int
         Number of modes: those of least s^2, with damping of least |s|; all if there are fewer.
     damped : bool
@@ -186,6 +190,8 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     --------
     >>> pi.modes(model, state=pi.static(model), count=3).frequencies  # doctest: +SKIP
     """
+    if isinstance(model, Steady):
+        return _turning(model, state, count, damped)
     if guard(model, "modes").strains:
         scene: Any = model
         relaxing = linear_system("modes", scene, state) if damped is True else None
@@ -211,11 +217,37 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         X = X if held is system else system.whole(X)
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
+    if state is None and system.model.is_scene and not damped:
+        _warn_off_balance(system, values, X)
     about = state if isinstance(state, Equilibrium) else system.state
     result = Modes(model, about, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
     if result.unstable.any():
         warnings.warn(f"modes: UNSTABLE, {result.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
     return result
+
+
+def _turning(found, state, count, damped):
+    """The Modes of a Steady rotation."""
+    if state is not None or damped is not False:
+        raise InputError("modes: a steady rotation has a state of its own and no damping; leave state and damped out")
+    roots, X = modes_of(found, whole("modes", "count", count))
+    model, still = guard(found.model), np.zeros(len(found.q))
+    M = model.mass(found.q)
+    X = normalised(M, X)
+    return Modes(found.model, State(0.0, found.q, still, still, found.lam), roots, X.T.copy(), *effective_masses(model, M, X))
+
+
+def _warn_off_balance(system, values, X):
+    """Warn if the forces move the drawing far, or load a mechanism: values s^2 with -, of columns X. Springs and plates bear small loads."""
+    model, still = system.model, np.zeros(system.n)
+    force = model.force(0.0, still, still)
+    shares, stiff = X.T @ force, values > 0.0
+    moved = float(np.abs(X[:, stiff] @ (shares[stiff] / values[stiff])).max(initial=0.0))
+    if moved > FAR * (model.extent or 1.0) or (force.any() and model.m and not stiff.all()):
+        how = f"its loads move it by {moved:.3g} m" if stiff.all() else "its loads act on a mechanism"
+        warnings.warn(
+            f"modes: the drawing is not in balance, {how}, and the modes leave loads out; give state=pi.static(model)", stacklevel=4
+        )
 
 
 def normalised(M: Any, X: NDArray) -> NDArray:

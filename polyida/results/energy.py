@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from polyida.assembly.placement import dead_loads
 from polyida.body.body import writes
+from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.io.layout import each
 from polyida.model.differences import beside, cubic
@@ -164,6 +165,8 @@ def _behind(motion, powers, k):
     return v, model.mass_system(after, q).solve(model.force(after, q, v), bias)[1], impulse_work
 
 
+UNSEEN = 0.1  # of the largest work or kinetic energy: change of works from every second frame that says that frames are too far apart
+SEEN = 0.01  # the same, where the works do not balance the energy by UNSEEN: steps too long for the energy change works by less
 GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more growth is reported; number of frames checked
 AT_REST = 1e-12  # of the size of the scene: way that is round-off
 
@@ -186,6 +189,7 @@ class Energy:
     _settled: Any = field(
         default=None, repr=False
     )  # function (model, t, q, v, lam, gap) -> (q, v, lam) of an interpolated state on its constraints
+    _thinned: bool = field(default=False, repr=False)  # True if not all steps are frames
 
     __repr__ = brief
 
@@ -225,6 +229,12 @@ class Energy:
         interpolated with slopes from their neighbours. Driven rigid bodies are put on their drives between frames, with multipliers that are
         computed there, at as many points as their work needs. Vibrations between two frames are
         missed. The impulse of a motor whose speed jumps is included if a frame is at that kink. A user's model needs `powers`.
+
+        Raises
+        ------
+        InputError
+            If frames at `every=` or `output=` are too far apart: works from every second one of them would differ by more than a tenth of the largest
+            work or kinetic energy, or by a hundredth where works do not balance the energy.
         """
         return {name: work for name, work in self._works.items() if name not in self._dissipating}
 
@@ -242,7 +252,12 @@ class Energy:
 
     @cached_property
     def _works(self):
-        return works(self._motions, self._settled)
+        gained = works(self._motions, self._settled)
+        if self._thinned:
+            largest = max([float(self.kinetic.max(initial=0.0)), *(float(np.abs(work).max(initial=0.0)) for work in gained.values())])
+            left = 0.0 if len(self._events) else np.abs(self.total - self.total[:1] - sum(gained.values())).max(initial=0.0)
+            _require_seen(self._motions, self._settled, gained, largest, SEEN if left > UNSEEN * largest else UNSEEN)
+        return gained
 
 
 def grown(motion):
@@ -272,12 +287,30 @@ def _passive(model):
     return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces)
 
 
-def energy_of(motions, events=(), settled=None):
-    """The Energy of consecutive Motions, and of the Events between them."""
+def _require_seen(motions, settled, gained, largest, share):
+    """Raise InputError unless works (frames,) by name from every second frame of each motion are the same up to a share of the largest energy."""
+    first = 0
+    for one in motions:
+        count = len(one.t)
+        if count > 2:
+            coarse = works([Motion(one.model, *(x[::2] for x in one[1:]))], settled)
+            for name, work in coarse.items():
+                fine = gained[name][first : first + count : 2]
+                off = float(np.abs(work - (fine - fine[0])).max())
+                if off > share * largest:
+                    raise InputError(
+                        f"energy: the frames at every= or output= are too far apart for the work of {name!r}: from every second one it differs by "
+                        f"{off:.3g} J of {largest:.3g} J; store more frames, or solve without every and output"
+                    )
+        first += count
+
+
+def energy_of(motions, events=(), settled=None, thinned=False):
+    """The Energy of consecutive Motions, and of the Events between them. thinned: True if not all steps are frames."""
     terms = []
     for model, q, v in ((one.model, q, v) for one in motions for q, v in zip(each(one.q), each(one.v))):
         moving = model.without_states(v)
         terms.append(
             (0.5 * moving @ (model.mass(q) @ moving), *(model.potentials(q, v) if model.k and model.is_scene else model.potentials(q)))
         )
-    return Energy(*np.array(terms, float).reshape(-1, 3).T, motions, events, settled)
+    return Energy(*np.array(terms, float).reshape(-1, 3).T, motions, events, settled, thinned)

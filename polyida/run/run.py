@@ -24,6 +24,7 @@ from polyida.model.guarded import guard
 from polyida.progress import over_time
 from polyida.run.accepted import Sampler, Until, accepted
 from polyida.run.events import Change
+from polyida.run.jumps import JUMP_IN_V, Jumps
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 
@@ -46,7 +47,7 @@ class Run:
         self.until, self.progress, self.streams, self.happenings = until, progress, store.file is not None, happenings
         self.events = happenings.happened if happenings else Events() if events is None else events
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count, None if happenings else self.known)
-        self.last = self.restart = self.flushed = self.watch = self.recorded = None
+        self.last = self.restart = self.flushed = self.watch = self.recorded = self.jumps = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
         self.memory = {}  # of the last state that had one: behind events it is empty
 
@@ -82,7 +83,8 @@ class Run:
         except StepFailure as failure:
             looks = self.watch and not isinstance(failure, SingularPosition)
             suspicion = self.watch.suspicion(failure.t) if looks else ""
-            status, message = failure.status, f"{failure}{suspicion}"
+            jump = self.jumps.found(self.last) if self.jumps and failure.status != JUMP_IN_V else ""
+            status, message = failure.status, f"{failure}{suspicion}{'; ' * bool(jump)}{jump}"
         except KeyboardInterrupt:
             presses.heeded = True
             status, message = "interrupted", f"interrupted after t = {self.last.t:.9g} s"
@@ -109,6 +111,7 @@ class Run:
             if self.known.m and not self.known.row_laws and (needs.phi_q_varies or needs.driven):
                 self.watch = Watch(self.known, state)
         left_out = LeftOut(self.happenings.mode if self.happenings else self.known)
+        self.jumps = Jumps(self.known, self.counts, state.t, self.plan["t_end"])
         for stretch in stretches:
             if isinstance(stretch, Change):
                 state = self._change(stretch)
@@ -159,6 +162,7 @@ class Run:
             if failure:
                 self.counts.steps += 1
                 raise failure
+            self.jumps.look(stretch)
         return "done", unseen(self.known, self.method.fixed_step())
 
     def _change(self, change):

@@ -58,6 +58,37 @@ def test_without_leave_a_run_does_not_start_and_says_what_would_help(scenes):
         pi.consistent_state(door(scenes, 2).build())
 
 
+def two_decks():
+    """Two decks on two pins each, with a bar that hangs from each of them."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    for name, x in ("west", 0.0), ("east", 5.0):
+        deck = scene.add(pi.RigidBody(10.0, 1.0, {"l": (0.0, 0.0), "m": (0.5, -0.1), "r": (1.0, 0.0)}, origin=(x, 0.0), name=name))
+        bar = scene.add(pi.RigidBody.bar(1.0, 1.0, origin=(x + 0.5, -0.1), angle=-1.0))
+        scene.add(pi.Revolute(pi.ground, deck.at("l"), name=f"{name} left"))
+        scene.add(pi.Revolute(deck.at("m"), bar.at("left"), name=f"{name} hook"))
+        scene.add(pi.Revolute(pi.ground, deck.at("r"), name=f"{name} right"))
+    return scene
+
+
+LOOPS = {
+    "the first of two": (
+        two_decks,
+        "constraints west left x, west right x are redundant: .*; 'west right' closes the loop of 'west left'; remove",
+    ),
+    "through three cranks": (
+        parallelogram,
+        "head 2 y are redundant: .*; 'head 2' closes the loop of 'foot 0', 'head 0', 'foot 1', 'head 1', 'foot 2'; remove it",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LOOPS)
+def test_the_joint_that_closes_a_dependent_loop_is_named_with_its_other_joints(case):
+    make, words = LOOPS[case]
+    with pytest.raises(pi.InputError, match=words):
+        pi.consistent_state(make().build())
+
+
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_three_equal_cranks_move_as_one_pendulum_and_share_by_statics(name):
     """Against the pendulum's equation; the bar does not turn, so the forces on its heads make no moment about its middle."""

@@ -274,3 +274,21 @@ def test_an_interpolated_state_is_kept_where_constraints_cannot_be_solved(monkey
     scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.quintic(0.0, 2.0, 0.5), name="motor"))
     run = pi.solve(scene.build(), 0.5, pi.RadauIIA(), output=[0.0, 0.12, 0.5])
     assert run.success and len(run) == 3
+
+
+@pytest.mark.parametrize(
+    "frames, seen", [({}, True), ({"every": 5}, True), ({"output": np.linspace(0.0, 5.0, 8)}, False), ({"every": 150}, False)]
+)
+def test_works_of_frames_that_are_too_far_apart_are_refused(frames, seen):
+    """A mass on a spring and a damper at 3 Hz: its dissipated energy is what its own energy loses."""
+    scene = pi.Scene()
+    mass = scene.add(pi.RigidBody(1.0, 1.0, {"c": (0.0, 0.0)}, velocity=(10.0, 0.0), name="mass"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), (1.0, 0.0)), mass.at("c"), name="rail"))
+    scene.add(pi.SpringDamper(pi.ground.at((-1.0, 0.0)), mass.at("c"), 400.0, 0.4, name="damper"))
+    run = pi.solve(scene.build(), 5.0, pi.GeneralizedAlpha(h=5e-3), **frames)
+    if seen:
+        lost = run.energy.total[0] - run.energy.total
+        assert run.energy.dissipated["damper"] == pytest.approx(lost, abs=0.02 * lost[-1])
+        return
+    with pytest.raises(pi.InputError, match="too far apart for the work of 'damper': .* store more frames"):
+        run.energy.dissipated  # noqa: B018, it is refused
