@@ -81,7 +81,7 @@ class Fit:
         Figure
             Values over their number.
         """
-        from polyida.show.style import on_axes
+        from polyida.show.styles import on_axes
 
         with on_axes(axes) as axis:
             axis.plot(self.measured.ravel(), ".", color="0.6", label="measured")

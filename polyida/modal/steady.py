@@ -127,7 +127,7 @@ class Campbell:
         Figure
             The Campbell diagram.
         """
-        from polyida.show.style import on_axes
+        from polyida.show.styles import on_axes
 
         with on_axes(axes) as axis:
             axis.plot(self.speeds, self.frequencies, "o-")

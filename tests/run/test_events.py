@@ -472,7 +472,9 @@ def test_a_ball_is_reflected_by_a_round_wall():
     np.testing.assert_allclose(run.v[-1][:2], [-0.96, -0.28], atol=1e-6)
 
 
-@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=0.05), pi.RadauIIA(h=0.05), pi.EnergyMomentum(h=0.05)], ids=lambda one: one.class_name())
+@pytest.mark.parametrize(
+    "method", [pi.GeneralizedAlpha(h=0.05), pi.RadauIIA(h=0.05), pi.EnergyMomentum(h=0.05)], ids=lambda one: one.class_name()
+)
 def test_an_event_within_a_step_behind_a_sample_sees_the_output_of_the_sample(method):
     """The output jumps from 1 to -1 N at 0.1 s; the event is within the step that begins there."""
     scene = pi.Scene()
