@@ -43,13 +43,14 @@ class Pendulum(pi.Model):
         return 9.81 * q[1]
 
 
-def plates(order=1, contact=False, **material):
-    """Two rubber plates with a pin, a motor, a spring and a damper, in contact with the ground or not."""
+def plates(order=1, contact=False, friction=0.0, bodies=lambda plate: plate, **material):
+    """Two rubber plates with a pin, a motor, a spring and a damper, in contact with the ground or not. friction: of the pin; bodies: makes the body of a plate."""
     scene, rubber = pi.Scene(gravity=(0.0, -9.81)), pi.Material(E=50e6, nu=0.3, rho=1100.0, **material)
     mesh = pi.mesh.rectangle(1.0, 0.1, cells=12, seed=1)
-    upper = scene.add(pi.Plate(mesh, rubber, 0.01, order=order, name="upper"))
-    lower = scene.add(pi.Plate(mesh, rubber, 0.01, order=order, origin=(1.0, 0.0), name="lower"))
-    scene.add(pi.Revolute(pi.ground, upper.section("left"), name="shoulder"))
+    upper = scene.add(bodies(pi.Plate(mesh, rubber, 0.01, order=order, name="upper")))
+    lower = scene.add(bodies(pi.Plate(mesh, rubber, 0.01, order=order, origin=(1.0, 0.0), name="lower")))
+    pin = {"friction": friction, "pin_radius": 0.01} if friction else {}
+    scene.add(pi.Revolute(pi.ground, upper.section("left"), name="shoulder", **pin))
     scene.add(pi.Revolute(upper.section("right"), lower.section("left"), name="elbow"))
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), TURN, name="motor"))
     scene.add(pi.SpringDamper(pi.ground.at((2.0, -1.0)), lower.section("right"), stiffness=10.0, damping=0.1, name="spring"))
@@ -86,6 +87,15 @@ WORK = {  # those first that have little in common
         _run(plates(prony=((0.5, 0.01),)), one) for one in (pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(), pi.IDA())
     ],
     "quadratic cells": lambda: [_run(plates(order=2), one) for one in (pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA())],
+    "reduced and rigid bodies": lambda: [
+        _run(plates(bodies=bodies), one)
+        for bodies in (pi.Rigid, lambda plate: pi.Reduced(plate, modes=2))
+        for one in (pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(), pi.IDA(), pi.EnergyMomentum(h=1e-3))
+    ],
+    "other forms": lambda: [
+        _run(plates(), one) for one in (pi.GeneralizedAlpha(h=1e-3, form="stabilised"), pi.RadauIIA(form="index3"), pi.RadauIIA(stages=2))
+    ],
+    "friction": lambda: [_run(plates(friction=0.1), one) for one in (pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(), pi.IDA())],
     "gradients": lambda: _gradient(pi.GeneralizedAlpha(h=1e-3)),
     "gradients of Radau IIA": lambda: _gradient(pi.RadauIIA(h=1e-3)),
     "equilibria and modes": _rest,
