@@ -13,6 +13,7 @@ from polyida.registry import is_built_in
 
 JUMP_IN_V = "jump in v"  # the status of a run that ends there
 REJECTED = 30  # steps in a short time, after which the forces are examined
+ACCEPTED = 300  # the same of accepted steps: IDA goes on in tiny ones and rejects few
 SHORT = 1e-3  # of the run's time: a run that passes a jump goes on from there
 NEAR = 1e-3  # of the largest speed so far: width of the interval
 HALVINGS = 30
@@ -24,16 +25,16 @@ class Jumps:
     """Looks at accepted states; `look` raises a StepFailure where the forces jump with v and the run makes no way. speed: the largest so far."""
 
     def __init__(self, model, counts, t, t_end):
-        self.model, self.counts, self.speed = model, counts, 0.0
+        self.model, self.counts, self.speed, self.steps = model, counts, 0.0, counts.steps
         self.since, self.rejected, self.short = t, counts.rejected, SHORT * (t_end - t)
 
     def look(self, stretch):
         """Look at accepted steps."""
         self.speed = max(self.speed, float(np.abs(stretch.v[-1]).max(initial=0.0)))
-        if self.counts.rejected - self.rejected < REJECTED:
+        if self.counts.rejected - self.rejected < REJECTED and self.counts.steps - self.steps < ACCEPTED:
             return
         last, since = stretch.last, self.since
-        self.since, self.rejected = last.t, self.counts.rejected
+        self.since, self.rejected, self.steps = last.t, self.counts.rejected, self.counts.steps
         if last.t - since <= self.short and (found := self.found(last)):
             raise StepFailure(JUMP_IN_V, found, last.t, rejected=self.counts.rejected)
 

@@ -18,6 +18,15 @@ def sliding(force):
     return scene.build()
 
 
+def free(force):
+    """The same block without a spring: nothing pushes it once it stands."""
+    scene = pi.Scene()
+    block = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0), name="block"))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0), (1.0, 0.0)), block.at("c"), name="rail"))
+    scene.add(pi.Force(block.at("c"), force, name="dry"))
+    return scene.build()
+
+
 def dry(t, x, v):
     return -3.0 * np.sign(v[0]), 0.0
 
@@ -31,6 +40,12 @@ def test_a_sign_of_the_velocity_is_noticed_and_friction_named(name):
     run = pi.solve(sliding(dry), 2.0, INTEGRATORS[name])
     assert run.status == "jump in v" and run.counts.rejected <= 100
     assert run.t[-1] == pytest.approx(0.25778, abs=2e-3)  # where the block stops
+    assert "the force of 'dry' jumps by 6 with the velocity" in run.message and "friction=" in run.message
+
+
+def test_steps_of_ida_that_stay_tiny_without_rejections_are_noticed():
+    run = pi.solve(free(dry), 1.0, pi.IDA())
+    assert run.status == "jump in v" and run.counts.steps < 3000
     assert "the force of 'dry' jumps by 6 with the velocity" in run.message and "friction=" in run.message
 
 
