@@ -438,7 +438,7 @@ MORE = [  # (what is wrong, what the message says)
     (lambda: pi.export.vtu(run(), __file__, overwrite=True), "is a file"),
     (lambda: pi.export.vtu(welded(), "frames"), "no body of the scene has a mesh"),
     (lambda: plates.spread(run(), 0), "frames = 0"),
-    (lambda: animation(run(), "run.avi"), "only .gif and .mp4"),
+    (lambda: animation(run(), "run.avi"), "only .gif, .mp4, .svg, .html can be written"),
     (lambda: MESH.cell(99), r"mesh.cell: i = 99 must be a whole number; there are 20 cells"),
     (lambda: polygonize(Rectangle(1.0, 1.0, (1e9, 0.0)), 10), "move the plate by its origin="),
     (lambda: Intersection(Circle(1.0), Circle(1.0, (5, 5))), "their bounding boxes do not overlap"),
