@@ -23,7 +23,7 @@ from polyida.show.styles import INK, literal, marker_style, on_axes
 from polyida.study.ivp import initial_value_problem, integrator_lists, kind_of, settings_text, step_list
 from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
-from polyida.study.quantity import TIMES, WORDS, quantity_of
+from polyida.study.quantity import WORDS, quantity_of
 from polyida.study.references import distance, end_of, make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
@@ -63,11 +63,10 @@ def errors_of(ivp, run, reference):
     NaN if the run failed, if there is no reference, or if the part is empty.
     """
     errors = dict.fromkeys(ivp.parts, NAN)
-    if not run.success or ivp.quantity and len(run) < len(ivp.quantity.times):
+    if not run.success:
         return errors
-    values = ivp.quantity.of_run(run) if ivp.quantity else end_of(run)
-    known = {part: values[part] for part in ivp.parts if part in values and np.size(reference.get(part, ()))}
-    return errors | (ivp.quantity.distance(known, reference) if ivp.quantity else distance(known, reference))
+    known = {part: reference[part] for part in ivp.parts if np.size(reference.get(part, ()))}
+    return errors | (ivp.quantity.errors(run, known) if ivp.quantity else distance(known, end_of(run)))
 
 
 def unresolved_pulse_notes(reference):
@@ -131,7 +130,7 @@ class Precision(Result):
         accuracy = f"its accuracy: {known}" if known else "its accuracy is unknown"
         made_by = reference.get("made_by")
         self.lead = f"Reference: {'; '.join(made_by)}; {accuracy}." if made_by else ""
-        self.lead += "" if self.norm == "end" else f" Errors: {WORDS[self.norm]}, at {TIMES} times."
+        self.lead += "" if self.norm == "end" else f" Errors: {WORDS[self.norm]}, at the run's own steps."
         self.notes += [note for label in self.labels for part in self.parts if (note := self._not_asymptotic(label, part))]
 
     @property
@@ -280,7 +279,9 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
             row = {"integrator": label, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
             row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
             rows.append(row | {"setting": settings_text(integrator, settings, run.settings_used), "settings_used": run.settings_used})
-            runs.append(ivp.run(integrator, output=ivp.quantity.times) if ivp.quantity else run)
+            runs.append(ivp.run(integrator, every=ivp.quantity.every(run)) if ivp.quantity else run)
+    if ivp.quantity:
+        ivp = replace(ivp, quantity=ivp.quantity.at_steps_of(runs))
 
     def smallest_errors(reference):
         errors = [errors_of(ivp, run, reference) for run in runs]
@@ -400,10 +401,12 @@ def work_precision(
         Several settings of each integrator, also of a user's own.
     of : str, sensor or function, optional
         What is compared in place of q, v and lam: the place of a point or a joint, by its name, a sensor of `pi.sensor`, or a function of the run
-        that gives an array (frames, ...). Its name is the part of plots; that of a sensor is "sensor", of a lambda "quantity".
+        that gives an array (frames, ...), each entry of its frame alone. Its name is the part of plots; that of a sensor is "sensor", of a lambda
+        "quantity".
     norm : {"end", "max", "rms"}
-        Of the errors: at the end, the largest one, or their root mean square at 200 times, evenly spread; there the run is interpolated
-        as `solve(..., output=...)` does. Each setting runs once more for that; its CPU time is that of the run without.
+        Of the errors: at the end, the largest one, or their root mean square, over the run's own steps. Of a run of more than 200 steps every
+        second one counts, or every third and so on, and the end. There the reference is interpolated in q and v, with lam from the
+        equations of motion. Each setting runs once more for that; its CPU time is that of the run without.
     reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, or False, optional
         Default: the published digits of the problem, or else Radau IIA, refined until another method agrees with it to a tenth of the
         smallest error: Radau IIA of order 3, or one of another family where that does not come near. The next study of the same model, start and
