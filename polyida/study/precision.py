@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
 FINER = 1.5  # ratio of steps of two runs whose ends are compared
 STAGNATION = 10.0  # runs stagnate if their distance to the reference is this multiple of their mutual distance and of the accuracy
-ASYMPTOTIC = 0.3  # largest difference of the slopes of two halves of the errors that have an order
+ASYMPTOTIC = 0.3  # largest difference of the slopes of two halves of the errors that have an order; a slope below it is none
 FITTED = 10.0  # times the accuracy of the reference: smaller errors are not used to fit an order
 UNRESOLVED = "#88888822"  # colour of the errors below the accuracy of the reference
 SYMBOLS = {"lam": "λ"}  # of parts whose name is no symbol
@@ -143,8 +143,9 @@ class Precision(Result):
     def orders(self) -> dict[str, dict[str, float]]:
         """{label: {part: order}}: slope of the error over the mean step on logarithmic axes.
 
-        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them, for error control, and for errors that are
-        not asymptotic: the slopes of the coarser and of the finer half differ by more than 0.3. `notes` says which.
+        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them, for error control, for errors that grow or
+        hardly fall with the step (a slope of at most 0.3), and for errors that are not asymptotic: the slopes of the coarser and of the finer
+        half differ by more than 0.3. `notes` says which.
         """
         return {label: {part: self._order(label, part) for part in self.parts} for label in self.labels}
 
@@ -182,6 +183,8 @@ class Precision(Result):
         above = any(row[f"error_{part}"] > self._accuracy(part) for row in measured)  # if none is, the note on the accuracy says so
         if len(rows) < 2 <= len(measured) and above:
             return f"{label}: no order in {part}, its errors are at the reference's level"
+        if len(rows) > 1 and (slope := self._slope(rows, part)) <= ASYMPTOTIC:
+            return f"{label}: no order in {part}, its errors hardly fall with the step, or grow (slope {slope:.1f})"
         half = len(rows) // 2
         if len(rows) < 3:
             return ""

@@ -133,6 +133,9 @@ def test_a_name_of_a_point_needs_a_scene():
         ([1e-2, 2.5e-3, 6.25e-4, 1.5625e-4], 1e-9, 2.0, ""),
         ([1e-3, 1e-3, 5e-4, 6e-5], 1e-9, np.nan, "no order in q yet"),
         ([1e-9, 2e-9, 1.5e-9, 1e-9], 1e-9, np.nan, "at the reference's level"),
+        ([0.27, 0.37, 0.5, 0.7], 1e-9, np.nan, "no order in q, its errors hardly fall with the step, or grow (slope -0.5)"),
+        ([0.27, 0.4], 1e-9, np.nan, "slope -0.6"),
+        ([0.3, 0.3], 1e-9, np.nan, "slope"),
     ],
 )
 def test_errors_that_are_not_asymptotic_have_no_order(errors, known, order, told):
