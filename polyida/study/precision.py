@@ -196,7 +196,7 @@ class Precision(Result):
     def _error_in(self, part):
         """The words of a part's error in tables and pictures."""
         norm = {"end": "error in", "max": "largest error in", "rms": "rms error in"}[self.norm]
-        return f"{norm} {part}"
+        return f"{norm} {self.reference.get('words', {}).get(part, part)}"
 
     def _step(self, row):
         """Mean step of a run; a user's integrator may count no steps."""
@@ -230,7 +230,7 @@ class Precision(Result):
             axis.axhline(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
             axis.set_ylim(low, high)
         unit = self.reference.get("units", {}).get(part, "")
-        axis.set(xlabel=xlabel, ylabel=f"{self._error_in(literal(SYMBOLS.get(part, part)))}{f', {unit}' if unit else ''}")
+        axis.set(xlabel=xlabel, ylabel=f"{literal(self._error_in(SYMBOLS.get(part, part)))}{f', {unit}' if unit else ''}")
         return finish(axis, title, labels)
 
 
@@ -302,8 +302,8 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
     if not reference.get("made_by") and reference["failed"]:
         notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
     notes += [*unresolved_pulse_notes(reference), *([] if ivp.quantity else stagnation_notes(rows, runs, reference))]
-    norm = ivp.quantity.norm if ivp.quantity else "end"
-    return rows, notes, reference | {"units": units_of(ivp), "norm": norm}
+    norm, words = (ivp.quantity.norm, ivp.quantity.words) if ivp.quantity else ("end", {})
+    return rows, notes, reference | {"units": units_of(ivp), "norm": norm, "words": words}
 
 
 def units_of(ivp):
@@ -402,10 +402,10 @@ def work_precision(
         State at t = 0. Default: that of the problem, or zero.
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
-    of : str, sensor or function, optional
-        What is compared in place of q, v and lam: the place of a point or a joint, by its name, a sensor of `pi.sensor`, or a function of the run
-        that gives an array (frames, ...), each entry of its frame alone. Its name is the part of plots; that of a sensor is "sensor", of a lambda
-        "quantity".
+    of : str, attachment, sensor or function, optional
+        What is compared in place of q, v and lam: the place of a point or a joint, by its name, or of an attachment such as `body.at("right")`, a
+        sensor of `pi.sensor`, or a function of the run that gives an array (frames, ...), each entry of its frame alone. Its name is the part of
+        plots: "bar right" of this attachment, "sensor" of a sensor, "quantity" of a lambda.
     norm : {"end", "max", "rms"}
         Of the errors: at the end, the largest one, or their root mean square, over the run's own steps. Of a run of more than 200 steps every
         second one counts, or every third and so on, and the end. There the reference is interpolated in q and v, with lam from the

@@ -1,13 +1,14 @@
 """What studies compare: the end of a motion, or a quantity of it over time, in a norm."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from polyida.errors import InputError, text_of
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import State
+from polyida.joint.attachment import Attachment
 from polyida.model.guarded import guard
 from polyida.sensor import Sensor
 from polyida.trajectory import Trajectory
@@ -23,7 +24,8 @@ class Quantity:
     """Functions of a run, {name: function(run) -> (frames, ...)}, which studies compare in a norm at some times.
 
     times: increasing, s; those of the steps of all runs that are compared. of: what the user named; it identifies the functions. unit: of the
-    values, empty if unknown. lengths: True if a difference is measured by its length, otherwise by its largest entry.
+    values, empty if unknown. lengths: True if a difference is measured by its length, otherwise by its largest entry. words: for the names in
+    headings, {name: text}.
     """
 
     functions: dict[str, Callable]
@@ -32,6 +34,7 @@ class Quantity:
     of: object = None
     unit: str = ""
     lengths: bool = False
+    words: dict[str, str] = field(default_factory=dict)
 
     def of_run(self, run):
         """{name: (times, ...)} of a run with a frame at each of the times."""
@@ -84,24 +87,26 @@ def quantity_of(study, ivp, of, norm):
         functions = {"q": lambda run: without(run.q), "v": lambda run: without(run.v), "lam": lambda run: run.lam}
         functions |= {"x": lambda run: run.x} if model.k else {}
         return Quantity(functions, times, norm)
-    unit, lengths = "", False
-    if isinstance(of, str):
+    unit, lengths, words = "", False, {}
+    if isinstance(of, (str, Attachment)):
         if not model.is_scene:
             raise InputError(f"{study}: of = {of!r} names a point of a scene; the model is none: give a sensor or a function of the run")
         try:
-            model.attachment(of)
+            model.pairs_and_weights(of if isinstance(of, Attachment) else model.attachment(of))
         except InputError as error:
             raise InputError(f"{study}: of = {of!r}: {error}") from None
-        name, function, unit, lengths = of, lambda run: run.position(of), "m", True
+        name = of if isinstance(of, str) else f"{of.body.name or of.body.label} {of.name}"
+        function, unit, lengths = lambda run: run.position(of), "m", True
     elif isinstance(of, Sensor):
-        name, function = "sensor", lambda run: np.array([of.read(model, state) for state in _states(run)])
+        name, function, unit = "sensor", lambda run: np.array([of.read(model, state) for state in _states(run)]), of.unit
+        words = {"sensor": of.name}
     elif callable(of):
         name, function = getattr(of, "__name__", "of"), of
         name = "quantity" if name == "<lambda>" or name in ("q", "v", "lam", "x", "J") else name
     else:
-        raise InputError(f"{study}: of = {of!r:.80} must be the name of a point or joint, a sensor, or a function of the run")
+        raise InputError(f"{study}: of = {of!r:.80} must be the name of a point or joint, an attachment of a body, a sensor, or a function of the run")
     _try(study, ivp, name, function)
-    return Quantity({name: function}, times, norm, of, unit, lengths)
+    return Quantity({name: function}, times, norm, of, unit, lengths, words)
 
 
 def _states(run):

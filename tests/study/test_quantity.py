@@ -10,6 +10,7 @@ from polyida.study.quantity import Quantity
 
 ALPHA = {"alpha": pi.GeneralizedAlpha}
 STEPS = (4e-3, 2e-3, 1e-3)
+POSITION, REACTION = pi.sensor.position("tip"), pi.sensor.reaction("pin")
 
 
 def pendulum():
@@ -68,8 +69,8 @@ def test_a_load_that_jumps_at_a_step_makes_no_error():
     ("of", "name"),
     [
         ("pin", "pin"),
-        (pi.sensor.position("tip"), "sensor"),
-        (pi.sensor.reaction("pin"), "sensor"),
+        (POSITION, "sensor"),
+        (REACTION, "sensor"),
         (lambda run: run.energy.total, "quantity"),
         (None, "q"),
     ],
@@ -78,7 +79,23 @@ def test_what_can_be_compared_over_time(of, name):
     found = study(of, "rms")
     assert found.parts[0] == name and all(np.isfinite(row[f"error_{name}"]) for row in found.rows)
     assert found.plot().get_ylabel().startswith("rms error in") and "root mean square" in found.lead
-    assert f"rms error in {name}" in str(found)
+    assert f"rms error in {'position of tip' if of is POSITION else 'reaction of pin' if of is REACTION else name}" in str(found)
+
+
+def test_an_attachment_can_be_compared():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), bar.at("left"), name="pin"))
+    runs = {"alpha": [pi.GeneralizedAlpha(h=2e-3)]}
+    with pytest.raises(InputError, match="'bar' has no single point; give an attachment of a body"):
+        pi.study.work_precision(scene, 0.02, integrators=runs, of="bar", progress=False)
+    found = pi.study.work_precision(scene, 0.02, integrators=runs, of=bar.at("right"), progress=False)
+    assert found.parts == ("bar right",) and found.rows[0]["error_bar right"] > 0 and found.plot().get_ylabel() == "error in bar right, m"
+    seen = pi.study.work_precision(scene, 0.02, integrators=runs, of=pi.sensor.position(bar.at("right")), progress=False)
+    assert seen.plot().get_ylabel() == "error in position of RigidBody 'bar' right, m"
+    elsewhere = pi.RigidBody.bar(1.0, 2.0, name="other").at("right")
+    with pytest.raises(InputError, match="its body is not in the scene"):
+        pi.study.work_precision(scene, 0.02, integrators=runs, of=elsewhere, progress=False)
 
 
 def test_the_norms_of_a_difference():
