@@ -324,6 +324,7 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
+    @named_keywords
     def plot(
         self,
         part: str | None = None,
@@ -462,6 +463,7 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
+    @named_keywords
     def plot(
         self, part: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
     ) -> Axes:

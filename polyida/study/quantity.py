@@ -104,7 +104,9 @@ def quantity_of(study, ivp, of, norm):
         name, function = getattr(of, "__name__", "of"), of
         name = "quantity" if name == "<lambda>" or name in ("q", "v", "lam", "x", "J") else name
     else:
-        raise InputError(f"{study}: of = {of!r:.80} must be the name of a point or joint, an attachment of a body, a sensor, or a function of the run")
+        raise InputError(
+            f"{study}: of = {of!r:.80} must be the name of a point or joint, an attachment of a body, a sensor, or a function of the run"
+        )
     _try(study, ivp, name, function)
     return Quantity({name: function}, times, norm, of, unit, lengths, words)
 

@@ -87,7 +87,10 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
             if not run.success:
                 raise RuntimeError(f"DOP853: {run.message}")
             known = dict(zip(at, run.y.T))
-            states += [(known[s][:n], known[s][n:], *consistent_acceleration(model, np.nextafter(s, t0), known[s][:n], known[s][n:])) for s in within]
+            states += [
+                (known[s][:n], known[s][n:], *consistent_acceleration(model, np.nextafter(s, t0), known[s][:n], known[s][n:]))
+                for s in within
+            ]
             y, t = run.y[:, -1], end
             if end in projections:
                 state = restarted(model, SimpleNamespace(t=end, q=y[:n], v=y[n:]))

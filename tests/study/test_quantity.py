@@ -66,14 +66,7 @@ def test_a_load_that_jumps_at_a_step_makes_no_error():
 
 
 @pytest.mark.parametrize(
-    ("of", "name"),
-    [
-        ("pin", "pin"),
-        (POSITION, "sensor"),
-        (REACTION, "sensor"),
-        (lambda run: run.energy.total, "quantity"),
-        (None, "q"),
-    ],
+    ("of", "name"), [("pin", "pin"), (POSITION, "sensor"), (REACTION, "sensor"), (lambda run: run.energy.total, "quantity"), (None, "q")]
 )
 def test_what_can_be_compared_over_time(of, name):
     found = study(of, "rms")
