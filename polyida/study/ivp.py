@@ -225,7 +225,7 @@ def settings_text(integrator, others, used=None):
     defaults = {item.name: item.default for item in items if item.repr and item.init} or dict.fromkeys(values, MISSING)
     tolerances = {name: value for name, value in (used or {}).items() if name.endswith("rtol") and value is not None}
     given = [values[name] for name in tolerances if values[name] is not None]
-    acted: dict[str, float] = {}
+    acted = {}
     for name, value in tolerances.items():
         if value not in given and value not in acted.values():
             acted[name] = value
