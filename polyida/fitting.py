@@ -68,6 +68,7 @@ class Fit:
         head = f"{len(self.values)} parameters from {self.measured.size} values in {self.runs} runs, {self.failed} of which failed; rms residual {off:.3g}"
         return "\n".join([head] + [f"{name} = {value:.8g} +- {self.errors[name]:.2g}" for name, value in self.values.items()])
 
+    @named_keywords
     def plot(self, axes: Any = None) -> Any:
         """Return a matplotlib Figure of the measured and the predicted values.
 

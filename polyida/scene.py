@@ -96,6 +96,7 @@ class Scene:
             number += 1
         return f"{kind} {number}"
 
+    @named_keywords
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the parts as they are now, with their names: before `assemble` also joints whose sides do not meet, with a line between them.
 

@@ -28,9 +28,13 @@ class Sensor:
     Parameters
     ----------
     read : function f(model, state) -> array_like
+    name, unit : str
+        Of its values, in headings of studies. unit: empty if they have several, or an unknown one.
     """
 
     read: Callable[[Any, State], ArrayLike]
+    name: str = "sensor"
+    unit: str = ""
 
 
 @named_keywords
@@ -47,7 +51,7 @@ def position(of: object) -> Sensor:
     Sensor
         For `solve(..., sensors={name: sensor})`.
     """
-    return Sensor(lambda model, state: model.position(of, state.q[None])[0])
+    return Sensor(lambda model, state: model.position(of, state.q[None])[0], f"position of {getattr(of, 'label', of)}", "m")
 
 
 @named_keywords
@@ -69,7 +73,7 @@ def reaction(joint: str) -> Sensor:
             raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {names_of_joints(model)}")
         return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None][:, model.columns])[0]
 
-    return Sensor(read)
+    return Sensor(read, f"reaction of {joint}")
 
 
 @named_keywords

@@ -25,7 +25,7 @@ from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, names_of_joints, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.sensor import Sensors
-from polyida.validation import is_one_of, is_whole
+from polyida.validation import is_one_of, is_whole, named_keywords
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -482,6 +482,7 @@ class Trajectory:
         """Plots on matplotlib axes: `run.plot.energy()`, `position("tip")`, `tip()`, `reactions("shoulder")`, `drift()`, `deformed()`."""
         return registry.find(registry.views, "plot")(self)
 
+    @named_keywords
     def animate(self, seconds: float | None = None) -> Animation:
         """Return the motion: a notebook shows it with a slider, `.save("motion.gif")` writes it, also as .mp4, .svg and .html.
 
@@ -518,6 +519,7 @@ class Trajectory:
         """
         return dataset(self)
 
+    @named_keywords
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError if it exists and overwrite is False."""
         save(self, path, overwrite)

@@ -248,7 +248,7 @@ class KeywordError(InputError, TypeError):
 
 
 def named_keywords(public: Public) -> Public:
-    """Decorate a public function or class: an unknown keyword or a missing argument raises KeywordError, which lists the known ones.
+    """Decorate a public function, method or class: an unknown keyword or a missing argument raises KeywordError, which lists the known ones.
 
     A class stays the same class: only its `__init__` is wrapped. Signatures do not change.
     """
@@ -256,15 +256,16 @@ def named_keywords(public: Public) -> Public:
     parameters = list(signature(public).parameters.values())
     known = {p.name for p in parameters if p.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)}
     before = int(isclass(public))  # self, which the signature of a class does not have
+    names = [p.name for p in parameters if p.name != "self"]
     needed = [(k + before, p.name) for k, p in enumerate(parameters) if p.name in known and p.default is Parameter.empty]
 
     @wraps(function)
     def checked(*arguments, **keywords):
         if not keywords.keys() <= known:
-            raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(keywords.keys() - known)))
+            raise KeywordError(_complaint(public.__name__, names, min(keywords.keys() - known)))
         for place, name in needed:
             if place >= len(arguments) and name not in keywords:
-                raise KeywordError(f"{public.__name__}: {name} is missing; it takes {', '.join(p.name for p in parameters)}")
+                raise KeywordError(f"{public.__name__}: {name} is missing; it takes {', '.join(names)}")
         return function(*arguments, **keywords)
 
     if not isclass(public):

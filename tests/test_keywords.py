@@ -6,6 +6,7 @@ import pickle
 import pytest
 
 import polyida as pi
+from polyida.study.precision import StepSizes, WorkPrecision
 from polyida.validation import KeywordError, named_keywords
 
 NOT_CALLED = {
@@ -45,6 +46,25 @@ def test_all_that_it_takes_is_named(name):
         PUBLIC[name](nonsense=1)
     told = str(raised.value)
     assert len(told) > 500 or all(word in told for word in inspect.signature(PUBLIC[name]).parameters)
+
+
+METHODS = [
+    WorkPrecision.plot,
+    StepSizes.plot,
+    pi.study.Result.to_latex,
+    pi.study.Result.report,
+    pi.Trajectory.animate,
+    pi.Trajectory.save,
+    pi.Scene.plot,
+]
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__qualname__)
+def test_all_that_a_method_takes_is_named(method):
+    names = [name for name in inspect.signature(method).parameters if name != "self"]
+    with pytest.raises(KeywordError) as raised:
+        method(None, nonsense=1)
+    assert str(raised.value) == f"{method.__name__}: there is no argument 'nonsense'; it takes {', '.join(names)}"
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,7 @@ class Buckling:
         head = f"{len(self.factors)} buckling factors of {type(self.model).__name__} about t = {self.state.t:.6g} s"
         return "\n".join([head] + [self.title(k) for k in range(len(self.factors))])
 
+    @named_keywords
     def plot(self, number: int | list[int] | None = None, scale: float = 1.0, axes: Any = None) -> Any:
         """Return a matplotlib Figure of the bodies in the state and in a mode; of models without bodies bars.
 

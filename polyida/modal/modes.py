@@ -113,6 +113,7 @@ class Modes:
     def _share(self, masses):
         return ", {:.1%} along x, {:.1%} along y".format(*masses / self.mass)
 
+    @named_keywords
     def plot(self, number: int | list[int] | None = None, scale: float = 1.0, axes: Any = None) -> Any:
         """Return a matplotlib Figure of the bodies at rest and in a mode; of a complex shape its real part, of models without bodies bars.
 

@@ -114,6 +114,7 @@ class Campbell:
 
     __repr__ = brief
 
+    @named_keywords
     def plot(self, axes: Any = None) -> Any:
         """Return a matplotlib Figure of the frequencies over the speed, with lines of one, two and three times the speed.
 

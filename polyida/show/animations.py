@@ -126,6 +126,7 @@ class Animation:
         """A page of its own within the notebook's, so that neither changes the other."""
         return f'<iframe srcdoc="{escape(_page(self.run, self.seconds))}" style="width: 100%; height: 34rem; border: 0"></iframe>'
 
+    @named_keywords
     def save(self, path: str | Path, frames: int | None = None, width: float = 6.4, overwrite: bool = False) -> Path:
         """Write a file that ends in .gif, .mp4, .svg or .html; return its path. The arguments are those of `pi.show.animation`."""
         return animation(self.run, path, frames=frames, seconds=self.seconds, width=width, overwrite=overwrite)

@@ -171,6 +171,7 @@ class Conditioning(Result):
         worst = {f"worst {label}": max(row["condition"] for row in pick(self.rows, integrator=label)) for label in self.labels}
         return {f"slope {label}": value for label, value in self.slopes.items()} | worst
 
+    @named_keywords
     def plot(self, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None) -> Axes:
         """Draw the condition numbers against h, a line for each integrator and state.
 

@@ -34,6 +34,7 @@ class Invariants(Result):
         super().__init__(rows, notes, histories)
         self.title = f"{self.title}: {name}"
 
+    @named_keywords
     def plot(
         self, quantity: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
     ) -> Axes:

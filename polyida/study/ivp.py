@@ -216,15 +216,19 @@ def step_list(study, h):
 def settings_text(integrator, others, used=None):
     """The settings in which an integrator differs from the others, "h=0.001", or else from its defaults, "IDA()".
 
-    used: the settings that its run used; relative tolerances that acted and were not given are shown too, "rtol=1e-05, ida_rtol=3.2e-08".
+    used: the settings that its run used; relative tolerances that acted and differ from those given are shown too, "rtol=1e-05, ida_rtol=3.2e-08".
     """
     if not is_dataclass(integrator) and type(integrator).__repr__ is not object.__repr__:
         return repr(integrator)[:MAX_LENGTH]
     kind, values = type(integrator), settings_of(integrator)
     items = fields(integrator) if is_dataclass(integrator) else ()
     defaults = {item.name: item.default for item in items if item.repr and item.init} or dict.fromkeys(values, MISSING)
-    acted = {name: value for name, value in (used or {}).items() if name.endswith("rtol") and value is not None and value != values[name]}
-    acted = {name: value for name, value in acted.items() if name == "rtol" or value != used["rtol"]}
+    tolerances = {name: value for name, value in (used or {}).items() if name.endswith("rtol") and value is not None}
+    given = [values[name] for name in tolerances if values[name] is not None]
+    acted = {}
+    for name, value in tolerances.items():
+        if value not in given and value not in acted.values():
+            acted[name] = value
 
     def text(names):
         shown = {name: values[name] for name in names} | acted

@@ -54,7 +54,7 @@ class KeptEnds:
     def __init__(self, ivp, folder=None):
         self.path, self.ends = None, {}
         try:
-            compared = (ivp.quantity.of, len(ivp.quantity.times)) if ivp.quantity else ()
+            compared = (ivp.quantity.of, ivp.quantity.times) if ivp.quantity else ()
             motion = unguarded(ivp.model), ivp.q0, ivp.v0, float(ivp.t_end), *compared
             mark = fingerprint_of((*motion, polyida.__version__, package_hash()))
         except NoFingerprint:

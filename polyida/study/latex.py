@@ -11,7 +11,10 @@ SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasc
 SPECIAL |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
 SYMBOL = re.compile(rf"(?<![\w(])({'|'.join(SYMBOLS)})(?![\w(\\])")
 NUMBER = re.compile(r"(-?)(\d+)(?:\.(\d+))?(?:e([+-]?\d+))?")
-SETTING = re.compile(rf"(\w+) ?= ?({NUMBER.pattern})")
+PLAIN = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"  # a number without groups
+VALUE = rf"{PLAIN}|\({PLAIN}(?:, {PLAIN})*\)|'[^']*'|\w+"
+SETTING = re.compile(rf"(\w+) ?= ?({VALUE})")
+SETTINGS = re.compile(rf"(?:(\w+)\()?(\w+ ?= ?(?:{VALUE})(?:, \w+ ?= ?(?:{VALUE}))*)(?(1)\))")  # with or without the name of the integrator
 MISSING = "--"
 
 
@@ -74,12 +77,21 @@ def _entry(text, numeric, aligned):
 
 
 def _text_entry(text):
-    """A text; a setting such as "h=1e-03" in mathematics."""
-    found = SETTING.fullmatch(text)
+    """A text; settings such as "h=1e-03", "IDA(rtol=1e-05, atol=(1e-07, 0.001))" with their numbers in mathematics."""
+    found = SETTINGS.fullmatch(text)
     if not found:
         return latex_text(text)
-    name = SYMBOLS.get(found[1], rf"\mathrm{{{latex_text(found[1])}}}")
-    return f"${name} = {latex_number(found[2])[1:]}"
+    shown = ", ".join(_setting(name, value) for name, value in SETTING.findall(found[2]))
+    return f"{latex_text(found[1])}({shown})" if found[1] else shown
+
+
+def _setting(name, value):
+    numbers = re.findall(PLAIN, value)
+    if value[0] not in "-(0123456789":  # a word
+        return latex_text(f"{name}={value}")
+    shown = ", ".join(latex_number(number)[1:-1] for number in numbers)
+    symbol = SYMBOLS.get(name, rf"\mathrm{{{latex_text(name)}}}")
+    return f"${symbol} = {f'({shown})' if value[0] == '(' else shown}$"
 
 
 def _format(texts):

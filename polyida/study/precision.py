@@ -23,7 +23,7 @@ from polyida.show.styles import INK, literal, marker_style, on_axes
 from polyida.study.ivp import initial_value_problem, integrator_lists, kind_of, settings_text, step_list
 from polyida.study.kept import KeptEnds, require_folder
 from polyida.study.plotting import slope_line
-from polyida.study.quantity import TIMES, WORDS, quantity_of
+from polyida.study.quantity import WORDS, quantity_of
 from polyida.study.references import distance, end_of, make_reference, user_reference
 from polyida.study.result import Result
 from polyida.study.rows import NAN, fit_slope
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
 FINER = 1.5  # ratio of steps of two runs whose ends are compared
 STAGNATION = 10.0  # runs stagnate if their distance to the reference is this multiple of their mutual distance and of the accuracy
-ASYMPTOTIC = 0.3  # largest difference of the slopes of two halves of the errors that have an order
+ASYMPTOTIC = 0.3  # largest difference of the slopes of two halves of the errors that have an order; a slope below it is none
 FITTED = 10.0  # times the accuracy of the reference: smaller errors are not used to fit an order
 UNRESOLVED = "#88888822"  # colour of the errors below the accuracy of the reference
 SYMBOLS = {"lam": "λ"}  # of parts whose name is no symbol
@@ -63,11 +63,10 @@ def errors_of(ivp, run, reference):
     NaN if the run failed, if there is no reference, or if the part is empty.
     """
     errors = dict.fromkeys(ivp.parts, NAN)
-    if not run.success or ivp.quantity and len(run) < len(ivp.quantity.times):
+    if not run.success:
         return errors
-    values = ivp.quantity.of_run(run) if ivp.quantity else end_of(run)
-    known = {part: values[part] for part in ivp.parts if part in values and np.size(reference.get(part, ()))}
-    return errors | (ivp.quantity.distance(known, reference) if ivp.quantity else distance(known, reference))
+    known = {part: reference[part] for part in ivp.parts if np.size(reference.get(part, ()))}
+    return errors | (ivp.quantity.errors(run, known) if ivp.quantity else distance(known, end_of(run)))
 
 
 def unresolved_pulse_notes(reference):
@@ -131,7 +130,7 @@ class Precision(Result):
         accuracy = f"its accuracy: {known}" if known else "its accuracy is unknown"
         made_by = reference.get("made_by")
         self.lead = f"Reference: {'; '.join(made_by)}; {accuracy}." if made_by else ""
-        self.lead += "" if self.norm == "end" else f" Errors: {WORDS[self.norm]}, at {TIMES} times."
+        self.lead += "" if self.norm == "end" else f" Errors: {WORDS[self.norm]}, at the run's own steps."
         self.notes += [note for label in self.labels for part in self.parts if (note := self._not_asymptotic(label, part))]
 
     @property
@@ -144,8 +143,9 @@ class Precision(Result):
     def orders(self) -> dict[str, dict[str, float]]:
         """{label: {part: order}}: slope of the error over the mean step on logarithmic axes.
 
-        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them, for error control, and for errors that are
-        not asymptotic: the slopes of the coarser and of the finer half differ by more than 0.3. `notes` says which.
+        The fit uses errors above ten times the reference's accuracy. NaN for fewer than two of them, for error control, for errors that grow or
+        hardly fall with the step (a slope of at most 0.3), and for errors that are not asymptotic: the slopes of the coarser and of the finer
+        half differ by more than 0.3. `notes` says which.
         """
         return {label: {part: self._order(label, part) for part in self.parts} for label in self.labels}
 
@@ -183,6 +183,8 @@ class Precision(Result):
         above = any(row[f"error_{part}"] > self._accuracy(part) for row in measured)  # if none is, the note on the accuracy says so
         if len(rows) < 2 <= len(measured) and above:
             return f"{label}: no order in {part}, its errors are at the reference's level"
+        if len(rows) > 1 and (slope := self._slope(rows, part)) <= ASYMPTOTIC:
+            return f"{label}: no order in {part}, its errors hardly fall with the step, or grow (slope {slope:.1f})"
         half = len(rows) // 2
         if len(rows) < 3:
             return ""
@@ -194,7 +196,7 @@ class Precision(Result):
     def _error_in(self, part):
         """The words of a part's error in tables and pictures."""
         norm = {"end": "error in", "max": "largest error in", "rms": "rms error in"}[self.norm]
-        return f"{norm} {part}"
+        return f"{norm} {self.reference.get('words', {}).get(part, part)}"
 
     def _step(self, row):
         """Mean step of a run; a user's integrator may count no steps."""
@@ -228,7 +230,7 @@ class Precision(Result):
             axis.axhline(accuracy, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="accuracy of the reference")
             axis.set_ylim(low, high)
         unit = self.reference.get("units", {}).get(part, "")
-        axis.set(xlabel=xlabel, ylabel=f"{self._error_in(literal(SYMBOLS.get(part, part)))}{f', {unit}' if unit else ''}")
+        axis.set(xlabel=xlabel, ylabel=f"{literal(self._error_in(SYMBOLS.get(part, part)))}{f', {unit}' if unit else ''}")
         return finish(axis, title, labels)
 
 
@@ -280,7 +282,9 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
             row = {"integrator": label, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
             row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
             rows.append(row | {"setting": settings_text(integrator, settings, run.settings_used), "settings_used": run.settings_used})
-            runs.append(ivp.run(integrator, output=ivp.quantity.times) if ivp.quantity else run)
+            runs.append(ivp.run(integrator, every=ivp.quantity.every(run)) if ivp.quantity else run)
+    if ivp.quantity:
+        ivp = replace(ivp, quantity=ivp.quantity.at_steps_of(runs))
 
     def smallest_errors(reference):
         errors = [errors_of(ivp, run, reference) for run in runs]
@@ -298,8 +302,8 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
     if not reference.get("made_by") and reference["failed"]:
         notes += ["no reference, so no errors: no two methods reached the end", *dict.fromkeys(reference["failed"])]
     notes += [*unresolved_pulse_notes(reference), *([] if ivp.quantity else stagnation_notes(rows, runs, reference))]
-    norm = ivp.quantity.norm if ivp.quantity else "end"
-    return rows, notes, reference | {"units": units_of(ivp), "norm": norm}
+    norm, words = (ivp.quantity.norm, ivp.quantity.words) if ivp.quantity else ("end", {})
+    return rows, notes, reference | {"units": units_of(ivp), "norm": norm, "words": words}
 
 
 def units_of(ivp):
@@ -320,6 +324,7 @@ class WorkPrecision(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"work against precision: {name}"
 
+    @named_keywords
     def plot(
         self,
         part: str | None = None,
@@ -398,12 +403,14 @@ def work_precision(
         State at t = 0. Default: that of the problem, or zero.
     integrators : {label: [integrators]}
         Several settings of each integrator, also of a user's own.
-    of : str, sensor or function, optional
-        What is compared in place of q, v and lam: the place of a point or a joint, by its name, a sensor of `pi.sensor`, or a function of the run
-        that gives an array (frames, ...). Its name is the part of plots; that of a sensor is "sensor", of a lambda "quantity".
+    of : str, attachment, sensor or function, optional
+        What is compared in place of q, v and lam: the place of a point or a joint, by its name, or of an attachment such as `body.at("right")`, a
+        sensor of `pi.sensor`, or a function of the run that gives an array (frames, ...), each entry of its frame alone. Its name is the part of
+        plots: "bar right" of this attachment, "sensor" of a sensor, "quantity" of a lambda.
     norm : {"end", "max", "rms"}
-        Of the errors: at the end, the largest one, or their root mean square at 200 times, evenly spread; there the run is interpolated
-        as `solve(..., output=...)` does. Each setting runs once more for that; its CPU time is that of the run without.
+        Of the errors: at the end, the largest one, or their root mean square, over the run's own steps. Of a run of more than 200 steps every
+        second one counts, or every third and so on, and the end. There the reference is interpolated in q and v, with lam from the
+        equations of motion. Each setting runs once more for that; its CPU time is that of the run without.
     reference : {"q", "v", "lam", "x"}, Trajectory or State at t_end, or False, optional
         Default: the published digits of the problem, or else Radau IIA, refined until another method agrees with it to a tenth of the
         smallest error: Radau IIA of order 3, or one of another family where that does not come near. The next study of the same model, start and
@@ -456,6 +463,7 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
+    @named_keywords
     def plot(
         self, part: str | None = None, axes: Axes | None = None, title: str | None = None, labels: dict[str, str] | None = None
     ) -> Axes:

@@ -13,6 +13,7 @@ it with the cubic through the stages of Radau IIA. The missed impulse `J = int g
 """
 
 import time
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -61,7 +62,7 @@ class WorkLimit:
 
 
 def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, limited=False):
-    """[(q, v, a, lam)] at increasing `times` (default: t_end) by DOP853 on (q, v)' = (v, a), with a from the index-1 equations.
+    """[(q, v, a, lam)] just before increasing `times` (default: t_end) by DOP853 on (q, v)' = (v, a), with a from the index-1 equations.
 
     Integration restarts at the kinks of loads and motors. legs: equal parts of the time, after which q and v are projected onto the
     constraints. limited: raise TooStiff for long runs.
@@ -86,7 +87,10 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, l
             if not run.success:
                 raise RuntimeError(f"DOP853: {run.message}")
             known = dict(zip(at, run.y.T))
-            states += [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in within]
+            states += [
+                (known[s][:n], known[s][n:], *consistent_acceleration(model, np.nextafter(s, t0), known[s][:n], known[s][n:]))
+                for s in within
+            ]
             y, t = run.y[:, -1], end
             if end in projections:
                 state = restarted(model, SimpleNamespace(t=end, q=y[:n], v=y[n:]))
@@ -118,7 +122,7 @@ def extrapolated(model, t_end, method, h, q0=None, v0=None, quantity=None):
 def end_state(model, t_end, integrator, q0=None, v0=None, progress=None, quantity=None):
     """{part: value} at t_end by an integrator, or those of a Quantity. Raises RuntimeError if the run fails."""
     if quantity:
-        return quantity.of_run(_full_run(model, t_end, integrator, q0, v0, progress, output=quantity.times))
+        return quantity.of_run(_consistent(_full_run(model, t_end, integrator, q0, v0, progress, output=quantity.times)))
     return end_of(_full_run(model, t_end, integrator, q0, v0, progress, every=10**9))
 
 
@@ -129,6 +133,17 @@ def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frame
     if not run.success:
         raise RuntimeError(f"reference by {integrator}: {run.message}")
     return run
+
+
+def _consistent(run):
+    """A run with a and lam of the equations of motion: those of frames within steps are linear over the step.
+
+    They are evaluated just before each time, for steps end where loads jump. At the end they are the run's own.
+    """
+    model, a, lam = guard(run.model), np.array(run.a), np.array(run.lam)
+    for k in range(len(run) - 1):
+        a[k], lam[k] = consistent_acceleration(model, np.nextafter(run.t[k], -np.inf), run.q[k], run.v[k])
+    return replace(run, a=a, lam=lam)
 
 
 def end_of(run):

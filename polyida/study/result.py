@@ -22,7 +22,7 @@ from polyida.show import html
 from polyida.show.styles import figure, settings
 from polyida.study.executors import to_json
 from polyida.study.latex import latex_table
-from polyida.validation import flag, instance, listed, path_of
+from polyida.validation import flag, instance, listed, named_keywords, path_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -89,6 +89,7 @@ class Result:
         columns = {name: (["run", "frame"], values) for name, values in zip(names, data)}
         return Dataset(columns, coords={"run": list(self.histories)}).set_coords("t")
 
+    @named_keywords
     def to_latex(self, columns: Iterable[str] | None = None, siunitx: bool = False) -> str:
         """Return the table for a paper in LaTeX, with symbols and units in its headings.
 
@@ -136,6 +137,7 @@ class Result:
         """{name: (caption, function of axes that draws the picture)} of the report."""
         return {}
 
+    @named_keywords
     def report(self, folder: str | Path, overwrite: bool = False, command: str = "") -> Path:
         """Write report.html, figures.json, and each picture as PNG, PDF and CSV.
 

@@ -53,6 +53,7 @@ class Sweep(Result):
         numeric = {name: all(is_number(row.get(name, 0.0)) for row in self.rows) for name in names}
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
 
+    @named_keywords
     def plot(self, x: str | None = None, y: str | None = None, axes: Axes | None = None, title: str | None = None) -> Axes:
         """Draw one column over another, a point for each case that has both. Cases that failed are crosses at the lower edge.
 

@@ -39,6 +39,23 @@ def test_headings_have_symbols_and_units_and_numbers_are_mathematics():
             parser.parse(formula)  # raises for what is no formula
 
 
+@pytest.mark.parametrize(
+    ("setting", "shown"),
+    [
+        ("rtol=1e-05, ida_rtol=3.2e-08", r"$\mathrm{rtol} = 10^{-5}$, $\mathrm{ida\_rtol} = 3.2 \cdot 10^{-8}$"),
+        ("IDA(rtol=1e-05)", r"IDA($\mathrm{rtol} = 10^{-5}$)"),
+        ("RadauIIA(h=0.001, form='ggl', stages=2)", r"RadauIIA($h = 0.001$, form='ggl', $\mathrm{stages} = 2$)"),
+        ("rtol=0.01, atol=(1e-07, -0.5)", r"$\mathrm{rtol} = 0.01$, $\mathrm{atol} = (10^{-7}, -0.5)$"),
+        ("extrapolate=True", "extrapolate=True"),
+        ("IDA()", "IDA()"),
+        ("IDA(rtol=1e-05", "IDA(rtol=1e-05"),
+        ("h=2 is too long", "h=2 is too long"),
+    ],
+)
+def test_numbers_of_settings_are_mathematics(setting, shown):
+    assert pi.study.Result([{"setting": setting}]).to_latex().splitlines()[5] == rf"{shown} \\"
+
+
 def test_columns_of_siunitx_have_room_for_their_numbers():
     text = study().to_latex(siunitx=True)
     assert "siunitx" in text.splitlines()[0]

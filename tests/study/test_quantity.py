@@ -6,10 +6,11 @@ import pytest
 import polyida as pi
 from polyida.errors import InputError
 from polyida.study.precision import StepSizes
-from polyida.study.quantity import TIMES, Quantity
+from polyida.study.quantity import Quantity
 
 ALPHA = {"alpha": pi.GeneralizedAlpha}
 STEPS = (4e-3, 2e-3, 1e-3)
+POSITION, REACTION = pi.sensor.position("tip"), pi.sensor.reaction("pin")
 
 
 def pendulum():
@@ -26,32 +27,68 @@ def study(of=None, norm="end", **more):
 
 
 def test_errors_over_time_are_those_of_the_runs():
-    """Against a run whose steps are 64 times shorter, at the same times."""
+    """Against a run whose steps are 64 times shorter, at the steps of the run."""
     found = study("tip", "max")
-    times = np.linspace(0.0, 0.4, TIMES + 1)[1:]
-    fine, run = (pi.solve(pendulum(), 0.4, pi.GeneralizedAlpha(h=h), output=times) for h in (1e-3 / 64, 1e-3))
-    apart = np.linalg.norm(run.position("tip") - fine.position("tip"), axis=1)
+    run = pi.solve(pendulum(), 0.4, pi.GeneralizedAlpha(h=1e-3), every=2)
+    fine = pi.solve(pendulum(), 0.4, pi.GeneralizedAlpha(h=1e-3 / 64), output=run.t)
+    apart = np.linalg.norm(run.position("tip") - fine.position("tip"), axis=1)[1:]
     assert found.rows[-1]["error_tip"] == pytest.approx(apart.max(), rel=1e-2) and found.parts == ("tip",)
     assert found.orders["alpha"]["tip"] == pytest.approx(2.0, abs=0.1)
     assert study("tip", "rms").rows[-1]["error_tip"] == pytest.approx(np.sqrt(np.mean(apart**2)), rel=1e-2)
     assert study("tip").rows[-1]["error_tip"] == pytest.approx(apart[-1], rel=1e-2)
 
 
+def swinging_bar(pushed=None):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, angle=0.5, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    if pushed is not None:
+        scene.add(pi.PointLoad(bar.at("right"), (0.0, 20.0), pushed))
+    return scene.build()
+
+
+def test_errors_over_time_are_not_those_of_interpolation():
+    """Long steps of Radau IIA: lam is linear between them, which is a hundred times less accurate than the steps are."""
+    rough, fine = (pi.RadauIIA(rtol=rtol) for rtol in (1e-6, 1e-12))
+    found = pi.study.work_precision(swinging_bar(), 0.5, integrators={"Radau IIA": [rough]}, norm="max", progress=False)
+    run = pi.solve(swinging_bar(), 0.5, rough)
+    ends = [pi.solve(swinging_bar(), t, fine).lam[-1] for t in run.t[1::4]]
+    assert len(run) < 60 and 0 < np.abs(run.lam[1::4] - ends).max() <= 1.01 * found.rows[0]["error_lam"] < 5e-5
+    sizes = pi.study.step_sizes(swinging_bar(), 0.5, integrators=ALPHA, h=STEPS, norm="max", progress=False)
+    assert [sizes.orders["alpha"][part] for part in ("q", "v", "lam")] == pytest.approx([2.0, 2.0, 2.0], abs=0.1)
+
+
+def test_a_load_that_jumps_at_a_step_makes_no_error():
+    """lam has two values there; steps and reference have the one before the jump."""
+    pushed = pi.profile.from_function(lambda t: float(t >= 0.1), kinks=(0.1,))
+    found = pi.study.step_sizes(swinging_bar(pushed), 0.2, integrators=ALPHA, h=(2e-3, 1e-3), norm="max", progress=False)
+    assert found.rows[1]["error_lam"] < 0.5 * found.rows[0]["error_lam"] < 0.1
+
+
 @pytest.mark.parametrize(
-    ("of", "name"),
-    [
-        ("pin", "pin"),
-        (pi.sensor.position("tip"), "sensor"),
-        (pi.sensor.reaction("pin"), "sensor"),
-        (lambda run: run.energy.total, "quantity"),
-        (None, "q"),
-    ],
+    ("of", "name"), [("pin", "pin"), (POSITION, "sensor"), (REACTION, "sensor"), (lambda run: run.energy.total, "quantity"), (None, "q")]
 )
 def test_what_can_be_compared_over_time(of, name):
     found = study(of, "rms")
     assert found.parts[0] == name and all(np.isfinite(row[f"error_{name}"]) for row in found.rows)
     assert found.plot().get_ylabel().startswith("rms error in") and "root mean square" in found.lead
-    assert f"rms error in {name}" in str(found)
+    assert f"rms error in {'position of tip' if of is POSITION else 'reaction of pin' if of is REACTION else name}" in str(found)
+
+
+def test_an_attachment_can_be_compared():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), bar.at("left"), name="pin"))
+    runs = {"alpha": [pi.GeneralizedAlpha(h=2e-3)]}
+    with pytest.raises(InputError, match="'bar' has no single point; give an attachment of a body"):
+        pi.study.work_precision(scene, 0.02, integrators=runs, of="bar", progress=False)
+    found = pi.study.work_precision(scene, 0.02, integrators=runs, of=bar.at("right"), progress=False)
+    assert found.parts == ("bar right",) and found.rows[0]["error_bar right"] > 0 and found.plot().get_ylabel() == "error in bar right, m"
+    seen = pi.study.work_precision(scene, 0.02, integrators=runs, of=pi.sensor.position(bar.at("right")), progress=False)
+    assert seen.plot().get_ylabel() == "error in position of RigidBody 'bar' right, m"
+    elsewhere = pi.RigidBody.bar(1.0, 2.0, name="other").at("right")
+    with pytest.raises(InputError, match="its body is not in the scene"):
+        pi.study.work_precision(scene, 0.02, integrators=runs, of=elsewhere, progress=False)
 
 
 def test_the_norms_of_a_difference():
@@ -106,6 +143,9 @@ def test_a_name_of_a_point_needs_a_scene():
         ([1e-2, 2.5e-3, 6.25e-4, 1.5625e-4], 1e-9, 2.0, ""),
         ([1e-3, 1e-3, 5e-4, 6e-5], 1e-9, np.nan, "no order in q yet"),
         ([1e-9, 2e-9, 1.5e-9, 1e-9], 1e-9, np.nan, "at the reference's level"),
+        ([0.27, 0.37, 0.5, 0.7], 1e-9, np.nan, "no order in q, its errors hardly fall with the step, or grow (slope -0.5)"),
+        ([0.27, 0.4], 1e-9, np.nan, "slope -0.6"),
+        ([0.3, 0.3], 1e-9, np.nan, "slope"),
     ],
 )
 def test_errors_that_are_not_asymptotic_have_no_order(errors, known, order, told):

@@ -76,6 +76,13 @@ def test_labels_of_studies_have_the_number_that_acted(model):
     assert settings_text(integrators[1], integrators, used) == "rtol=1e-05, ida_rtol=3.16228e-08"
 
 
+@pytest.mark.parametrize("settings", [{"ida_rtol": 1e-5}, {"rtol": 1e-5}])
+def test_labels_do_not_say_one_number_twice(settings):
+    used = pi.solve(pi.problems.get("rigid-pendulum").model, 0.01, pi.IDA(**settings)).settings_used
+    ((name, value),) = settings.items()
+    assert settings_text(pi.IDA(**settings), [pi.IDA(**settings), pi.IDA(**{name: 1e-6})], used) == f"{name}={value:g}"
+
+
 def test_an_integrator_of_a_user_shows_its_own_settings():
     class Mine:
         def __init__(self, h):
