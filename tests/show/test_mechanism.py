@@ -1,5 +1,6 @@
 """Symbols of joints and forces: they are where the parts are in each frame, supports stay, and parts of users do not stop a picture."""
 
+import base64
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from matplotlib import pyplot
 
 import polyida as pi
-from polyida.show import plates
+from polyida.show import html, plates
 from polyida.show.animations import FramePicture
 from polyida.show.mechanism import symbols
 
@@ -138,6 +139,17 @@ def test_animations_and_pictures_have_the_symbols_of_their_frames(run):
     axes = run.plot.deformed()
     assert max(len(lines.get_segments()) for lines in axes.collections if hasattr(lines, "get_segments")) == len(drawn.joints[0])
     pyplot.close(axes.figure)
+
+
+def test_a_page_joins_the_points_of_its_own_frames(run):
+    data, _ = html.Movie(run, frames=12).data()
+    symbols, *_ = plates.symbols_of(run, plates.spread(run, 12))
+    packed = np.frombuffer(base64.b64decode(data["places"]), "<u2").reshape(len(data["t"]), -1, 2)
+    places = np.array(data["low"]) + packed * (data["size"] / html.POSITIONS)
+    assert len(data["sticks"]) == len(plates.sticks(run, 0)) and symbols.joints.shape[1] > plates.symbols_of(run, [0])[0].joints.shape[1]
+    for name, kind in (("joints", symbols.joints), ("forces", symbols.forces), ("pins", symbols.pins)):
+        assert places[:, np.array(data[name])] == pytest.approx(kind, abs=data["size"] / html.POSITIONS), name
+    assert max(np.max(data[name]) for name in ("joints", "forces", "pins")) == packed.shape[1] - 1
 
 
 def test_times_that_have_no_room_beside_each_other_are_left_out(run):
