@@ -128,7 +128,7 @@ def draw_scene(axes, bodies, parts, places):
     for name, (mesh, at) in bodies.items():
         points.append(at.reshape(-1, 2))
         if mesh is None:
-            axes.add_collection(LineCollection(at, colors=STICK, linewidths=1.6, capstyle="round"))
+            draw_sticks(axes, at, linewidths=1.6)
         else:
             lines = curves_of_mesh(mesh)
             cells = lines.polygons(at)
@@ -138,8 +138,8 @@ def draw_scene(axes, bodies, parts, places):
             axes.add_collection(LineCollection(lines.outlines(at), colors=INK, linewidths=0.7))
         if len(points[-1]):
             labels.append((points[-1].mean(axis=0), [name]))
-    low, high = bounds(np.concatenate(points))
-    size = float((high - low).max()) or 1.0
+    low, high = _widened(*bounds(np.concatenate(points)))
+    size = float((high - low).max())
     drawn = symbols(parts, _as_drawn, SYMBOL * size)
     draw_symbols(axes, drawn, 0)
     for name, at in places.items():
@@ -159,15 +159,30 @@ def _as_drawn(side, part):
     return np.array([complex(*getattr(side, part))])
 
 
+def _widened(low, high):
+    """Two corners of a box; that of a single point becomes 1 m wide and high."""
+    return (low, high) if np.any(high > low) else (low - 0.5, high + 0.5)
+
+
 def symbols_of(run, frames):
     """(Symbols of a run's scene in some frames, lower left and upper right corner of them and of the bodies)."""
     boxes = np.array([bounds(places(run, k)) for k in frames])
-    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    low, high = _widened(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))
     q = np.asarray(run.q[np.asarray(frames)], float)
-    size = SYMBOL * (float((high - low).max()) or 1.0)
+    size = SYMBOL * float((high - low).max())
     parts = run.model.parts if run.model.is_scene else {}
-    drawn = symbols(parts, lambda side, part: run.model.place((side, part), q), size)
+    drawn = symbols(parts, lambda side, part: run.model.place((side, part), q), size, len(q))
     return drawn, *reach(low, high, drawn)
+
+
+def draw_sticks(axes, segments, colour=STICK, **options):
+    """Draw bodies without a mesh: lines between their points, and a dot for a body of one point."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(segments, colors=colour, capstyle="round", **options))
+    dots = segments[:, 0][np.all(segments[:, 0] == segments[:, 1], axis=1)]
+    if len(dots):
+        axes.plot(*dots.T, color=colour, marker="o", markersize=3.0, linestyle="none", label="_dots")
 
 
 def draw_symbols(axes, drawn, k, **options):
@@ -273,8 +288,8 @@ def draw(axes, model, q, x, title, scale=1.0, box=None):
         axes.add_collection(PolyCollection(cells, facecolors=MOVED, rasterized=fine, **style))
         axes.add_collection(LineCollection(lines.outlines(rest[0]), colors=REST, linewidths=0.8))
         axes.add_collection(LineCollection(lines.outlines(moved[0]), colors=INK, linewidths=0.7))
-    axes.add_collection(LineCollection(rest[1], colors=REST, linewidths=0.8, linestyles="--"))
-    axes.add_collection(LineCollection(moved[1], colors=STICK, linewidths=1.6, capstyle="round"))
+    draw_sticks(axes, rest[1], REST, linewidths=0.8, linestyles="--")
+    draw_sticks(axes, moved[1], linewidths=1.6)
     show_to_scale(axes, *(box or _box([(rest, moved)])))
 
 
