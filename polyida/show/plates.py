@@ -13,7 +13,9 @@ from polyida.show.styles import (
     STICK,
     bounds,
     figure,
+    figure_width,
     height_to_scale,
+    legend_above,
     line_style,
     literal,
     require_axes,
@@ -31,6 +33,7 @@ ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
 REST, MOVED = "#9A9A9A", "#D5E5F0"
 FORCE = PALETTE[0]  # of springs, dampers, loads
 ABOVE = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4}  # a legend
+ONE_COLUMN = 4.5  # inches; narrower figures have their panels below each other
 NEAR = 0.02  # of the size of a scene: parts that are closer share a label
 
 
@@ -247,8 +250,9 @@ def plot_modes(part, found, q, number, scale, axes):
 def shapes(model, q, modes, scale=1.0):
     """Figure of several modes in panels of one size; modes: [(title, shape x (n,))]. The rest is as in `draw`."""
     with settings():
-        columns = min(2, len(modes))
-        rows, width = -(-len(modes) // columns), 6.4 if columns > 1 else 5.0
+        width = figure_width(6.4 if len(modes) > 1 else 5.0)
+        columns = min(2, len(modes)) if width > ONE_COLUMN else 1
+        rows = -(-len(modes) // columns)
         box = _box([_rest_and_moved(model, q, x, scale) for _, x in modes]) if model.is_scene else None
         height = height_to_scale(*box, 0.85 * width / columns, 0.7) if box else 2.0
         new, axes = figure(width, rows * height + 0.25, nrows=rows, ncols=columns, squeeze=False)
@@ -296,7 +300,8 @@ def draw(axes, model, q, x, title, scale=1.0, box=None):
 def response(frequencies, values, name, outputs):
     """Figure of amplitude, logarithmic, and phase, degrees, of complex values (k, outputs) at frequencies (k,), Hz."""
     with settings():
-        new, (upper, lower) = figure(6.4, 4.2, nrows=2, sharex=True, height_ratios=[1.6, 1])
+        width = figure_width(6.4)
+        new, (upper, lower) = figure(width, 4.2 if width > ONE_COLUMN else 3.2, nrows=2, sharex=True, height_ratios=[1.6, 1])
         size = np.abs(np.where(np.isfinite(values), values, np.nan))
         visible = size > ROUND_OFF * np.nanmax(size, initial=0.0)
         for i, label in enumerate(outputs):
@@ -307,7 +312,7 @@ def response(frequencies, values, name, outputs):
             upper.set_yscale("log")
         upper.set(ylabel=f"output over {literal(name)}")
         lower.set(xlabel="frequency, Hz", ylabel="phase, degrees", ylim=(-190, 190), yticks=[-180, -90, 0, 90, 180])
-        new.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(outputs)))
+        legend_above(new, upper)
         return new
 
 

@@ -105,7 +105,7 @@ def _frames(run, times, snapshots):
 
 def draw_frames(axes, run, frames):
     """Draw the bodies of several frames to scale, and joints and forces of the last; returns its cells, which a colorbar explains."""
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import PolyCollection
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
