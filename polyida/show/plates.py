@@ -127,18 +127,20 @@ def draw_scene(axes, bodies, parts, places):
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    points, labels = [*places.values()], []
+    points, labels, lines = [*places.values()], [], []
     for name, (mesh, at) in bodies.items():
         points.append(at.reshape(-1, 2))
         if mesh is None:
             draw_sticks(axes, at, linewidths=1.6)
+            lines.append(at)
         else:
-            lines = curves_of_mesh(mesh)
-            cells = lines.polygons(at)
+            shape = curves_of_mesh(mesh)
+            cells = shape.polygons(at)
+            lines.append(shape.outlines(at))
             axes.add_collection(
                 PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES)
             )
-            axes.add_collection(LineCollection(lines.outlines(at), colors=INK, linewidths=0.7))
+            axes.add_collection(LineCollection(lines[-1], colors=INK, linewidths=0.7))
         if len(points[-1]):
             labels.append((points[-1].mean(axis=0), [name]))
     low, high = _widened(*bounds(np.concatenate(points)))
@@ -154,7 +156,8 @@ def draw_scene(axes, bodies, parts, places):
             else:
                 labels.append((middle, [name]))
     show_to_scale(axes, *reach(low, high, drawn), margin=0.09)
-    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels])
+    lines += [drawn.joints[0], drawn.forces[0]]
+    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels], lines=np.concatenate(lines))
 
 
 def _as_drawn(side, part):
