@@ -106,11 +106,12 @@ def _tidy_log(axis):
         axis.axes.set(**{f"{axis.axis_name}lim": (low, high)})
 
 
-def place_labels(axes, labels, required=True):
+def place_labels(axes, labels, required=True, lines=None):
     """Write texts beside their places where they cover neither each other nor another place, and stay within the axes.
 
     labels: [(place (2,), in data, text, direction (2,) in which the text should be, or None)], the most important first. required: False leaves
-    out what finds no room close to its place. Call it when all else is drawn.
+    out what finds no room close to its place. lines: segments (k, 2, 2), in data, of which texts cover as little as they can. Call it when all
+    else is drawn.
     """
     from matplotlib.patheffects import withStroke
 
@@ -119,31 +120,55 @@ def place_labels(axes, labels, required=True):
         figure.get_layout_engine().execute(figure)
     axes.apply_aspect()
     anchors, size = axes.transData.transform([place for place, *_ in labels]), figure.dpi / POINTS
+    ends = np.zeros((0, 2, 2)) if lines is None else axes.transData.transform(lines.reshape(-1, 2)).reshape(-1, 2, 2)
+    drawn = _points_along(ends, 0.25 * size)
     taken: list = []
     halo = [withStroke(linewidth=2.0, foreground="white")]
     for k, (place, text, direction) in enumerate(labels):
         others = [anchor for i, anchor in enumerate(anchors) if i != k]
         look = {"textcoords": "offset points", "color": INK, "fontsize": "small", "annotation_clip": False, "path_effects": halo}
         label = axes.annotate(literal(text), place, xytext=(0, 0), **look)
-        for distance in DISTANCES if required else DISTANCES[:1]:
-            box = next((box for box in _boxes(label, distance, direction) if _is_free(box, taken, others, axes.bbox)), None)
-            if box:
+        best, least = None, np.inf  # offset, and how many of the drawn points it covers
+        for offset in _offsets(direction, DISTANCES if required else DISTANCES[:1]):
+            box = _moved(label, offset)
+            covered = _inside(box, drawn) if _is_free(box, taken, others, axes.bbox) else np.inf
+            if covered < least:
+                best, least = offset, covered
+            if least == 0:
                 break
-        if box:
-            taken.append(box.padded(size))
+        if best:
+            taken.append(_moved(label, best).padded(size))
         elif not required:
             label.remove()
         else:
             taken.append(label.get_window_extent())
 
 
-def _boxes(label, distance, direction):
-    """Move a label around its place, first where a direction points; gives its box at each side."""
+def _offsets(direction, distances):
+    """Offsets (x, y) in points from a place to its text: the nearest first, and of these first where a direction points."""
     sides = AROUND if direction is None else sorted(AROUND, key=lambda side: -np.dot(side, direction) / np.hypot(*side))
-    for x, y in sides:
-        label.xyann = (distance * x, distance * y)
-        label.set(ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
-        yield label.get_window_extent()
+    return [(distance * x, distance * y) for distance in distances for x, y in sides]
+
+
+def _moved(label, offset):
+    """The box of a label after it is moved to an offset from its place."""
+    x, y = np.sign(offset).astype(int)
+    label.xyann = offset
+    label.set(ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
+    return label.get_window_extent()
+
+
+def _points_along(segments, step):
+    """Points (points, 2) on segments (k, 2, 2), at most a step apart."""
+    begin, way = segments[:, 0], segments[:, 1] - segments[:, 0]
+    counts = np.ceil(np.hypot(*way.T) / step).astype(int)
+    numbers = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.repeat(begin, counts, axis=0) + np.repeat(way, counts, axis=0) * ((numbers + 0.5) / np.repeat(counts, counts))[:, None]
+
+
+def _inside(box, points):
+    """How many points (points, 2) lie in a box."""
+    return np.count_nonzero(np.all((points > box.min) & (points < box.max), axis=1))
 
 
 def _is_free(box, taken, points, page):

@@ -201,10 +201,10 @@ class Movie:
         if outline_only := len(shown) * MIN_FRAMES > MAX_POINTS:
             shown, nodes, offsets = np.unique(edges), nodes[:0], offsets[:1]
             edges = np.searchsorted(shown, edges)
-        sticks = len(plates.sticks(run, 0))
-        symbols = plates.symbols_of(run, [0])[0]
-        parts = [2 * sticks, 2 * symbols.joints.shape[1], 2 * symbols.forces.shape[1], symbols.pins.shape[1]]
-        frames = plates.spread(run, int(np.clip(MAX_POINTS // (len(shown) + sum(parts) + 1), min(MIN_FRAMES, self.frames), self.frames)))
+        stick_ends = 2 * len(plates.sticks(run, 0))
+        symbols = plates.symbols_of(run, plates.spread(run, self.frames))[0]  # fewer frames do not have more
+        number = len(shown) + stick_ends + sum(kind[0].size // 2 for kind in symbols)
+        frames = plates.spread(run, int(np.clip(MAX_POINTS // (number + 1), min(MIN_FRAMES, self.frames), self.frames)))
         symbols, low, high = plates.symbols_of(run, frames)
         bodies = np.array(
             [np.concatenate([lines.places(run.node_positions(k))[shown], plates.sticks(run, k).reshape(-1, 2)]) for k in frames]
@@ -212,6 +212,7 @@ class Movie:
         count = len(frames)
         drawn = [kind.reshape(count, -1, 2) for kind in symbols]
         points = np.concatenate([bodies, *drawn], axis=1)
+        parts = [stick_ends, *(kind.shape[1] for kind in drawn)]
         stress = np.array([[] if outline_only else run.von_mises(k) / 1e3 for k in frames])
         top = colour_limit([*stress])
         size = (high - low).max() or 1.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.build import own_sides
-from polyida.body.body import points_of
+from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.force.controllers import Maxwell
@@ -36,14 +36,17 @@ class Symbols(NamedTuple):
     pins: np.ndarray
 
 
-def symbols(parts, place, size):
-    """The Symbols of {name: part}.
+def symbols(parts, place, size, frames=1):
+    """The Symbols of {name: part} and of bodies that are one point and hang on no joint.
 
     place(side, "point" or "direction") -> (frames,) complex, of an attachment or a place of the ground. size: of a symbol, m.
     """
-    draw = _Pen(place, size)
+    draw = _Pen(place, size, frames)
+    joined = {id(side.body) for part in parts.values() if isinstance(part, Joint) for side in own_sides(part)}
     for name, part in parts.items():
-        if isinstance(part, (PointMass, PointLoad, EdgeTraction)):
+        if isinstance(part, Body) and part.plate is None and id(part) not in joined:
+            draw.lone(part)
+        elif isinstance(part, (PointMass, PointLoad, EdgeTraction)):
             draw.on_a_point(part)
         elif isinstance(part, ForceElement):
             draw.force(name, part)
@@ -55,19 +58,25 @@ def symbols(parts, place, size):
 class _Pen:
     """Collects the lines of parts. lines: {"joints" or "forces": [(frames, corners) complex]}; pins: [(frames,) complex]."""
 
-    def __init__(self, place, size):
-        self.place, self.size = place, size
+    def __init__(self, place, size, frames):
+        self.place, self.size, self.frames = place, size, frames
         self.lines, self.pins = {"joints": [], "forces": []}, []
 
     def finished(self):
-        frames = max([len(line) for lines in self.lines.values() for line in lines] + [len(pin) for pin in self.pins], default=1)
         segments = {}
         for kind, lines in self.lines.items():
             pieces = [np.stack([line[:, :-1], line[:, 1:]], axis=-1) for line in lines]
-            found = np.concatenate([np.zeros((frames, 0, 2), complex), *pieces], axis=1)
+            found = np.concatenate([np.zeros((self.frames, 0, 2), complex), *pieces], axis=1)
             segments[kind] = pairs_of(found)
-        pins = np.array(self.pins).T.reshape(frames, -1)
+        pins = np.array(self.pins).T.reshape(self.frames, -1)
         return Symbols(segments["joints"], segments["forces"], pairs_of(pins))
+
+    def lone(self, body):
+        """Draw a body that is one point: a disc with its two diameters."""
+        points = points_of(body)
+        if len(points) == 1:
+            at, radius = self.place(points[0], "point"), 0.35 * self.size
+            self.add("joints", self.circle(at, radius), self.line(at, -radius, radius), self.line(at, -1j * radius, 1j * radius))
 
     def on_a_point(self, part):
         """Draw a mass or a load."""

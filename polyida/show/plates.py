@@ -13,7 +13,9 @@ from polyida.show.styles import (
     STICK,
     bounds,
     figure,
+    figure_width,
     height_to_scale,
+    legend_above,
     line_style,
     literal,
     require_axes,
@@ -31,6 +33,7 @@ ROUND_OFF = 1e-12  # amplitudes below this part of the largest are not drawn
 REST, MOVED = "#9A9A9A", "#D5E5F0"
 FORCE = PALETTE[0]  # of springs, dampers, loads
 ABOVE = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4}  # a legend
+ONE_COLUMN = 4.5  # inches; narrower figures have their panels below each other
 NEAR = 0.02  # of the size of a scene: parts that are closer share a label
 
 
@@ -124,22 +127,24 @@ def draw_scene(axes, bodies, parts, places):
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    points, labels = [*places.values()], []
+    points, labels, lines = [*places.values()], [], []
     for name, (mesh, at) in bodies.items():
         points.append(at.reshape(-1, 2))
         if mesh is None:
-            axes.add_collection(LineCollection(at, colors=STICK, linewidths=1.6, capstyle="round"))
+            draw_sticks(axes, at, linewidths=1.6)
+            lines.append(at)
         else:
-            lines = curves_of_mesh(mesh)
-            cells = lines.polygons(at)
+            shape = curves_of_mesh(mesh)
+            cells = shape.polygons(at)
+            lines.append(shape.outlines(at))
             axes.add_collection(
                 PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES)
             )
-            axes.add_collection(LineCollection(lines.outlines(at), colors=INK, linewidths=0.7))
+            axes.add_collection(LineCollection(lines[-1], colors=INK, linewidths=0.7))
         if len(points[-1]):
             labels.append((points[-1].mean(axis=0), [name]))
-    low, high = bounds(np.concatenate(points))
-    size = float((high - low).max()) or 1.0
+    low, high = _widened(*bounds(np.concatenate(points)))
+    size = float((high - low).max())
     drawn = symbols(parts, _as_drawn, SYMBOL * size)
     draw_symbols(axes, drawn, 0)
     for name, at in places.items():
@@ -151,7 +156,8 @@ def draw_scene(axes, bodies, parts, places):
             else:
                 labels.append((middle, [name]))
     show_to_scale(axes, *reach(low, high, drawn), margin=0.09)
-    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels])
+    lines += [drawn.joints[0], drawn.forces[0]]
+    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels], lines=np.concatenate(lines))
 
 
 def _as_drawn(side, part):
@@ -159,15 +165,30 @@ def _as_drawn(side, part):
     return np.array([complex(*getattr(side, part))])
 
 
+def _widened(low, high):
+    """Two corners of a box; that of a single point becomes 1 m wide and high."""
+    return (low, high) if np.any(high > low) else (low - 0.5, high + 0.5)
+
+
 def symbols_of(run, frames):
     """(Symbols of a run's scene in some frames, lower left and upper right corner of them and of the bodies)."""
     boxes = np.array([bounds(places(run, k)) for k in frames])
-    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    low, high = _widened(boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))
     q = np.asarray(run.q[np.asarray(frames)], float)
-    size = SYMBOL * (float((high - low).max()) or 1.0)
+    size = SYMBOL * float((high - low).max())
     parts = run.model.parts if run.model.is_scene else {}
-    drawn = symbols(parts, lambda side, part: run.model.place((side, part), q), size)
+    drawn = symbols(parts, lambda side, part: run.model.place((side, part), q), size, len(q))
     return drawn, *reach(low, high, drawn)
+
+
+def draw_sticks(axes, segments, colour=STICK, **options):
+    """Draw bodies without a mesh: lines between their points, and a dot for a body of one point."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(segments, colors=colour, capstyle="round", **options))
+    dots = segments[:, 0][np.all(segments[:, 0] == segments[:, 1], axis=1)]
+    if len(dots):
+        axes.plot(*dots.T, color=colour, marker="o", markersize=3.0, linestyle="none", label="_dots")
 
 
 def draw_symbols(axes, drawn, k, **options):
@@ -232,8 +253,9 @@ def plot_modes(part, found, q, number, scale, axes):
 def shapes(model, q, modes, scale=1.0):
     """Figure of several modes in panels of one size; modes: [(title, shape x (n,))]. The rest is as in `draw`."""
     with settings():
-        columns = min(2, len(modes))
-        rows, width = -(-len(modes) // columns), 6.4 if columns > 1 else 5.0
+        width = figure_width(6.4 if len(modes) > 1 else 5.0)
+        columns = min(2, len(modes)) if width > ONE_COLUMN else 1
+        rows = -(-len(modes) // columns)
         box = _box([_rest_and_moved(model, q, x, scale) for _, x in modes]) if model.is_scene else None
         height = height_to_scale(*box, 0.85 * width / columns, 0.7) if box else 2.0
         new, axes = figure(width, rows * height + 0.25, nrows=rows, ncols=columns, squeeze=False)
@@ -273,15 +295,16 @@ def draw(axes, model, q, x, title, scale=1.0, box=None):
         axes.add_collection(PolyCollection(cells, facecolors=MOVED, rasterized=fine, **style))
         axes.add_collection(LineCollection(lines.outlines(rest[0]), colors=REST, linewidths=0.8))
         axes.add_collection(LineCollection(lines.outlines(moved[0]), colors=INK, linewidths=0.7))
-    axes.add_collection(LineCollection(rest[1], colors=REST, linewidths=0.8, linestyles="--"))
-    axes.add_collection(LineCollection(moved[1], colors=STICK, linewidths=1.6, capstyle="round"))
+    draw_sticks(axes, rest[1], REST, linewidths=0.8, linestyles="--")
+    draw_sticks(axes, moved[1], linewidths=1.6)
     show_to_scale(axes, *(box or _box([(rest, moved)])))
 
 
 def response(frequencies, values, name, outputs):
     """Figure of amplitude, logarithmic, and phase, degrees, of complex values (k, outputs) at frequencies (k,), Hz."""
     with settings():
-        new, (upper, lower) = figure(6.4, 4.2, nrows=2, sharex=True, height_ratios=[1.6, 1])
+        width = figure_width(6.4)
+        new, (upper, lower) = figure(width, 4.2 if width > ONE_COLUMN else 3.2, nrows=2, sharex=True, height_ratios=[1.6, 1])
         size = np.abs(np.where(np.isfinite(values), values, np.nan))
         visible = size > ROUND_OFF * np.nanmax(size, initial=0.0)
         for i, label in enumerate(outputs):
@@ -292,7 +315,7 @@ def response(frequencies, values, name, outputs):
             upper.set_yscale("log")
         upper.set(ylabel=f"output over {literal(name)}")
         lower.set(xlabel="frequency, Hz", ylabel="phase, degrees", ylim=(-190, 190), yticks=[-180, -90, 0, 90, 180])
-        new.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=min(4, len(outputs)))
+        legend_above(new, upper)
         return new
 
 

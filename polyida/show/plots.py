@@ -105,7 +105,7 @@ def _frames(run, times, snapshots):
 
 def draw_frames(axes, run, frames):
     """Draw the bodies of several frames to scale, and joints and forces of the last; returns its cells, which a colorbar explains."""
-    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.collections import PolyCollection
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
@@ -121,8 +121,7 @@ def draw_frames(axes, run, frames):
         outline = Path(edges.reshape(-1, 2), np.tile([Path.MOVETO, Path.LINETO], len(edges)))  # one artist draws ten times as fast as lines
         axes.add_patch(PathPatch(outline, fill=False, edgecolor=INK, linewidth=0.4, capstyle="round", rasterized=raster))
     for k in frames:
-        label = f"sticks, t = {run.t[k]:.6g} s"
-        axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round", label=label))
+        plates.draw_sticks(axes, plates.sticks(run, k), linewidths=1.6, label=f"sticks, t = {run.t[k]:.6g} s")
     symbols, low, high = plates.symbols_of(run, frames)
     plates.draw_symbols(axes, symbols, -1)
     show_to_scale(axes, low, high, margin=0.12)

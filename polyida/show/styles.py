@@ -113,6 +113,13 @@ def figure(width: float = 6.4, height: float = 3.6, **layout: Any) -> tuple[Figu
     return new, new.subplots(**layout)
 
 
+def figure_width(usual: float) -> float:
+    """Width in inches of a new figure: that of the `style` around, or the usual one."""
+    from matplotlib import rcParams
+
+    return float(rcParams["figure.figsize"][0]) if _CHOSEN.get() else usual
+
+
 @contextmanager
 def on_axes(axes: Axes | None = None) -> Iterator[Axes]:
     """Context that gives the axes to draw on: `axes`, or new pyplot axes in the style of this package if `axes` is None."""

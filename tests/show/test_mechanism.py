@@ -1,5 +1,6 @@
 """Symbols of joints and forces: they are where the parts are in each frame, supports stay, and parts of users do not stop a picture."""
 
+import base64
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from matplotlib import pyplot
 
 import polyida as pi
-from polyida.show import plates
+from polyida.show import html, plates
 from polyida.show.animations import FramePicture
 from polyida.show.mechanism import symbols
 
@@ -36,7 +37,7 @@ def run():
 def drawn_alone(run, name, frames):
     """The Symbols of one part over frames."""
     q = run.q[frames]
-    return symbols({name: run.model.parts[name]}, lambda side, part: run.model.place((side, part), q), 0.01)
+    return symbols({name: run.model.parts[name]}, lambda side, part: run.model.place((side, part), q), 0.01, len(q))
 
 
 def test_pins_and_springs_follow_the_bodies_and_supports_stay(run):
@@ -138,6 +139,38 @@ def test_animations_and_pictures_have_the_symbols_of_their_frames(run):
     axes = run.plot.deformed()
     assert max(len(lines.get_segments()) for lines in axes.collections if hasattr(lines, "get_segments")) == len(drawn.joints[0])
     pyplot.close(axes.figure)
+
+
+def test_a_body_of_one_point_is_drawn_where_it_is(tmp_path):
+    scene = pi.Scene()
+    ball = scene.add(pi.RigidBody(1.0, 0.1, {"centre": (0.0, 0.0)}, velocity=(1.0, 0.0), name="ball"))
+    run = pi.solve(scene.build(), 1.0, pi.GeneralizedAlpha(h=0.25))
+    drawn, low, high = plates.symbols_of(run, range(5))
+    assert drawn.joints.mean(axis=(1, 2)) == pytest.approx(run.position(ball.at("centre")), abs=0.01) and len(drawn.pins) == 5
+    assert run.animate().save(tmp_path / "ball.gif", frames=3).exists()
+    axes = run.plot.deformed(times=[0.0, 1.0])
+    assert [line.get_xydata().tolist() for line in axes.lines if line.get_label() == "_dots"] == [[[0.0, 0.0]], [[1.0, 0.0]]]
+    pyplot.close(axes.figure)
+    for axes in (scene.plot(), pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=0.1), v0=np.zeros(4)).plot.deformed()):
+        assert np.ptp(axes.get_xlim()) > 0.5 < np.ptp(axes.get_ylim())
+        pyplot.close(axes.figure)
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), ball.at("centre"), stiffness=10.0))
+    assert len(symbols(scene.parts, plates._as_drawn, 0.04).pins[0]) == 1
+    alone = symbols(scene.parts, plates._as_drawn, 0.04).joints.shape[1]
+    scene.add(pi.Prismatic(pi.ground, ball.at("centre")))
+    guided = symbols(scene.parts, plates._as_drawn, 0.04).joints
+    assert alone > 20 and not np.any(np.all(guided[0, :, 0] == (0.014, 0.0), axis=1))  # its slider shows it
+
+
+def test_a_page_joins_the_points_of_its_own_frames(run):
+    data, _ = html.Movie(run, frames=12).data()
+    symbols, *_ = plates.symbols_of(run, plates.spread(run, 12))
+    packed = np.frombuffer(base64.b64decode(data["places"]), "<u2").reshape(len(data["t"]), -1, 2)
+    places = np.array(data["low"]) + packed * (data["size"] / html.POSITIONS)
+    assert len(data["sticks"]) == len(plates.sticks(run, 0)) and symbols.joints.shape[1] > plates.symbols_of(run, [0])[0].joints.shape[1]
+    for name, kind in (("joints", symbols.joints), ("forces", symbols.forces), ("pins", symbols.pins)):
+        assert places[:, np.array(data[name])] == pytest.approx(kind, abs=data["size"] / html.POSITIONS), name
+    assert max(np.max(data[name]) for name in ("joints", "forces", "pins")) == packed.shape[1] - 1
 
 
 def test_times_that_have_no_room_beside_each_other_are_left_out(run):

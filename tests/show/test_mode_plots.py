@@ -88,3 +88,19 @@ def test_a_response_is_drawn_where_there_is_one():
     assert across == pytest.approx(found.amplitude[:, 1]) and np.isnan(along).all() and upper.get_yscale() == "log"
     assert lower.lines[1].get_ydata() == pytest.approx(np.degrees(found.phase[:, 1]))
     assert len(rendered(found.plot(), "png")) > 5000
+
+
+def test_figures_of_modes_and_responses_have_the_width_of_the_style_around():
+    scene = pi.Scene()
+    plate = scene.add(pi.Plate(MESH, RUBBER, 0.01))
+    scene.add(pi.Clamp(plate.section("left")))
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), 0.0, name="push"))
+    model = scene.build()
+    found, answer = pi.modes(model, count=3), pi.frequency_response(model, None, "push", {"tip": "push"}, np.linspace(1.0, 5.0, 9))
+    assert [plot().get_figwidth() for plot in (found.plot, lambda: found.plot(0), answer.plot)] == [6.4, 5.0, 6.4]
+    with pi.show.style("paper"):
+        for made in (found.plot(), found.plot(0), answer.plot()):
+            assert made.get_figwidth() == 3.3
+            assert {axes.get_subplotspec().colspan.stop for axes in made.axes} == {1}  # one below the other
+    with pi.show.style("paper", columns=2):
+        assert found.plot().get_figwidth() == 6.9

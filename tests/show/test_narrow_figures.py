@@ -1,6 +1,6 @@
 """Figures of 3.3 inches: no two texts overlap, none is cut, what failed is seen, and names, titles and styles are those that the user gives."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -192,3 +192,23 @@ def test_a_legend_has_as_many_columns_as_fit_by_their_own_names():
         assert axes.get_legend()._ncols == 2  # two columns of the longest name would be too wide
     require_apart(figure)
     pyplot.close(figure)
+
+
+def test_names_of_parts_stand_beside_bars():
+    scene, c, s = pi.Scene(), np.cos(0.8), np.sin(0.8)
+    crank = scene.add(pi.RigidBody.bar(0.3, 1.0, angle=0.8, name="crank"))
+    rod = scene.add(pi.RigidBody.bar(1.0, 1.0, origin=(0.3 * c, 0.3 * s), angle=-np.arcsin(0.3 * s), name="rod"))
+    slider = scene.add(pi.RigidBody(0.5, 0.01, {"pin": (0.0, 0.0)}, origin=(0.3 * c + np.sqrt(1.0 - 0.09 * s**2), 0.0), name="slider"))
+    scene.add(pi.Revolute(pi.ground, crank.at("left"), name="bearing"))
+    scene.add(pi.Revolute(crank.at("right"), rod.at("left"), name="pin"))
+    scene.add(pi.Revolute(rod.at("right"), slider.at("pin"), name="wrist"))
+    scene.add(pi.Prismatic(pi.ground, slider.at("pin"), name="guide"))
+    with pi.show.style("paper"):
+        axes = scene.plot()
+    corners = np.array([at.point for at in (crank.at("left"), crank.at("right"), rod.at("right"))])
+    along = np.linspace(0.0, 1.0, 500)[:, None]
+    pixels = axes.transData.transform(np.concatenate([a + along * (b - a) for a, b in pairwise(corners)]))
+    for text in axes.texts:
+        box = text.get_window_extent()
+        assert not np.any(np.all((pixels > box.min) & (pixels < box.max), axis=1)), text.get_text()
+    pyplot.close(axes.figure)
