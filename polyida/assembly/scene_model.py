@@ -182,13 +182,16 @@ class SceneModel(SceneBodies):
 
     def keep_rows(self, rows, slips=None):
         """Make this copy of a model one with only these rows of phi, (k,) int in rising order, all of them equations; slips: Slips or None."""
-        rows, links = np.array(rows, np.int64), self.arrays.links
-        self.columns, self.row_laws, self.m = rows, (), len(rows)
+        rows = np.array(rows, np.int64)
+        links = self.arrays.links
+        self.columns, self.m = rows, len(rows)
+        self.row_laws = ()
         self.labels, self.units = [self.labels[row] for row in rows], [self.units[row] for row in rows]
         self.rows = {name: slice(*np.searchsorted(rows, (of.start, of.stop)).tolist()) for name, of in self.rows.items()}
         kept = [edges for edges in self.edge_rows if edges.first in rows]
         self.edge_rows = [edges.at(int(np.searchsorted(rows, edges.first))) for edges in kept]
-        links, columns = links._replace(**kept_rows(links, rows), slips=slips or links.slips), self.once(point_columns)
+        links = links._replace(**kept_rows(links, rows), slips=slips or links.slips)
+        columns = self.once(point_columns)
         self._use_links(links._replace(coupling=coupling_of(links, self.laws)))
         self._derived[(point_columns,)] = columns  # of points, which are the same
 

@@ -2,12 +2,9 @@
 
 import multiprocessing
 import os
-import time
 import warnings
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
-
-import numpy as np
 
 import polyida as pi
 from polyida.environment import cores
@@ -15,32 +12,6 @@ from polyida.errors import InputError
 
 SHORT = 4e-3  # s: length of the runs
 TURN = pi.profile.quintic(0.0, 0.2, duration=0.5)
-
-
-class Pendulum(pi.Model):
-    """A point on a circle, a small model of a user."""
-
-    n, m = 2, 1
-
-    def mass(self, q):
-        """The mass matrix."""
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        """Gravity."""
-        return np.array([0.0, 9.81])
-
-    def phi(self, t, q):
-        """The circle."""
-        return np.array([q @ q - 1.0])
-
-    def phi_q(self, t, q):
-        """Its slope."""
-        return 2.0 * q[None]
-
-    def potential(self, q):
-        """That of gravity."""
-        return 9.81 * q[1]
 
 
 def plates(order=1, contact=False, friction=0.0, bodies=lambda plate: plate, **material):
@@ -64,7 +35,7 @@ def _run(model, integrator, q0=None):
 
 
 def _small(integrator):
-    _run(Pendulum(), integrator, [1.0, 0.0])
+    _run(pi.problems.get("pendulum").model, integrator, [-1.0, 0.0])
 
 
 def _gradient(integrator):
@@ -129,11 +100,10 @@ def compiled_text(found):
 
 
 def _work(name):
-    """Run one of WORK. Returns CPU seconds."""
+    """Run one of WORK."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         WORK[name]()
-    return time.process_time()
 
 
 def warm(progress=lambda done, total, name: None):

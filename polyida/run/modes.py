@@ -208,8 +208,10 @@ class Modes(Happenings):
                 self.started = False
                 yield Change(None, *self._change(before, []))
                 return
-        slipping, self.earlier, self.mode.longest_stretch = isinstance(self.mode, Slipping), None, 1
-        self.unique = before.t, self.mode.contraction(before.t, before.q) if slipping else 0.0, before.t
+        self.earlier = None
+        self.mode.longest_stretch = 1
+        contraction = self.mode.contraction(before.t, before.q) if isinstance(self.mode, Slipping) else 0.0
+        self.unique = before.t, contraction, before.t
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
@@ -322,7 +324,8 @@ class Modes(Happenings):
         from scipy.optimize import brentq
 
         unique = self._uniqueness(before, after)
-        reached, agrees = not unique > UNIQUE, self.mode.agrees(after)
+        reached = not unique > UNIQUE
+        agrees = self.mode.agrees(after)
         ahead = self._singular_ahead(before, after.t - before.t) if reached or not agrees else None
         if ahead is None and (reached or (not agrees and unique < CLOSE)):
             unique_at = lambda t: self._uniqueness(before, between(before, after, t))  # noqa: E731
