@@ -1,12 +1,13 @@
 """Springs, dampers and contact."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.fields import check, check_fields, optional
 from polyida.force.force_element import ForceElement, with_checked_function
 from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Ground, require_directions, require_places, require_sides
@@ -75,10 +76,10 @@ class SpringDamper(ForceElement):
 
     a: Any
     b: Any
-    stiffness: float
-    damping: float = 0.0
-    length: float | None = None
-    preload: float = 0.0
+    stiffness: float = field(metadata=check(number, "N/m", 0.0))
+    damping: float = field(default=0.0, metadata=check(number, "N s/m", 0.0))
+    length: float | None = field(default=None, metadata=check(number, "m", 0.0))
+    preload: float = field(default=0.0, metadata=check(number, "N"))
     force: "Callable[[float, float], float] | None" = None
     name: str | None = None
     dissipates = True
@@ -86,14 +87,9 @@ class SpringDamper(ForceElement):
     def __post_init__(self):
         require_sides(self.label, self.a, self.b)
         require_places(self.label, self.a, self.b)
-        length = np.linalg.norm(self.b.point - self.a.point) if self.length is None else self.length
-        settle(
-            self,
-            stiffness=number(self.label, "stiffness", self.stiffness, "N/m", 0.0),
-            damping=number(self.label, "damping", self.damping, "N s/m", 0.0),
-            length=number(self.label, "length", length, "m", 0.0),
-            preload=number(self.label, "preload", self.preload, "N"),
-        )
+        if self.length is None:
+            settle(self, length=np.linalg.norm(self.b.point - self.a.point))
+        check_fields(self, self.label)
         if self.force is not None and not callable(self.force):
             raise InputError(f"{self.label}: force = {self.force!r} must be a function of the elongation, m, and its rate, m/s")
 
@@ -155,21 +151,16 @@ class TorsionSpring(ForceElement):
 
     a: Any
     b: Any
-    stiffness: float
-    damping: float = 0.0
-    angle: float = 0.0
+    stiffness: float = field(metadata=check(number, "N m/rad", 0.0))
+    damping: float = field(default=0.0, metadata=check(number, "N m s/rad", 0.0))
+    angle: float = field(default=0.0, metadata=check(number, "rad"))
     name: str | None = None
     dissipates = True
 
     def __post_init__(self):
         require_sides(self.label, self.a, self.b)
         require_directions(self.label, self.a, self.b)
-        settle(
-            self,
-            stiffness=number(self.label, "stiffness", self.stiffness, "N m/rad", 0.0),
-            damping=number(self.label, "damping", self.damping, "N m s/rad", 0.0),
-            angle=number(self.label, "angle", self.angle, "rad"),
-        )
+        check_fields(self, self.label)
 
     def sides(self) -> tuple:
         """Return its two directions."""
@@ -293,10 +284,10 @@ class PenaltyContact(ForceElement):
 
     a: Any
     b: Any
-    stiffness: float
-    damping: float = 0.0
-    exponent: float = 1.5
-    radius: float | None = None
+    stiffness: float = field(metadata=check(positive, "N/m^exponent"))
+    damping: float = field(default=0.0, metadata=check(number, "s/m", 0.0))
+    exponent: float = field(default=1.5, metadata=check(number, "no unit", 1.0))
+    radius: float | None = field(default=None, metadata=check(optional, positive, "metres"))
     name: str | None = None
     dissipates = True
 
@@ -305,13 +296,7 @@ class PenaltyContact(ForceElement):
         require_places(self.label, self.a, self.b)
         if self.radius is None and not self.b.has_direction:
             raise InputError(f"{self.label}: {self.b!r} has no direction, and there is no radius; give a radius, or {self.b.advice}")
-        settle(
-            self,
-            stiffness=positive(self.label, "stiffness", self.stiffness, "N/m^exponent"),
-            damping=number(self.label, "damping", self.damping, "s/m", 0.0),
-            exponent=number(self.label, "exponent", self.exponent, "no unit", 1.0),
-            radius=None if self.radius is None else positive(self.label, "radius", self.radius, "metres"),
-        )
+        check_fields(self, self.label)
 
     def compiled_functions(self) -> dict[str, Any]:
         """Return {"forces", "energy"} of a line or a circle."""
