@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError, printable
+from polyida.fields import check, check_fields
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.attachment import require_attachment
@@ -166,11 +167,11 @@ class Impulse:
     """
 
     at: Any
-    impulse: ArrayLike
+    impulse: ArrayLike = field(metadata=check(vector2))
 
     def __post_init__(self):
         require_attachment("Impulse", self.at)
-        settle(self, impulse=vector2("Impulse", "impulse", self.impulse))
+        check_fields(self, "Impulse")
 
 
 @named_keywords

@@ -14,7 +14,8 @@ from dataclasses import fields
 from typing import Any
 
 from polyida.errors import InputError
-from polyida.validation import settle, vector2
+from polyida.profile import as_profile
+from polyida.validation import is_number, settle, vector2
 
 CHECK = "polyida.check"  # key of the metadata of a field
 
@@ -24,16 +25,31 @@ def check(function: Callable[..., Any], *limits: Any) -> dict[str, Any]:
     return {CHECK: (function, limits)}
 
 
-def must_be(want: str, good: Callable[[Any], bool]) -> dict[str, Any]:
-    """Metadata of a field: its value stays as it is given; unless `good(value)`, the message says that it must be `want`."""
-    return check(_require_good, want, good)
+def must_be(want: str, good: Callable[[Any], bool], kind: Callable[[Any], Any] | None = None) -> dict[str, Any]:
+    """Metadata of a field: unless `good(value)`, the message says that it must be `want`. It becomes `kind(value)`, or stays as it is given."""
+    return check(_require_good, want, good, kind)
 
 
-def _require_good(label, name, value, want, good):
-    """Return the value. Raise InputError, "label: name = value must be ...", unless `good(value)`."""
+def _require_good(label, name, value, want, good, kind):
+    """Return the value, as a `kind` if that is given. Raise InputError, "label: name = value must be ...", unless `good(value)`."""
     if not good(value):
         raise InputError(f"{label}: {name} = {value!r} must be {want}")
-    return value
+    return value if kind is None else kind(value)
+
+
+def above_zero(value: Any) -> bool:
+    """True for a finite number above zero."""
+    return is_number(value) and value > 0
+
+
+def not_negative(value: Any) -> bool:
+    """True for a finite number of at least zero."""
+    return is_number(value) and value >= 0
+
+
+def none_or(good: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """A function that is true for None, and for what `good` is true for."""
+    return lambda value: value is None or good(value)
 
 
 def optional(label, name, value, function, *limits):
@@ -44,6 +60,11 @@ def optional(label, name, value, function, *limits):
 def pair(label, name, value):
     """Return the value as a tuple of two floats; InputError, with part and value, for anything else."""
     return tuple(vector2(label, name, value).tolist())
+
+
+def time_profile(label, name, value):
+    """Return the Profile of a Profile, a number or a function of time; InputError, with the part, for anything else."""
+    return as_profile(value, label)
 
 
 def check_fields(part: Any, label: str) -> None:

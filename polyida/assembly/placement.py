@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from polyida.body.body import Body, coordinates_of, form_of, mass_of, translation_of, writes
-from polyida.body.plate import series
+from polyida.body.plate import prony_series
 from polyida.body.rigid_body import PointMass
 from polyida.force.controllers import Controller
 from polyida.force.force_element import Side
@@ -95,7 +95,7 @@ class PlacedBody:
     @property
     def prony(self):
         """Terms (g, tau) of its relaxation."""
-        return series(self.body.label, self.body.prony()) if self.form is not None else ()
+        return prony_series(self.body.label, "prony", self.body.prony()) if self.form is not None else ()
 
     @property
     def strains(self):

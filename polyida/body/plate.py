@@ -9,9 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
+from polyida.fields import above_zero, check, check_fields, must_be, none_or, not_negative, pair
 from polyida.joint.attachment import Attachment, of_node, of_section
 from polyida.mesh import PolygonMesh
 from polyida.validation import floats, is_number, is_one_of, is_whole, labelled, named_keywords, number, positive, settle, vector2
+
+
+def prony_series(part: str, name: str, prony: Any) -> tuple[tuple[float, float], ...]:
+    """Return a Prony series as pairs of floats. Raise InputError, naming the part, if it is none."""
+    terms = np.zeros((0, 2)) if isinstance(prony, (tuple, list)) and not prony else floats(prony)
+    if terms is None or terms.ndim != 2 or terms.shape[1] != 2 or not (terms > 0).all() or not terms[:, 0].sum() < 1:
+        what = "must be a list of pairs (g, tau) with g > 0, tau > 0 in s, and a sum of g below 1"
+        raise InputError(f"{part}: {name} = {prony!r:.100} {what}")
+    return tuple((float(g), float(tau)) for g, tau in terms)
 
 
 @named_keywords
@@ -49,29 +59,16 @@ class Material:
         If a value is out of range.
     """
 
-    E: float
-    nu: float
-    rho: float
-    plane: str = "stress"
-    viscosity: float = 0.0
-    mass_damping: float = 0.0
-    prony: Sequence[tuple[float, float]] = ()
+    E: float = field(metadata=must_be("a positive modulus in Pa", above_zero, float))
+    nu: float = field(metadata=must_be("inside (-1, 0.5)", lambda x: is_number(x) and -1 < x < 0.5, float))
+    rho: float = field(metadata=must_be("a positive density in kg/m3", above_zero, float))
+    plane: str = field(default="stress", metadata=must_be('"stress" or "strain"', lambda x: is_one_of(x, ("stress", "strain"))))
+    viscosity: float = field(default=0.0, metadata=must_be("a time in s, not negative", not_negative, float))
+    mass_damping: float = field(default=0.0, metadata=must_be("a rate in 1/s, not negative", not_negative, float))
+    prony: Sequence[tuple[float, float]] = field(default=(), metadata=check(prony_series))
 
     def __post_init__(self):
-        for name, inside, want in (
-            ("E", lambda x: x > 0, "a positive modulus in Pa"),
-            ("nu", lambda x: -1 < x < 0.5, "inside (-1, 0.5)"),
-            ("rho", lambda x: x > 0, "a positive density in kg/m3"),
-            ("viscosity", lambda x: x >= 0, "a time in s, not negative"),
-            ("mass_damping", lambda x: x >= 0, "a rate in 1/s, not negative"),
-        ):
-            value = getattr(self, name)
-            if not (is_number(value) and inside(value)):
-                raise InputError(f"Material: {name} = {value!r} must be {want}")
-            settle(self, **{name: float(value)})
-        if not is_one_of(self.plane, ("stress", "strain")):
-            raise InputError(f'Material: plane = {self.plane!r} must be "stress" or "strain"')
-        settle(self, prony=series("Material", self.prony))
+        check_fields(self, "Material")
 
     @property
     def damped(self) -> bool:
@@ -89,15 +86,6 @@ class Material:
     def across(self) -> float:
         """Stress normal to the plane over xx + yy: nu in plane strain (exact for small strains), 0 in plane stress."""
         return self.nu if self.plane == "strain" else 0.0
-
-
-def series(part: str, prony: Any) -> tuple[tuple[float, float], ...]:
-    """Return a Prony series as pairs of floats. Raise InputError, naming the part, if it is none."""
-    terms = np.zeros((0, 2)) if isinstance(prony, (tuple, list)) and not prony else floats(prony)
-    if terms is None or terms.ndim != 2 or terms.shape[1] != 2 or not (terms > 0).all() or not terms[:, 0].sum() < 1:
-        what = "must be a list of pairs (g, tau) with g > 0, tau > 0 in s, and a sum of g below 1"
-        raise InputError(f"{part}: prony = {prony!r:.100} {what}")
-    return tuple((float(g), float(tau)) for g, tau in terms)
 
 
 ELEMENTS = ("wachspress", "virtual")
@@ -148,15 +136,15 @@ class Plate:
 
     mesh: PolygonMesh
     material: Material
-    thickness: float
-    origin: tuple = (0.0, 0.0)
-    angle: float = 0.0
+    thickness: float = field(metadata=check(positive, "metres"))
+    origin: tuple = field(default=(0.0, 0.0), metadata=check(pair))
+    angle: float = field(default=0.0, metadata=check(number, "rad"))
     name: str | None = None
     element: str = "wachspress"
-    tau: float = 0.1
-    velocity: tuple = (0.0, 0.0)
-    spin: float = 0.0
-    order: int | None = None
+    tau: float = field(default=0.1, metadata=check(positive, "no unit"))
+    velocity: tuple = field(default=(0.0, 0.0), metadata=check(pair))
+    spin: float = field(default=0.0, metadata=check(number, "rad/s"))
+    order: int | None = field(default=None, metadata=must_be("1, or 2 for quadratic cells", none_or(lambda x: is_whole(x, 1, 2))))
     label: str = field(init=False, repr=False)
     few = turns_only = False  # as of Body
 
@@ -167,31 +155,26 @@ class Plate:
             raise InputError(f"{label}: mesh is {type(mesh).__name__}, a polyida mesh is needed (polyida.mesh.rectangle, read, ...)")
         if not isinstance(material, Material):
             raise InputError(f"{label}: material is {material!r}, a polyida.Material is needed")
-        settle(
-            self,
-            label=label,
-            thickness=positive(label, "thickness", self.thickness, "metres"),
-            origin=tuple(vector2(label, "origin", self.origin).tolist()),
-            velocity=tuple(vector2(label, "velocity", self.velocity).tolist()),
-            angle=number(label, "angle", self.angle, "rad"),
-            spin=number(label, "spin", self.spin, "rad/s"),
-        )
+        settle(self, label=label)
+        check_fields(self, label)
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        settle(self, tau=positive(label, "tau", self.tau, "no unit"))
-        if self.order is not None and not is_whole(self.order, 1, 2):
-            raise InputError(f"{label}: order = {self.order!r} must be 1, or 2 for quadratic cells")
         order = mesh.order if self.order is None else int(self.order)
         if order == 2 and self.element != "wachspress":
             raise InputError(f'{label}: order = 2 with element {self.element!r}; quadratic cells need element="wachspress"')
         mesh = mesh.linear if order == 1 else mesh
+        self._require_cells(mesh)
+        settle(self, order=order, mesh=mesh.quadratic if order == 2 else mesh)
+
+    def _require_cells(self, mesh):
+        """Raise InputError if a cell of a mesh without middle nodes is a sliver, or, for Wachspress elements, not convex or of too many corners."""
         first, corners = mesh.offsets[:-1], mesh.points[mesh.nodes]
         lengths = np.hypot(*(np.maximum.reduceat(corners, first) - np.minimum.reduceat(corners, first)).T)
         heights, extent = mesh.cell_areas / lengths, np.ptp(mesh.points, axis=0).max()
         thinnest = int(np.argmin(heights))
         if heights[thinnest] < THINNEST * extent:
             raise InputError(
-                f"{label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
+                f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
                 f"cells must be thicker than {THINNEST:g} of the mesh's extent"
             )
         if self.element == "wachspress":
@@ -199,10 +182,9 @@ class Plate:
             most = int(np.diff(mesh.offsets).max()) // mesh.order
             if most > MOST_CORNERS:
                 raise InputError(
-                    f"{label}: a cell has {most} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
+                    f"{self.label}: a cell has {most} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
                     'use element="virtual" or a finer mesh'
                 )
-        settle(self, order=order, mesh=mesh.quadratic if order == 2 else mesh)
 
     @cached_property
     def placed(self) -> PolygonMesh:

@@ -14,6 +14,7 @@ from polyida.element.choice import operator_of
 from polyida.element.elements import stabilisation_factor
 from polyida.element.operator import Blocks, Material
 from polyida.errors import InputError
+from polyida.fields import must_be
 from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
 from polyida.linear.saddle import KKT
@@ -62,7 +63,7 @@ class Reduced(FieldBody):
     """
 
     plate: Plate = field()  # required, although Body has the attribute
-    modes: int = 5
+    modes: int = field(default=5, metadata=must_be(f"a whole number from 0 to {MOST}", lambda x: is_whole(x, 0, MOST)))
     fields: Any = None
     stored_fields: Any = None
     name: str | None = None
@@ -72,8 +73,6 @@ class Reduced(FieldBody):
     def __post_init__(self):
         super().__post_init__()
         label, nodes = self.label, self.plate.mesh.n_nodes
-        if not is_whole(self.modes, 0, MOST):
-            raise InputError(f"{label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
         for key in ("fields", "stored_fields"):
             if (value := getattr(self, key)) is None:
                 continue

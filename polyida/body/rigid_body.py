@@ -13,11 +13,12 @@ from polyida.body.plate import Material, Plate
 from polyida.element.choice import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
+from polyida.fields import check, check_fields, pair
 from polyida.joint.attachment import Attachment, require_attachment
 from polyida.joint.formula import Row, Vector, dot
 from polyida.mesh import PolygonMesh
 from polyida.mesh.topology import area_moments
-from polyida.validation import complex_of_pairs, labelled, named_keywords, number, pairs_of, positive, settle, vector2
+from polyida.validation import complex_of_pairs, labelled, named_keywords, number, pairs_of, positive, settle
 
 
 @named_keywords
@@ -38,13 +39,13 @@ class PointMass:
     """
 
     at: Attachment
-    mass: float
+    mass: float = field(metadata=check(positive, "kilograms"))
     name: str | None = None
 
     def __post_init__(self):
         label = labelled("PointMass", self.name)
         require_attachment(label, self.at)
-        settle(self, mass=positive(label, "mass", self.mass, "kilograms"))
+        check_fields(self, label)
 
 
 @named_keywords
@@ -81,29 +82,22 @@ class RigidBody(Body):
         For a mass or inertia that is not positive, wrong points or other wrong values.
     """
 
-    mass: float
-    inertia: float
+    mass: float = field(metadata=check(positive, "kilograms"))
+    inertia: float = field(metadata=check(positive, "kg m2"))
     points: Mapping
-    origin: tuple = (0.0, 0.0)
-    angle: float = 0.0
-    center: tuple = (0.0, 0.0)
-    velocity: tuple = (0.0, 0.0)
-    spin: float = 0.0
+    origin: tuple = field(default=(0.0, 0.0), metadata=check(pair))
+    angle: float = field(default=0.0, metadata=check(number, "rad"))
+    center: tuple = field(default=(0.0, 0.0), metadata=check(pair))
+    velocity: tuple = field(default=(0.0, 0.0), metadata=check(pair))
+    spin: float = field(default=0.0, metadata=check(number, "rad/s"))
     name: str | None = None
 
     def __post_init__(self):
         label = self.label
-        settle(
-            self,
-            mass=positive(label, "mass", self.mass, "kilograms"),
-            inertia=positive(label, "inertia", self.inertia, "kg m2"),
-            angle=number(label, "angle", self.angle, "rad"),
-            spin=number(label, "spin", self.spin, "rad/s"),
-            **{key: tuple(vector2(label, key, getattr(self, key)).tolist()) for key in ("origin", "center", "velocity")},
-        )
+        check_fields(self, label)
         if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
             raise InputError(f"{label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least")
-        settle(self, points={name: tuple(vector2(label, f"point {name!r}", at).tolist()) for name, at in self.points.items()})
+        settle(self, points={name: pair(label, f"point {name!r}", at) for name, at in self.points.items()})
 
     @classmethod
     def bar(
@@ -199,6 +193,7 @@ class FieldBody(Body, part=False):
             raise InputError(f"{self.label}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
         if self.name is None:
             settle(self, name=self.plate.name)
+        check_fields(self, self.label)
 
     @property
     def mesh(self) -> PolygonMesh:

@@ -1,6 +1,6 @@
 """Parts with states: sampled controllers, PID control, linear control, a DC motor, a Maxwell element."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 
 from polyida.body.body import require_arguments, require_whole
 from polyida.errors import InputError
+from polyida.fields import check, check_fields, time_profile
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import RotationElement, as_forces, measured
 from polyida.force.springs import elongation
 from polyida.jit.user_functions import compiled
 from polyida.joint.attachment import Attachment, require_places, require_sides
-from polyida.profile import as_profile
 from polyida.validation import floats, is_number, named_keywords, number, positive, settle
 
 
@@ -95,26 +95,19 @@ class PID(RotationElement):
     """
 
     at: Attachment
-    kp: float
-    ki: float = 0.0
-    kd: float = 0.0
-    target: Any = 0.0
+    kp: float = field(metadata=check(number, "N m/rad"))
+    ki: float = field(default=0.0, metadata=check(number, "N m/(rad s)"))
+    kd: float = field(default=0.0, metadata=check(number, "N m s/rad"))
+    target: Any = field(default=0.0, metadata=check(time_profile))
     against: Attachment | None = None
-    filter: float = 0.0
-    limit: float = 1e30
+    filter: float = field(default=0.0, metadata=check(number, "s", 0.0))
+    limit: float = field(default=1e30, metadata=check(positive, "N m"))
     name: str | None = None
     states = ("integral", "filtered")
 
     def __post_init__(self):
         self.require_rotation()
-        units = {"kp": "N m/rad", "ki": "N m/(rad s)", "kd": "N m s/rad"}
-        settle(
-            self,
-            target=as_profile(self.target, self.label),
-            filter=number(self.label, "filter", self.filter, "s", 0.0),
-            limit=positive(self.label, "limit", self.limit, "N m"),
-            **{key: number(self.label, key, getattr(self, key), unit) for key, unit in units.items()},
-        )
+        check_fields(self, self.label)
 
     def sizes(self) -> list[float]:
         """Return the torque of an error of 1 rad, and 1 rad."""
@@ -164,7 +157,7 @@ class LinearController(RotationElement):
     B: Any = None
     C: Any = None
     D: Any = None
-    target: Any = 0.0
+    target: Any = field(default=0.0, metadata=check(time_profile))
     against: Attachment | None = None
     name: str | None = None
 
@@ -188,7 +181,8 @@ class LinearController(RotationElement):
                     f"{self.label}: {name} = {getattr(self, name)!r:.80} must be finite numbers of shape {shape if k else '(k, k)'}"
                 )
             matrices[name] = matrix.reshape(shape)
-        settle(self, target=as_profile(self.target, self.label), **matrices)
+        settle(self, **matrices)
+        check_fields(self, self.label)
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]  # their number depends on A
@@ -242,24 +236,18 @@ class DCMotor(RotationElement):
     """
 
     at: Attachment
-    volts: Any
-    k: float
-    L: float
+    volts: Any = field(metadata=check(time_profile))
+    k: float = field(metadata=check(number, "N m/A"))
+    L: float = field(metadata=check(number, "H", 0.0))
     R: float
-    gear: float = 1.0
+    gear: float = field(default=1.0, metadata=check(number, "rad/rad"))
     against: Attachment | None = None
     name: str | None = None
 
     def __post_init__(self):
         self.require_rotation()
-        settle(
-            self,
-            volts=as_profile(self.volts, self.label),
-            k=number(self.label, "k", self.k, "N m/A"),
-            L=number(self.label, "L", self.L, "H", 0.0),
-            R=(number(self.label, "R", self.R, "Ohm", 0.0) if self.L else positive(self.label, "R", self.R, "Ohm")),
-            gear=number(self.label, "gear", self.gear, "rad/rad"),
-        )
+        check_fields(self, self.label)
+        settle(self, R=(number(self.label, "R", self.R, "Ohm", 0.0) if self.L else positive(self.label, "R", self.R, "Ohm")))
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -307,9 +295,9 @@ class Maxwell(ForceElement):
 
     a: Any
     b: Any
-    stiffness: float
-    damping: float
-    length: float | None = None
+    stiffness: float = field(metadata=check(positive, "N/m"))
+    damping: float = field(metadata=check(positive, "N s/m"))
+    length: float | None = field(default=None, metadata=check(number, "m", 0.0))
     name: str | None = None
     states = ("damper",)
     dissipates = True
@@ -317,13 +305,9 @@ class Maxwell(ForceElement):
     def __post_init__(self):
         require_sides(self.label, self.a, self.b)
         require_places(self.label, self.a, self.b)
-        length = np.linalg.norm(self.b.point - self.a.point) if self.length is None else self.length
-        settle(
-            self,
-            stiffness=positive(self.label, "stiffness", self.stiffness, "N/m"),
-            damping=positive(self.label, "damping", self.damping, "N s/m"),
-            length=number(self.label, "length", length, "m", 0.0),
-        )
+        if self.length is None:
+            settle(self, length=np.linalg.norm(self.b.point - self.a.point))
+        check_fields(self, self.label)
 
     def sides(self) -> tuple:
         """Return its two points."""

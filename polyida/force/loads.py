@@ -1,17 +1,18 @@
 """Loads: forces, edge tractions and torques given by numbers, profiles of time or functions of state."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.fields import check, check_fields, pair, time_profile
 from polyida.force.force_element import ForceElement, takes_three, with_checked_function
 from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Attachment, ground, require_attachment, require_directions, require_sides
 from polyida.profile import Profile, as_profile
-from polyida.validation import flag, labelled, listed, named_keywords, settle, vector2
+from polyida.validation import flag, labelled, listed, named_keywords, settle
 
 
 @named_keywords
@@ -33,14 +34,14 @@ class PointLoad:
     """
 
     at: Attachment
-    force: tuple
-    profile: "Profile | Callable[[float], float] | float" = 1.0
+    force: tuple = field(metadata=check(pair))
+    profile: "Profile | Callable[[float], float] | float" = field(default=1.0, metadata=check(time_profile))
     name: str | None = None
 
     def __post_init__(self):
         label = labelled("PointLoad", self.name)
         require_attachment(label, self.at)
-        settle(self, force=tuple(vector2(label, "force", self.force).tolist()), profile=as_profile(self.profile, label))
+        check_fields(self, label)
 
     def nodal(self) -> np.ndarray:
         """Return the forces on the attachment's nodes for a profile value of 1, (k, 2), N."""
@@ -68,8 +69,8 @@ class EdgeTraction:
     """
 
     at: Attachment
-    traction: tuple
-    profile: "Profile | Callable[[float], float] | float" = 1.0
+    traction: tuple = field(metadata=check(pair))
+    profile: "Profile | Callable[[float], float] | float" = field(default=1.0, metadata=check(time_profile))
     name: str | None = None
 
     def __post_init__(self):
@@ -77,8 +78,7 @@ class EdgeTraction:
         require_attachment(label, self.at)
         if not self.at.length > 0:
             raise InputError(f"{label}: {self.at!r} has no length to act on; use a section of two neighbouring nodes or more")
-        traction = tuple(vector2(label, "traction", self.traction).tolist())
-        settle(self, traction=traction, profile=as_profile(self.profile, label))
+        check_fields(self, label)
 
     def nodal(self) -> np.ndarray:
         """Return the forces on the section's nodes for a profile value of 1, (k, 2), N: exact for the elements' linear edges."""
@@ -238,12 +238,12 @@ class Force(ForceElement):
 
     at: Attachment
     force: "Sequence[Profile | Callable[[float], float] | float] | Callable[..., Any]"
-    follower: bool = False
+    follower: bool = field(default=False, metadata=check(flag))
     name: str | None = None
 
     def __post_init__(self):
         require_attachment(self.label, self.at)
-        flag(self.label, "follower", self.follower)
+        check_fields(self, self.label)
         if self.follower and not self.at.has_direction:
             raise InputError(f"{self.label}: {self.at!r} has no direction to follow; {self.at.advice}")
         if takes_three(self.force):

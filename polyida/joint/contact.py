@@ -1,9 +1,10 @@
 """Contact without stiffness: gaps that carry pressure alone, and may open."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from polyida.errors import InputError
+from polyida.fields import check, optional
 from polyida.joint.attachment import Ground, require_directions, require_places, require_point_first
 from polyida.joint.edges import FacingEdges
 from polyida.joint.formula import Row, Vector, cross, dot
@@ -77,8 +78,8 @@ class Contact(Joint):
 
     restitution: float = 0.0
     friction: float = 0.0
-    radius: float | None = None
-    disc: float | None = None
+    radius: float | None = field(default=None, metadata=check(optional, positive, "metres"))
+    disc: float | None = field(default=None, metadata=check(optional, positive, "metres"))
     contact_mass: float = 1.0
     kind = "contact"
     components = FORCE
@@ -90,12 +91,9 @@ class Contact(Joint):
         if self.radius is None:
             require_point_first(label, self.a, self.b)
         require_contact(label, self)
-        if self.radius is not None:
-            settle(self, radius=positive(label, "radius", self.radius, "metres"))
         if self.edges is None and (self.radius is None or self.friction):
             require_directions(label, self.b)
         if self.disc is not None:
-            settle(self, disc=positive(label, "disc", self.disc, "metres"))
             if isinstance(self.a, Ground) or self.a.has_edges or self.edges is not None:
                 raise InputError(f"{label}: disc = {self.disc!r}, but it needs a point of a body for a, and a line or a circle for b")
             require_directions(label, *([self.a] if self.friction else []))
@@ -176,7 +174,7 @@ class Clearance(Joint):
     Flores, Ambrosio, Comput. Struct. 82 (2004) 1359-1369.
     """
 
-    gap: float
+    gap: float = field(metadata=check(positive, "metres"))
     restitution: float = 0.0
     friction: float = 0.0
     pin_radius: float | None = None
@@ -188,7 +186,6 @@ class Clearance(Joint):
         super().__post_init__()
         label = self.label
         require_contact(label, self)
-        settle(self, gap=positive(label, "gap", self.gap, "metres"))
         if self.friction or self.pin_radius is not None:
             settle(self, pin_radius=positive(label, "pin_radius", self.pin_radius, "metres"))
         if self.friction:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from polyida.fields import check_fields
 from polyida.joint.attachment import Attachment, Ground, OwnPart, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, all_rows, rest_of
 from polyida.validation import pairs_of, settle
@@ -57,6 +58,7 @@ class Joint(OwnPart, part=False):
         require_sides(self.label, self.a, self.b)
         if self.directed:
             self.require_directions(*(getattr(self, side) for side in self.directed))
+        check_fields(self, self.label)
 
     def rows(self) -> list[Row | Vector]:
         """Return the rows of phi, none by default."""

@@ -7,12 +7,14 @@ from typing import Any, Self
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.fields import check, check_fields, must_be, none_or, optional, time_profile
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_places
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint
 from polyida.profile import Profile, as_profile
 from polyida.validation import is_number, named_keywords, number, positive, settle
 
+FRICTION = check(number, "no unit", 0.0)  # of a field
 COINCIDENT = 1e-12  # of the coordinates: distances that are round-off
 
 
@@ -25,11 +27,6 @@ def fixed_angle(a, b, angle=0.0, offset=None):
     """`R(angle + offset) d_A x d_B`: the angle from a to b is angle + offset, rad; offset None: the angle at rest."""
     reference = a.d.onto(b.d) if offset is None else a.d.turned(offset)
     return cross(reference.turned(angle), b.d).one_way().named("angle", "N m")
-
-
-def require_friction(joint):
-    """Make the joint's `friction` a float. Raise InputError unless it is a number of at least 0."""
-    settle(joint, friction=number(joint.label, "friction", joint.friction, "no unit", 0.0))
 
 
 def sliding(a, b):
@@ -65,13 +62,12 @@ class Revolute(Joint):
         For a negative coefficient, friction without a radius or a direction, and as for Joint.
     """
 
-    friction: float = 0.0
+    friction: float = field(default=0.0, metadata=FRICTION)
     pin_radius: float | None = None
     kind = "revolute"
 
     def __post_init__(self):
         super().__post_init__()
-        require_friction(self)
         if self.friction or self.pin_radius is not None:
             positive(self.label, "pin_radius", self.pin_radius, "metres")
             self.require_directions(*(side for side in (self.a, self.b) if not isinstance(side, Ground)))
@@ -108,14 +104,10 @@ class Slot(Joint):
         If a has no direction, for a negative coefficient, and as for Joint.
     """
 
-    friction: float = 0.0
+    friction: float = field(default=0.0, metadata=FRICTION)
     components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
     directed = ("a",)
-
-    def __post_init__(self):
-        super().__post_init__()
-        require_friction(self)
 
     def rows(self) -> list[Row | Vector]:
         """Return the row `d_A x (x_B - x_A)`; with friction also `d_A . (x_B - x_A)`, a row with the law of dry friction."""
@@ -147,13 +139,9 @@ class Prismatic(Joint):
         If a side has no direction, for a negative coefficient, and as for Joint.
     """
 
-    friction: float = 0.0
+    friction: float = field(default=0.0, metadata=FRICTION)
     placing = "place the bodies so that b is on the line through a along its direction"
     directed = ("a", "b")
-
-    def __post_init__(self):
-        super().__post_init__()
-        require_friction(self)
 
     def rows(self) -> list[Row | Vector]:
         """`d_A x (x_B - x_A)` and `Q d_A x d_B`, and with friction the way along the line."""
@@ -304,17 +292,10 @@ class AngleMotor(Joint):
         For an angle that is no profile, an offset that is no number, a side without a direction, and as for Joint.
     """
 
-    angle: "Profile | Callable[[float], float] | float"
-    offset: float | None = None
+    angle: "Profile | Callable[[float], float] | float" = field(metadata=check(time_profile))
+    offset: float | None = field(default=None, metadata=must_be("a finite number of rad, or None", none_or(is_number)))
     kind = "motor"
     directed = ("a", "b")
-
-    def __post_init__(self):
-        super().__post_init__()
-        label = self.label
-        settle(self, angle=as_profile(self.angle, label))
-        if not (self.offset is None or is_number(self.offset)):
-            raise InputError(f"{label}: offset = {self.offset!r} must be a finite number of rad, or None")
 
     def rows(self) -> list[Row | Vector]:
         """`R(theta + theta0) d_A x d_B`."""
@@ -354,20 +335,19 @@ class PrescribedPosition(Joint):
     a: Any = field(default=ground, init=False)
     b: Any = field(default=None, init=False)
     at: Attachment
-    x: "Profile | Callable[[float], float] | float | None"
-    y: "Profile | Callable[[float], float] | float | None"
-    friction: float = 0.0
+    x: "Profile | Callable[[float], float] | float | None" = field(metadata=check(optional, time_profile))
+    y: "Profile | Callable[[float], float] | float | None" = field(metadata=check(optional, time_profile))
+    friction: float = field(default=0.0, metadata=FRICTION)
 
     def __post_init__(self):
         label = self.label
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
             raise InputError(f"{label}: x and y are both None; give a profile of one at least")
-        require_friction(self)
+        check_fields(self, label)
         if self.friction and self.x is not None and self.y is not None:
             raise InputError(f"{label}: friction = {self.friction:g} needs a direction to slide in: one of x and y must be None")
-        profiles = {axis: None if value is None else as_profile(value, label) for axis, value in (("x", self.x), ("y", self.y))}
-        settle(self, a=ground.at(self.at.point), b=self.at, **profiles)
+        settle(self, a=ground.at(self.at.point), b=self.at)
 
     def rows(self) -> list[Row | Vector]:
         """`x - X(t)` and `y - Y(t)`, or one of them, and with friction the other coordinate."""
@@ -429,19 +409,15 @@ class RollingDisc(Joint):
     Bloch, Nonholonomic Mechanics and Control (2015), section 1.4.
     """
 
-    radius: float
-    circle: float | None = None
+    radius: float = field(metadata=check(positive, "metres"))
+    circle: float | None = field(default=None, metadata=check(optional, positive, "metres"))
     components = FORCE
     placing = "place the disc so that it touches the line or the circle"
     directed = ("a", "b")
 
     def __post_init__(self):
         super().__post_init__()
-        label = self.label
-        require_places(label, self.a, self.b)
-        settle(self, radius=positive(label, "radius", self.radius, "metres"))
-        if self.circle is not None:
-            settle(self, circle=positive(label, "circle", self.circle, "metres"))
+        require_places(self.label, self.a, self.b)
 
     def rows(self) -> list[Row | Vector]:
         """The distance of the centre from the line or the circle."""
