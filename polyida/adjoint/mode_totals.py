@@ -11,7 +11,8 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.run import constraints_at, exclude_moving
 from polyida.integrate.sizes import extent
 from polyida.model.differences import central
-from polyida.model.guarded import unguarded, writes
+from polyida.model.functions import writes
+from polyida.model.guarded import unguarded
 from polyida.model.row_laws import Slips
 
 RANK = 1e-10  # of the largest singular value: directions of a position that places do not depend on
@@ -54,8 +55,7 @@ class TotalsOfModes:
 
     def add_seen(self, mode, totals, function):
         """Add the slopes of a function of the mode in the parameters with which the same q is another position, in all of a user's model."""
-        user = unguarded(mode)
-        own = not mode.is_scene and (writes(user, "position") or hasattr(user, "reactions"))
+        own = not mode.is_scene and (writes(mode, "position") or hasattr(mode, "reactions"))
         for name, parameter in self.known(mode)[0].items():
             if parameter.changes_coordinates or own:
                 totals.sums[name] = totals.sums[name] + parameter.of_model(function)

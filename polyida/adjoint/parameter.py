@@ -12,7 +12,6 @@ from polyida.assembly.scene_model import SceneModel
 from polyida.errors import DONE
 from polyida.joint.attachment import Attachment
 from polyida.model.differences import EVERYWHERE
-from polyida.model.guarded import unguarded
 from polyida.system import dense as small
 from polyida.system.own import small_own, small_table
 
@@ -147,7 +146,7 @@ def equation_values(model):
 
     It calls compiled code if numba compiled the functions of a user's model.
     """
-    table = small_table(model) if unguarded(model).by_numba and small_own(model) else None
+    table = small_table(model) if model.by_numba and small_own(model) else None
 
     def values(work):
         state, (w, *rows) = [np.ascontiguousarray(x, float) for x in work[:5]], work[5:]

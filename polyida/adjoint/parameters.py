@@ -36,7 +36,8 @@ from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
-from polyida.model.guarded import guard, unguarded, writes
+from polyida.model.functions import writes
+from polyida.model.guarded import guard, unguarded
 from polyida.validation import complex_of_pairs, floats, is_number, read_only
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}

@@ -19,7 +19,7 @@ from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
 from polyida.integrate.state import between as state_between
 from polyida.linear.saddle import coordinate_sizes, cosine, involved, least, path_length, rows_of
-from polyida.model.guarded import Compiled, unguarded
+from polyida.model.compiled import Compiled
 from polyida.system.own import small_own
 
 ZERO = 1e-6  # a smallest singular value that is zero
@@ -58,7 +58,7 @@ class Watch:
         self.steps, self.every, self.proof = 0, model.looks_apart, None
         if self.every == 1 and model.is_scene:
             self.proof = UnitRows(model, state)
-        elif self.every == 1 and small_own(model) and unguarded(model).by_numba:
+        elif self.every == 1 and small_own(model) and model.by_numba:
             self.proof = UnitRows(model, state, Compiled(model, ("phi_q",)))
         self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
         self.due = state.t

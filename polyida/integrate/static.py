@@ -21,7 +21,8 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, negative_directions, require_independent, typical
 from polyida.model import Model, differences
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, unguarded, writes
+from polyida.model.functions import writes
+from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import require_no_laws
 from polyida.reprs import brief
 from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, read_only
@@ -85,7 +86,7 @@ class OwnSystem:
 
 def own_system(model, t, q, lam, c_m=0.0):
     """The OwnSystem of a model that writes its step matrix; None for others, and if that matrix is singular."""
-    if not (model.is_scene or model.k) and writes(unguarded(model), "step_matrix"):
+    if not (model.is_scene or model.k) and writes(model, "step_matrix"):
         with suppress(SingularSystem):
             return OwnSystem(model, t, q, lam, c_m)
     return None

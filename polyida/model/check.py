@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.linear.lu import dense
 from polyida.model import Model, differences
-from polyida.model.guarded import SAME, guard, require_functions, require_written, writes
+from polyida.model.functions import writes
+from polyida.model.guarded import SAME, guard, require_functions, require_written
 from polyida.registry import is_built_in
 from polyida.validation import floats, is_number, is_whole, named_keywords
 
@@ -34,7 +35,7 @@ def energies(model, t, q):
     if not model.is_scene:
 
         def conservative(q):  # a model that has powers, or time in its force, need not have its force at rest as slope of its potential
-            if writes(model.user, "powers") or model.potential(q) is None:
+            if writes(model, "powers") or model.potential(q) is None:
                 return None
             here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))
             return -model.without_states(here) if np.array_equal(here, later) else None
@@ -218,7 +219,7 @@ def _require_derivatives(model, times, q, v, random):
     holonomic = np.setdiff1d(np.arange(model.m), velocity_rows)
     for rows, compared in ((holonomic, of_phi), (velocity_rows, of_psi)):
         for name, (meaning, function, *differenced) in compared.items() if rows.size else ():
-            if not writes(model.user, name):
+            if not writes(model, name):
                 continue
             pick = lambda call, rows=rows: lambda *at: call(*at)[rows]  # noqa: E731
             if wrong := _wrong(pick(written[name]), pick(function), *differenced, pick(size)):
@@ -341,7 +342,7 @@ def check_derivatives(
             "residual_p": (model.residual_p, Model.residual_p, state),
             "phi_p": (model.phi_p, Model.phi_p, state[:2]),
         }
-        written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
+        written = {key: entry for key, entry in slopes.items() if writes(model, key)}
         pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
     for part, energy, forces, x, sizes in energies(model, t, q):
         force, reach = None, np.broadcast_to(sizes, x.shape)

@@ -5,8 +5,6 @@ equation of motion. Algebraic states are solved for where forces are evaluated. 
 """
 
 import ctypes
-from functools import cache
-from inspect import signature
 
 import numpy as np
 from numba import carray
@@ -17,7 +15,7 @@ from polyida.jit import part, shared
 from polyida.jit.intrinsics import call
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.dense import factor, put, solve
-from polyida.model import Model
+from polyida.model.functions import SHAPES, arguments_of
 from polyida.validation import floats, is_whole, takes
 
 # constants of compiled code
@@ -172,12 +170,6 @@ def solved(f, s, sizes):
     return (s if ended == FOUND else np.full(len(s), np.nan)), WHY[ended]
 
 
-@cache
-def arguments_of(name):
-    """Names of the arguments of a function of Model, without self."""
-    return tuple(signature(getattr(Model, name)).parameters)[1:]
-
-
 class OwnStates:
     """The states of a user's model of n coordinates: k, and behind them `total - k` algebraic ones.
 
@@ -226,41 +218,32 @@ class OwnStates:
             self._last = state, np.append(x, free)
         return self._last[1].copy()
 
-    def cut(self, name, function):
-        """A function of the user as one of the whole model: it gets the user's part of q, v and a, and the states if it needs them."""
-        cuts = [argument in ("q", "v", "a") for argument in arguments_of(name)]
+    def arguments(self, name, at):
+        """The arguments of the user's function for those of the whole model: its part of q, v and a, and the states if it takes them."""
+        own = [value[..., self.own] if argument in ("q", "v", "a") else value for argument, value in zip(arguments_of(name), at)]
+        if name in LAST:
+            own.append(self.states(*at[:3]))
+        return own
 
-        def call(*values):
-            own = [value[..., self.own] if cut else value for cut, value in zip(cuts, values)]
-            return function(*own, *((self.states(*values[:3]),) if name in LAST else ()))
-
-        return call
-
-    def whole(self, name, shape, function, rates):
-        """A checked function of the user whose result has the shape of the whole model. shape: of the user's result, in letters."""
-        own = self.cut(name, function)
+    def of_whole(self, name, result, at):
+        """The result of the user's function at arguments of the whole model, in the size of the whole model."""
+        shape = SHAPES[name]
         if shape == "m":
-            return own
-        if shape == "n":
-            rates = self.cut("rates", rates)
-
-            def below(t, q, v, a=None, *others):
-                return self.mass * ((0.0 if a is None else a[self.n :]) - rates(t, q, v)[: self.k] / self.sizes[: self.k])
-
-            return lambda *values: np.concatenate((own(*values), below(*values)))
-
-        def call(*values):
-            matrix, size = own(*values), self.mass if name == "mass" else 0.0
-            if not isinstance(matrix, np.ndarray):
-                if shape == "mn":
-                    return hstack([matrix, csr_array((matrix.shape[0], self.k))], format="csr")
-                return block_diag([matrix, size * eye_array(self.k)], format="csr")
-            result = np.zeros((matrix.shape[0] + (shape == "nn") * self.k, self.n + self.k))
-            result[: matrix.shape[0], : self.n] = matrix
-            result[self.n :, self.n :] = size * np.eye(self.k) if shape == "nn" else 0.0
             return result
-
-        return call
+        if shape == "n":
+            rates = self.rates(*self.arguments("rates", at[:3]))[: self.k]
+            change = at[3][self.n :] if name == "residual" else 0.0
+            return np.concatenate((result, self.mass * (change - rates / self.sizes[: self.k])))
+        corner = self.mass if name == "mass" else 0.0
+        if not isinstance(result, np.ndarray):
+            if shape == "mn":
+                return hstack([result, csr_array((result.shape[0], self.k))], format="csr")
+            return block_diag([result, corner * eye_array(self.k)], format="csr")
+        whole = np.zeros((result.shape[0] + (shape == "nn") * self.k, self.n + self.k))
+        whole[: result.shape[0], : self.n] = result
+        if shape == "nn":
+            whole[self.n :, self.n :] = corner * np.eye(self.k)
+        return whole
 
     def read(self, data, rates, kinds, whole):
         """Source text of the argument x of compiled functions; whole: as of Compiled."""

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.model.differences import along
-from polyida.model.guarded import guard, unguarded
+from polyida.model.guarded import guard
 from polyida.objective.objective import Objective, Slopes, along_way, reach, run_of
 from polyida.objective.time_mean import named
 from polyida.validation import is_one_of, is_whole, named_keywords
@@ -59,7 +59,7 @@ class Mass(Objective):
     def _masses(self, model):
         """{name: kg} of the chosen bodies and point masses."""
         if not model.is_scene:
-            raise InputError(f"Mass: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.UserObjective")
+            raise InputError(f"Mass: {model.name} is no scene's model; write it as a pi.objective.UserObjective")
         known = {body.name: body.whole_mass for body in (*model.bodies, *model.few)}
         known |= {name: part.mass for name, part in model.parts.items() if isinstance(part, PointMass)}
         name = named(model, self.part)

@@ -28,7 +28,7 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
 from polyida.model.differences import along, around, beside, near_points, step_integrals
-from polyida.model.guarded import guard, unguarded
+from polyida.model.guarded import guard
 from polyida.objective.objective import Objective, Slopes, call_user, run_of
 from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, named_keywords
 
@@ -45,7 +45,7 @@ FRAMES_WIDE = 10.0  # typical time of variation over the time between frames: ra
 def chosen(part, model, place, known):
     """The chosen bodies of `known`, {name: placed body}: by name or part, or all for None. Raises InputError in the name of `part`."""
     if not model.is_scene:
-        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.UserObjective")
+        raise InputError(f"{part}: {model.name} is no scene's model; write it as a pi.objective.UserObjective")
     if place is None and known:
         return list(known.values())
     name = named(model, place)

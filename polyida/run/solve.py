@@ -23,7 +23,8 @@ from polyida.io.layout import MEMORY_LIMIT
 from polyida.io.save import FrameStore, create, free
 from polyida.model import Model
 from polyida.model.check import require_declared, require_profiles
-from polyida.model.guarded import Compiled, guard, unguarded
+from polyida.model.compiled import Compiled
+from polyida.model.guarded import guard
 from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
 from polyida.run.accepted import Recorder, require_of_state, require_sensors
@@ -190,7 +191,7 @@ def solve(
     begun = clock()
     with one_blas_thread():
         q, v = (vector_of("q0", q0, known), velocities_of(v0, x0, known)) if state is None else (state.q, state.v)
-        if not known.is_scene and small_own(known) and unguarded(known).by_numba:
+        if not known.is_scene and small_own(known) and known.by_numba:
             Compiled(known)  # raises InputError for a function that numba cannot compile
         if not known.compiled or known.own_forces:  # a scene of polyida's own parts needs no check
             require_declared(known, float(begin), q, v, float(t_end))

@@ -13,7 +13,9 @@ from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFail
 from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
-from polyida.model.guarded import FLOAT, MOST, OF_STEPS, Compiled, unguarded, writes
+from polyida.model.compiled import MOST, Compiled
+from polyida.model.functions import OF_STEPS, writes
+from polyida.model.guarded import FLOAT, CheckedFunction, function_of
 from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, dense_slots
 from polyida.system import dense as small
 
@@ -218,7 +220,7 @@ class DenseTable(PythonTable):
         self.w = w = w._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._kept(ALONE(function)) if function else 0
-        if unguarded(model).by_numba:
+        if model.by_numba:
             self._take_compiled(functions)
         self.workspace, self.factored, self.has_constants = self.w.address, None, False
 
@@ -234,7 +236,7 @@ class DenseTable(PythonTable):
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
-        model, callback = self.model, self._callback
+        model, callback, asked = self.model, self._callback, partial(function_of, self.model)
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
@@ -243,16 +245,16 @@ class DenseTable(PythonTable):
                 raise StepFailure("objection", objection, end())
 
         return {
-            "mass": callback(w.M, model.mass, None, q),
-            "force": callback(w.g, model.force, inner, q, v),
-            "phi": callback(w.phi, model.phi, end, q),
-            "phi_q": callback(w.B, model.phi_q, inner, q),
-            "phi_t": callback(w.phi_t, model.phi_t, inner, q),
-            "phi_bias": callback(w.phi_bias, model.phi_bias, inner, q, v),
-            "residual": callback(w.g, model.residual, inner, q, v, a, lam) if writes(unguarded(model), "residual") else None,
-            "rejection_reason": self._protected(accepted) if writes(unguarded(model), "rejection_reason") else None,
+            "mass": callback(w.M, asked("mass"), None, q),
+            "force": callback(w.g, asked("force"), inner, q, v),
+            "phi": callback(w.phi, asked("phi"), end, q),
+            "phi_q": callback(w.B, asked("phi_q"), inner, q),
+            "phi_t": callback(w.phi_t, asked("phi_t"), inner, q),
+            "phi_bias": callback(w.phi_bias, asked("phi_bias"), inner, q, v),
+            "residual": callback(w.g, asked("residual"), inner, q, v, a, lam) if writes(model, "residual") else None,
+            "rejection_reason": self._protected(accepted) if writes(model, "rejection_reason") else None,
             "tangent": callback(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
-            "force_v": callback(w.slope, model.force_v, inner, q, v),
+            "force_v": callback(w.slope, asked("force_v"), inner, q, v),
         }
 
     def _callback(self, out, function, t, *vectors):
@@ -260,9 +262,9 @@ class DenseTable(PythonTable):
 
         t: the function that gives the time, None if it is no argument. All is written here again, because each call in Python takes 0.1 us.
         """
-        # function.parts (model/guarded.py): the unchecked function, [arguments, result] of the last call for messages, how the result becomes an
-        # array, how an error becomes a message
-        function, seen, convert, explain = getattr(function, "parts", (function, [(), None], dense, lambda error: error))
+        seen, convert, explain = [(), None], dense, lambda error: error
+        if isinstance(function, CheckedFunction):
+            seen, convert, explain, function = function.seen, function.array, function.explained, function.function
         (first, *others), shape = [x.copy for x in vectors], out.shape
 
         def read_only(copy):
@@ -351,8 +353,7 @@ class DenseMatrix(StepMatrix):
 
 def small_own(model):
     """True for a user's small model that leaves its linear systems to the package."""
-    own = unguarded(model)
-    written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
+    written = any(writes(model, name) for name in ("step_matrix", "mass_system", "increments"))
     return not (written or model.is_scene or model.n + model.m > MOST)
 
 

@@ -10,7 +10,8 @@ from polyida.assembly.independence import SHARE, UnitRows
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
-from polyida.model.guarded import Compiled, guard
+from polyida.model.compiled import Compiled
+from polyida.model.guarded import guard
 
 
 def bars(points, links):

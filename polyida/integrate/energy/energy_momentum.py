@@ -26,8 +26,9 @@ from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.linear.lu import SingularSystem
 from polyida.model import Model
 from polyida.model.check import require_energies
+from polyida.model.compiled import Compiled
 from polyida.model.differences import beside
-from polyida.model.guarded import Compiled, guard, require_written, unguarded
+from polyida.model.guarded import guard, require_written
 from polyida.validation import is_number, is_whole, named_keywords
 
 SAME = 1e-9  # relative difference of what should be equal
@@ -106,7 +107,7 @@ class EnergyMomentum(Integrator):
             if move.size and not _equal(gain, move):
                 wanted = "which its constraints must be to do no work"
                 raise InputError(f"{part}: its phi(t, q) is not quadratic in q, at most, {wanted}{other}")
-            if unguarded(own).by_numba:
+            if own.by_numba:
                 Compiled(own, OF_ENERGY)
         own = guard(model)
         require_energies(own, 0.0, np.zeros(own.n))

@@ -26,7 +26,7 @@ from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
 from polyida.jit.intrinsics import call, pointer
 from polyida.linear.dense import clear
-from polyida.model.guarded import OF_STEPS, unguarded
+from polyida.model.functions import OF_STEPS
 from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system.dense import INNER
 from polyida.system.own import DenseTable, PythonTable, small_own
@@ -103,7 +103,7 @@ class DenseOwn(MiddleTable, DenseTable):
 
     def __init__(self, model):
         super().__init__(model)
-        self.complete = unguarded(model).by_numba and not model.needs.driven
+        self.complete = model.by_numba and not model.needs.driven
         if self.complete:
             self.entries = (*self.entries, ACCELERATION)
         self.serve()

@@ -36,7 +36,7 @@ from polyida.integrate.state import Counts
 from polyida.jit import entry, pack, part, typed
 from polyida.linear.dense import put
 from polyida.linear.lu import SingularSystem
-from polyida.model.guarded import unguarded, writes
+from polyida.model.functions import writes
 from polyida.system import CONSTRAINTS, MATRICES, RESIDUAL
 from polyida.system import instant as ask
 from polyida.system.dense import finite
@@ -267,7 +267,7 @@ class Correction:
         flags = np.array([system.form.integrated, bends], np.int64)
         self.iterate = Iterate(system.levels, flags, system.model.velocity_rows, *map(np.zeros, shapes))
         self.equations, self.correction = typed(equations), typed(correction)
-        model = unguarded(system.model)
+        model = system.model
         self.objects = writes(model, "rejection_reason") and not (model.is_scene and self.table.single)
 
     def begin(self, t, y):
