@@ -37,6 +37,7 @@ class Moment:
     """
 
     def __init__(self, model: Any, state: State, mode: Any) -> None:
+        """model: of the run. state: of all its coordinates. mode: the model of the parts that act."""
         self._model, self._mode, self._all, self.t = model, mode, state, state.t
         self._own = slice(model.n - model.k if model.k and not model.is_scene else None)
         self.q, self.v = (read_only(x)[self._own] for x in (state.q, state.v))
@@ -114,6 +115,7 @@ class Event:
     most: int = 1000
 
     def __post_init__(self):
+        """Check the fields; `then` becomes a tuple."""
         label = labelled("Event", self.name)
         if not takes(self.when, 1):
             raise InputError(f"{label}: when = {self.when!r:.60} must be a function of one argument, a state, that gives a number")
@@ -201,6 +203,7 @@ class Impact:
     rest: Any = ()
 
     def __post_init__(self):
+        """Check the fields; `rest` becomes a tuple."""
         number("Impact", "least_speed", self.least_speed, "m/s", 0.0)
         if not (is_number(self.restitution) and 0.0 <= self.restitution <= 1.0):
             raise InputError(f"Impact: restitution = {self.restitution!r:.60} must be a number from 0 to 1")

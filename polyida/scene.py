@@ -91,6 +91,7 @@ class Scene:
         return part
 
     def _next_name(self, kind):
+        """The automatic name of a part: its kind and the first free number."""
         number = 1 + sum(kind_of(part) == kind for part in self.parts.values())
         while f"{kind} {number}" in self.parts:
             number += 1

@@ -35,6 +35,7 @@ def is_number(value):
 
 
 def _as_float(value):
+    """The value as a float; infinity if it is no number or too large."""
     try:
         return float(value)
     except (OverflowError, ValueError, TypeError):
@@ -63,6 +64,7 @@ def takes(function, count):
 
 @lru_cache
 def _takes(function, count):
+    """True if a function can be called with so many arguments, remembered by function."""
     try:
         signature(function).bind(*range(count))
     except TypeError:
@@ -261,6 +263,7 @@ def named_keywords(public: Public) -> Public:
 
     @wraps(function)
     def checked(*arguments, **keywords):
+        """The function, or `__init__`, once its keywords are known and none is missing."""
         if not keywords.keys() <= known:
             raise KeywordError(_complaint(public.__name__, names, min(keywords.keys() - known)))
         for place, name in needed:
@@ -275,6 +278,7 @@ def named_keywords(public: Public) -> Public:
 
 
 def _complaint(name, known, wrong):
+    """The message on an unknown keyword, with the known name that is most like it."""
     from difflib import get_close_matches
 
     lower = dict.fromkeys(("dt", "step_size") if "h" in known else (), "h") | {word.lower(): word for word in known}

@@ -111,6 +111,7 @@ class Loops:
     """
 
     def __init__(self, parts, bodies, size):
+        """parts: of the scene. bodies: those that move as rigid ones. size: of the scene, m."""
         self.bodies, self.size = bodies, size
         self.index = {id(body.body): k for k, body in enumerate(bodies)}
         self.names, self.rows, self.edges, radii = [], [], [], []
@@ -237,6 +238,7 @@ class Placed:
     """
 
     def __init__(self, name, body, extent):
+        """extent: of the scene, m, the size of a body that has none."""
         parts = (part for part in (body, getattr(body, "plate", None)) if hasattr(part, "origin") and hasattr(part, "angle"))
         self.name, self.body, self.part = name, body, next(parts, None)
         places = places_of(body)

@@ -413,7 +413,7 @@ def relaxation_products(bodies, body, u, along, pull, back, r, out):
 
 @part
 def strain_square(bodies, body, change):
-    """change^T form change."""
+    """The square of a change of strains in the norm of the elastic energy, `change^T form change`, J."""
     s, total = stresses(bodies, body, 1.0, change), 0.0
     for e in range(s.shape[0]):
         total += change[e] * s[e]

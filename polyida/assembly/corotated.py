@@ -93,7 +93,7 @@ def empty_corotated(model, dtype):
 
 
 def _column_places(model):
-    """`place` of Corotated."""
+    """(first pair, end, first column) of the body of each point whose force couples columns: `place` of Corotated, (points, 3)."""
     bodies = body_of_points(model)
     first, end = model.first_pairs[bodies], model.first_pairs[bodies + 1]
     return np.stack([first, end, 2 * (np.cumsum(end - first) - (end - first))], axis=1).astype(np.int64).reshape(-1, 3)
@@ -505,6 +505,7 @@ class SceneStepMatrix(StepMatrix):
         return self._solved(self.corotated, self.workspace, t, lam, q, r, phi)
 
     def _solved(self, factored, workspace, t, lam, q, r, phi):
+        """(dq, dlam) of the bordered system for the columns of r and phi. Raises SingularSystem."""
         model, dtype = self.model, workspace.point_forces.dtype
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
         strains = workspace.elimination, np.array(q, float).reshape(-1, 2)

@@ -85,6 +85,7 @@ class CellContributions:
     """
 
     def __init__(self, model):
+        """Gather the arrays of a scene's cells with the factors of their stiffness and mass."""
         bodies = [body.scaled(replace(body.operator), body.factors) for body in model.bodies]
         operators, plates = [body.operator for body in bodies], model.arrays.plates
         shared = len({id(body.operator) for body in model.bodies}) < len(bodies)

@@ -63,6 +63,7 @@ def stage_tables(model, starts, times, edge, h):
 
 
 def _gains(model, begin, times, before, after, h):
+    """The changes of the driving profiles over steps, (steps, profiles, ...), to full accuracy relative to the change."""
     gains, lost = np.empty(before.shape), np.zeros(before.shape[:2], bool)
     if gains.size:
         driving = _driving(model)
@@ -202,6 +203,7 @@ class Increments:
     """Change of phi and rate = phi_q v + phi_t of a scene in one step of h from (q, v) at t0 to t1. ends: as of `drive_table`."""
 
     def __init__(self, model, t0, t1, ends, h, q, v):
+        """A step from (q, v) at t0 to t1 = t0 + h. ends: t0 and t1, or times just within the step beside a kink."""
         times = np.array([t0, t1])
         drives = drive_table(model, times, ends)
         self.model, self.h, self.drives = model, h, drives[0]

@@ -45,6 +45,7 @@ class Redundant:
     """
 
     def __init__(self, whole, t, q):
+        """Find the rows of a scene at (t, q) that depend on others, by a pivoted QR factorisation of its scaled rows."""
         self.whole, self.rows, self._t, self._q = whole, whole.rows, t, q
         self._sizes = coordinate_sizes(whole, q)
         self._of_joints = np.zeros(whole.m, bool)
@@ -359,6 +360,7 @@ class UnitRows:
     """The proof along a run of a scene, or of a small model with compiled functions (`compiled`, a model.guarded.Compiled)."""
 
     def __init__(self, model, state, compiled=None):
+        """Begin the proof at a state. compiled: C functions of a user's model; None for a scene."""
         self.model, self.compiled, m, n = model, compiled, model.m, model.n
         if compiled is None:
             self.pattern, k, slopes, self.sizes = model.once(pattern_of)

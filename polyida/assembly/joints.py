@@ -43,7 +43,7 @@ def spread_one(links, point, x, y, r):
 
 @part
 def spread(links, forces, r):
-    """r += A^T forces."""
+    """Add the forces at the points of the joints to r: `r += A^T forces`."""
     for f in range(forces.shape[0]):
         x, y = forces[f, 0], forces[f, 1]
         if x != 0.0 or y != 0.0:
@@ -220,7 +220,7 @@ def flipped(links, drives, dz):
 
 @shared
 def joint_jacobian(links, drives, dz, slopes):
-    """Fill slopes with phi_z."""
+    """Fill slopes with phi_z, the slopes of the rows in the places and directions of the points."""
     put(1.0, links.row_slopes, slopes)
     for p in range(links.product_row.shape[0]):
         k = links.product_row[p]

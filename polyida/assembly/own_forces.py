@@ -32,6 +32,7 @@ class OwnForce:
     period = 0.0  # s, of a controller
 
     def __init__(self, name, element, model, functions=None):
+        """Find the pairs and weights of the sides of a force element in a scene's model."""
         from scipy.sparse import csr_array
 
         self.name, self.element, self.functions = name, element, functions or PythonFunctions(name, element)
@@ -204,6 +205,7 @@ class Elastic(OwnForce):
     switches = False
 
     def __init__(self, placed, n_pairs, functions):
+        """placed: a body with elastic forces in Python. n_pairs: of the scene."""
         from scipy.sparse import eye_array
 
         self.name, self.element, self.functions = placed.name, placed.body, functions
@@ -226,6 +228,7 @@ class Elastic(OwnForce):
         return super().energy(x @ (1, 1j))
 
     def slopes(self, t, x, v, c_v, c_q):
+        """Return the slopes `c_q d(force)/dx` of the elastic force of the body; it does not depend on v."""
         if not c_q:
             return np.zeros((x.size, x.size))
         if self.element.elastic_z(x @ (1, 1j)) is not None:

@@ -26,6 +26,7 @@ class PlacedPlate:
     """
 
     def __init__(self, name, plate, operator, nodes, factors=None):
+        """nodes: slice of its nodes among all pairs of the scene. factors: of stiffness and mass of its cells, 1 by default."""
         self.name, self.plate, self.operator, self.nodes, self.pairs = name, plate, operator, nodes, nodes
         self.mesh, self.points, self.damped = plate.placed, plate.points, plate.material.damped
         self.factors = factors or 2 * (read_only(np.ones(self.mesh.n_cells)),)
@@ -78,6 +79,7 @@ class PlacedBody:
     """
 
     def __init__(self, name, user, first, attachments):
+        """first: number of its first pair. attachments: of the parts that use the body."""
         self.name, self.user, self.body = name, user, user.prepared(attachments)
         self.rest = coordinates_of(self.body)
         self.pairs = slice(first, first + len(self.rest))
@@ -168,6 +170,7 @@ class PlacedStates:
     form = None
 
     def __init__(self, name, element, first, mass, speed):
+        """first: number of its first pair. mass, speed: those that stand for a state of typical size."""
         outputs = element.outputs if isinstance(element, Controller) else ()
         self.name, self.own, self.names = name, len(element.states), (*element.states, *outputs)
         count, self.controls = len(self.names), bool(outputs)
@@ -214,6 +217,7 @@ class PlacedStrains(PlacedStates):
     """The relaxed strains of a viscoelastic plate, states of no force element (relaxation.py). terms: (g, tau) of each; mass: of each pair."""
 
     def __init__(self, body, first, mass, unit):
+        """first: number of its first pair. mass: of these coordinates. unit: strain for a velocity of 1."""
         self.name, self.terms, strains = body.name, body.prony, body.strains
         self.padded = strains + strains % 2  # numbers of a term
         whole = self.padded * len(self.terms)

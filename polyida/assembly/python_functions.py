@@ -118,6 +118,7 @@ class Callbacks:
     """
 
     def __init__(self, functions, calls, arguments, of_energy, shape, written):
+        """Make C functions of the Python functions `written`, with arguments of these shapes, {name: (kind, shape)}."""
         self.functions, self.calls, self.written = functions, calls, written
         self.arguments, self.of_energy, self.shape = arguments, of_energy, shape
         call, self._kept, self.addresses = functions.call, [], {}
@@ -181,12 +182,14 @@ def c_callback(calls, number, arguments, function, shape, kind):
     known, copied = calls.known, ctypes.string_at
 
     def array_at(at):
+        """The array at an address, stored for the next call."""
         if len(views) >= VIEWS:
             views.clear()
         view = views[at] = np.frombuffer(block.from_address(at), kind).reshape(shape)
         return view
 
     def called(*at):
+        """Call the Python function with copies of its arguments, or take the result that is known for them; DONE or RAISED."""
         if calls.failed():
             return RAISED
         try:

@@ -41,7 +41,7 @@ def strains_of(relaxation, body):
 
 @part
 def relax_body(scene, body, u, half, pull, force, strain):
-    """`relax` of a body."""
+    """Relax the strains of a body, full plate or of few coordinates, by the kernel `relax` of its kind."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
@@ -52,7 +52,7 @@ def relax_body(scene, body, u, half, pull, force, strain):
 
 @part
 def change_strain(scene, body, u, along, strain):
-    """`change_of_strain` of a body."""
+    """Fill the change of the strains of a body along a velocity, by the kernel `change_of_strain` of its kind."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:

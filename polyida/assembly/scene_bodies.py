@@ -56,6 +56,7 @@ class Constraints(Model):
         return self.altered(_driven=(t, table), own_forces=forces, callbacks=callbacks, laws=with_callbacks(self.laws, callbacks))
 
     def kinks(self, t0, t1):
+        """Return the times in (t0, t1) at which a profile is not smooth."""
         if not self._kinks.size:
             return ()
         first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
@@ -169,6 +170,7 @@ class Constraints(Model):
         return rates
 
     def phi_of_frames(self, t, q, v):
+        """Return phi and its rate in frames, (frames, m) each, by compiled code."""
         phi, rates = np.empty((2, len(t), self.m))
         drives = np.array([self.drives(one) for one in t]) if self.profiles else np.zeros((len(t), 0, 3))
         frames = [np.ascontiguousarray(x, float).reshape(len(t), -1, 2) for x in (q, v)]
@@ -333,6 +335,7 @@ class Constraints(Model):
 
 
 def _sized(values, size, name):
+    """Values as a new array (size,); ValueError, with the name, for another shape."""
     array = np.array(values, float)
     if array.shape != (size,):
         raise ValueError(f"{name} has shape {array.shape}, the model needs ({size},)")

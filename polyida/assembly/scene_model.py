@@ -64,6 +64,7 @@ class SceneModel(SceneBodies):
     looks_apart = 1024  # without few: joints hold on to points of their own, and only motors turn rows
 
     def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
+        """Place the parts {name: part} of a scene. redundant, without_strains: as for Scene.build. late: names of parts that only events add."""
         self.parts, self.treats_redundant, self.without_strains = dict(parts), redundant, without_strains
         self.late, self._modes, self._rotated = late, {}, [(None, None)]  # q and its rotations, also of models with other rows
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
@@ -137,6 +138,7 @@ class SceneModel(SceneBodies):
         return self._modes[key]
 
     def _mode(self, absent, since):
+        """The model of this scene without the absent parts, with joints that hold places of a state."""
         left_out = concatenated([np.arange(self.m)[self.rows[name]] for name in absent if name in self.rows], np.int64)
         other = self._acting(absent, since, left_out)
         held, other.columns = other._assembled[0], np.setdiff1d(np.arange(self.m), left_out)
@@ -346,6 +348,8 @@ class SceneModel(SceneBodies):
         return np.concatenate([np.zeros(0, np.int64), *(np.arange(2 * one.pairs.start, 2 * one.pairs.stop) for one in placed)])
 
     def samples(self, t0, t1):
+        """Return the sorted times in (t0, t1) at which controllers sample."""
+
         def of_period(period):
             times = (k * period for k in count(floor(t0 / period)))
             return takewhile(lambda t: t < t1, dropwhile(lambda t: t <= t0, times))
@@ -353,6 +357,7 @@ class SceneModel(SceneBodies):
         return merge(*map(of_period, {own.period for own in self.controllers}))
 
     def sampled(self, t, q, v):
+        """Return v with the outputs of the controllers that sample at t; v itself if there are none."""
         due = [own for own in self.controllers if abs(round(t / own.period) * own.period - t) <= SAME_TIME * own.period]
         if not due:
             return v
@@ -413,7 +418,7 @@ class SceneModel(SceneBodies):
         return tuple(each.ravel() for each in at)
 
     def mass_a_q(self, q, a):
-        """d(M a)/dq: zero."""
+        """Return d(M a)/dq, (n, n), zero: M is constant."""
         from scipy.sparse import csc_array
 
         return csc_array((self.n, self.n))
@@ -582,6 +587,7 @@ class Powers:
     """
 
     def __init__(self, model):
+        """Find the loads, driven rows, elements and damped bodies of a model that do work."""
         self.model = model
         self._loads, self._driven = dead_loads(model.parts, model.gravity, model.places), {}
         for name, part in model.joints.items():
@@ -595,6 +601,7 @@ class Powers:
         self.dissipating = (*elements, *of_bodies, *dict.fromkeys(self._rubbing.values()))
 
     def __call__(self, t, q, v, lam):
+        """{name: power, W} at a state, of loads, motors, friction, force elements and damping."""
         powers = {}
         for load in self._loads:
             powers[load.name] = powers.get(load.name, 0.0) + load.power(t, v)

@@ -149,6 +149,7 @@ class Plate:
     few = turns_only = False  # as of Body
 
     def __post_init__(self):
+        """Check the fields, and take the mesh with the middle nodes that the order needs."""
         label = labelled("Plate", self.name)
         mesh, material = self.mesh, self.material
         if not isinstance(mesh, PolygonMesh):

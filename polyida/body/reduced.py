@@ -71,6 +71,7 @@ class Reduced(FieldBody):
     __repr__ = brief
 
     def __post_init__(self):
+        """Check the fields, and that there is a mode or a field."""
         super().__post_init__()
         label, nodes = self.label, self.plate.mesh.n_nodes
         for key in ("fields", "stored_fields"):

@@ -93,6 +93,7 @@ class RigidBody(Body):
     name: str | None = None
 
     def __post_init__(self):
+        """Check the fields and the points."""
         label = self.label
         check_fields(self, label)
         if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
@@ -189,6 +190,7 @@ class FieldBody(Body, part=False):
     plate: Plate
 
     def __post_init__(self):
+        """Check the fields; the default name is that of the plate."""
         if not isinstance(self.plate, Plate):
             raise InputError(f"{self.label}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
         if self.name is None:

@@ -51,7 +51,7 @@ from polyida.jit.intrinsics import (
 
 
 def symmetric_part(h, d):
-    """sym(F^T D)."""
+    """The symmetric part (xx, xy, yy) of F^T D, F = I + H."""
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     e12 = 0.5 * (f11 * d[1] + f21 * d[3] + f12 * d[0] + f22 * d[2])
     return f11 * d[0] + f21 * d[2], e12, f12 * d[1] + f22 * d[3]

@@ -47,6 +47,7 @@ def lighter(element, kept, order=1):
         return element
 
     def light_element(corners, cells, nodes):
+        """The arrays of an element whose nodes in contact keep a share of their mass; the other nodes of the cell take the rest."""
         areas, means, gradients, weights, mass, *rest = element(corners, cells, nodes)
         whole = kept[nodes] == 1.0
         share = np.where(whole.any(axis=0), kept[nodes], 1.0)

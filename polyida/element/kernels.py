@@ -85,7 +85,7 @@ def _differences(u, corners, start, node_offset, count, out):
 
 @part
 def _gradient(gradients, start, differences, count):
-    """H at one point."""
+    """The displacement gradient H = (xx, xy, yx, yy) at one point of LANES cells."""
     h = zeros4()
     for k in range(0, 2 * count * LANES, 2 * LANES):
         h = add_outer(h, load2(differences, k), load2(gradients, start + k))

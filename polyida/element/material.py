@@ -46,7 +46,7 @@ def determinant(h):
 
 
 def strain(h):
-    """Green-Lagrange E."""
+    """The Green-Lagrange strain E = (xx, xy, yy) of a displacement gradient H."""
     e11 = h[0] + 0.5 * (h[0] * h[0] + h[2] * h[2])
     e12 = 0.5 * ((h[1] + h[2]) + (h[0] * h[1] + h[2] * h[3]))
     return e11, e12, h[3] + 0.5 * (h[1] * h[1] + h[3] * h[3])
@@ -72,7 +72,7 @@ def relaxing_piola(h, pull, kappa, weight, lam_bar, two_mu):
 
 
 def carried(h, s):
-    """F S."""
+    """The first Piola-Kirchhoff stress F S, (xx, xy, yx, yy), F = I + H."""
     s11, s12, s22 = s
     f11, f22 = 1.0 + h[0], 1.0 + h[3]
     return f11 * s11 + h[1] * s12, f11 * s12 + h[1] * s22, h[2] * s11 + f22 * s12, h[2] * s12 + f22 * s22

@@ -114,7 +114,7 @@ class PID(RotationElement):
         return [abs(self.kp) or 1.0, 1.0]
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return (I', z')."""
+        """Return (I', z'), the rates of the integral and of the filtered angle."""
         whole, torque, error, rate = pid_torque(self, t, x, v, s)
         back = self.ki / self.kp * (torque - whole) if self.kp != 0.0 else 0.0
         return np.array([self.ki * error + back, rate if self.filter > 0.0 else 0.0])
@@ -162,6 +162,7 @@ class LinearController(RotationElement):
     name: str | None = None
 
     def __post_init__(self):
+        """Take the matrices of a state space, and check them and the fields."""
         self.require_rotation()
         match self.A, self.B, self.C, self.D:
             case object(A=A, B=B, C=C, D=D, dt=step), None, None, None:
@@ -303,6 +304,7 @@ class Maxwell(ForceElement):
     dissipates = True
 
     def __post_init__(self):
+        """Check the sides and the fields; the default length is the distance in the reference configuration."""
         require_sides(self.label, self.a, self.b)
         require_places(self.label, self.a, self.b)
         if self.length is None:

@@ -74,6 +74,7 @@ class EdgeTraction:
     name: str | None = None
 
     def __post_init__(self):
+        """Check the fields, and that the section has a length."""
         label = labelled("EdgeTraction", self.name)
         require_attachment(label, self.at)
         if not self.at.length > 0:
@@ -242,6 +243,7 @@ class Force(ForceElement):
     name: str | None = None
 
     def __post_init__(self):
+        """Check the fields: numbers, profiles or a function of state, and a direction to follow."""
         require_attachment(self.label, self.at)
         check_fields(self, self.label)
         if self.follower and not self.at.has_direction:

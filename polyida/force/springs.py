@@ -85,6 +85,7 @@ class SpringDamper(ForceElement):
     dissipates = True
 
     def __post_init__(self):
+        """Check the sides and the fields; the default length is the distance in the reference configuration."""
         require_sides(self.label, self.a, self.b)
         require_places(self.label, self.a, self.b)
         if self.length is None:
@@ -292,6 +293,7 @@ class PenaltyContact(ForceElement):
     dissipates = True
 
     def __post_init__(self):
+        """Check the sides and the fields: a line needs a direction, a circle a radius."""
         require_sides(self.label, self.a, self.b)
         require_places(self.label, self.a, self.b)
         if self.radius is None and not self.b.has_direction:

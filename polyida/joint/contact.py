@@ -85,6 +85,7 @@ class Contact(Joint):
     components = FORCE
 
     def __post_init__(self):
+        """Check the fields, and that the sides have the places and directions of a line, a circle or edges."""
         super().__post_init__()
         label = self.label
         require_places(label, self.a, self.b)
@@ -183,6 +184,7 @@ class Clearance(Joint):
     placing = "place the pin within its hole"
 
     def __post_init__(self):
+        """Check the fields, and that friction has a radius and directions."""
         super().__post_init__()
         label = self.label
         require_contact(label, self)

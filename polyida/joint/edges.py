@@ -47,6 +47,7 @@ class FacingEdges:
     """
 
     def __init__(self, label, a, b):
+        """label: of the contact, in messages. a, b: sections or points; b has edges."""
         alone = not a.has_edges
         self.first, self.second = [a] if alone else a.each(), b.each()
         self.edges = np.zeros((1, 2), np.int64) if alone else _edges(label, a)
@@ -248,6 +249,7 @@ class EdgeRows:
     """The rows of one contact between edges in a scene: their products at a position of the points. first: number of its first row; far: gap of a point that faces nothing, m."""
 
     def __init__(self, first, contact, points, far):
+        """first: number of its first row. points: those of all joints, to which it adds. far: distance of a place that no edge reaches."""
         sides = self.sides = contact.edges
         self.first, self.far, self.step = first, far, 2 if contact.friction else 1
         self.held = isinstance(sides.first[0], Ground)  # it moves with any point, weighted by 0

@@ -63,6 +63,7 @@ class Vector:
         return f"<vector of {_sides_of(self.summands)}>"
 
     def __add__(self, other: "Vector") -> "Vector":
+        """The sum of two vectors, or of two rates of vectors."""
         if self._is_rate != _vector(other)._is_rate:
             raise InputError("a vector is added to a rate of a vector; a product has one rate, and a sum has rates alone or none")
         summands = {id(s.profile): s for s in self.summands}
@@ -84,6 +85,7 @@ class Vector:
         return self * -1.0
 
     def __mul__(self, number: float) -> "Vector":
+        """The vector times a finite number."""
         if not is_number(number):
             hint = "pi.dot and pi.cross multiply two vectors" if isinstance(number, Vector) else "use a finite number"
             raise InputError(f"a vector of a joint is multiplied by {in_words(number)}; {hint}{_most(number)}")
@@ -197,6 +199,7 @@ class Row:
         return self * -1.0
 
     def __mul__(self, number: float) -> "Row":
+        """The row times a finite number."""
         if not is_number(number):
             raise InputError(f"a row of a joint is multiplied by {in_words(number)}; use a finite number{_most(number)}")
         scaled = tuple(replace(p, unrotated=p.unrotated.times(complex(number))) for p in self.products)
@@ -408,6 +411,7 @@ def rest_of(side, part):
 
 
 def _vector(value):
+    """The value if it is a Vector; InputError for anything else."""
     if isinstance(value, Vector):
         return value
     expected = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
@@ -415,6 +419,7 @@ def _vector(value):
 
 
 def _row(value):
+    """A row of a Row, a profile or a number; InputError for anything else."""
     if isinstance(value, Row):
         return value
     if isinstance(value, Profile):

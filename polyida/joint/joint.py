@@ -55,6 +55,7 @@ class Joint(OwnPart, part=False):
     directed: ClassVar[tuple[str, ...]] = ()  # the sides, "a" and "b", that must have a direction
 
     def __post_init__(self):
+        """Check the sides and the fields of a joint."""
         require_sides(self.label, self.a, self.b)
         if self.directed:
             self.require_directions(*(getattr(self, side) for side in self.directed))
@@ -103,6 +104,7 @@ class Reaction:
     """
 
     def __init__(self, joint: Joint, whole: bool = False):
+        """whole: True for force and moment in any case, whatever components the joint lists."""
         self.joint, self.rows = joint, all_rows(joint)
         products = [product for row in self.rows for product in row.products]
         summands = [s for product in products for s in (product.rotated, product.unrotated)]
@@ -127,6 +129,7 @@ class Reaction:
         known: dict = {}
 
         def place(side, part):
+            """The place of a side, computed once; of the ground at rest."""
             key = (id(side), part)
             if key not in known:
                 known[key] = rest_of(side, part) if side.body is None else at((side, part))

@@ -67,6 +67,7 @@ class Revolute(Joint):
     kind = "revolute"
 
     def __post_init__(self):
+        """Check the fields, and that friction has a radius and directions."""
         super().__post_init__()
         if self.friction or self.pin_radius is not None:
             positive(self.label, "pin_radius", self.pin_radius, "metres")
@@ -201,6 +202,7 @@ class Clamp(Joint):
     kind = "clamp"
 
     def __post_init__(self):
+        """Check the sides: a direction for a weld, and no other place of the ground."""
         super().__post_init__()
         if not self.by_points:
             self.require_directions()
@@ -251,6 +253,7 @@ class Distance(Joint):
     placing = "place the bodies so that their points are the length apart"
 
     def __post_init__(self):
+        """Check the places and the length; the default length is the distance in the reference configuration."""
         super().__post_init__()
         label = self.label
         require_places(label, self.a, self.b)
@@ -340,6 +343,7 @@ class PrescribedPosition(Joint):
     friction: float = field(default=0.0, metadata=FRICTION)
 
     def __post_init__(self):
+        """Check the fields; the sides are the ground and the attachment."""
         label = self.label
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
@@ -472,6 +476,7 @@ class Skate(Joint):
     directed = ("b",)
 
     def __post_init__(self):
+        """Check the fields; the sides are the ground and the attachment."""
         label = self.label
         require_attachment(label, self.at)
         angle = float(self.angle) if is_number(self.angle) else as_profile(self.angle, label)

@@ -35,6 +35,7 @@ def energies(model, t, q):
     if not model.is_scene:
 
         def conservative(q):  # a model that has powers, or time in its force, need not have its force at rest as slope of its potential
+            """Minus the force at rest if it is conservative, (n,), else None."""
             if writes(model, "powers") or model.potential(q) is None:
                 return None
             here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))
@@ -382,6 +383,7 @@ def _drawn(model, t, random, state):
 
 
 def _vector(name, value, size, behind=0):
+    """A given vector of a size, with zeros for the coordinates of states behind it. Raises InputError for anything else."""
     array = floats(value)
     if array is None or array.shape not in ((size,), (size + behind,)):
         raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")

@@ -25,6 +25,7 @@ class Compiled:
     """
 
     def __init__(self, equations, names=OF_STEPS, whole=True):
+        """Compile the functions `names` that the user of Equations writes."""
         model, own, m = equations.user, equations.own_states, equations.m
         n = equations.n - equations.k
         written = [name for name in names if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
@@ -51,6 +52,7 @@ class Compiled:
         places = ("t", "q", "v", "a", "lam")
 
         def call(*vectors):
+            """The user's function by its C function. Raises StepFailure if it fails."""
             values = {argument: np.ascontiguousarray(value, float) for argument, value in zip(arguments, vectors)}
             if len(vectors) > len(arguments) or name == "rates":  # x is read behind v
                 values["v"] = np.concatenate((values["v"], vectors[-1]))

@@ -169,6 +169,7 @@ class Equations(Model):
     """
 
     def __init__(self, user):
+        """Take the user's sizes, attributes, states and functions. Raises InputError for wrong ones."""
         self.user, self.name = user, type(user).__name__
         self.psi_rows = VelocityRows(user) if user.p else None
         self._take_sizes()
@@ -247,6 +248,7 @@ class Equations(Model):
         return self.own_states.of_whole(name, function(*self.own_states.arguments(name, at)), at)
 
     def mass(self, q):
+        """Return M, (n, n); a constant one is evaluated and checked only at the 1st, 2nd, 4th, 8th ... call."""
         if self.needs.mass_varies or "mass" not in self.checked_functions:
             return self._ask("mass", q)
         if self._mass_is_due():
@@ -319,6 +321,7 @@ class Equations(Model):
         """The user's function of an M that varies; M is checked whenever it is due."""
 
         def mass(q):
+            """M of the user, checked if it is due."""
             M = function(q)
             if self._mass_is_due():
                 require_array(f"{self.name}.mass", M, shape_of("mass", self))

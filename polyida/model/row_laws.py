@@ -115,6 +115,7 @@ class WithRows(Model):
     checked = True
 
     def __init__(self, whole, rows):
+        """whole: the model with all rows. rows: numbers of those that are equations."""
         self.whole, self.kept = whole, np.asarray(rows, np.int64)
         self.n, self.m, self.k, self.needs = whole.n, len(self.kept), whole.k, whole.needs
         self.velocity_rows = np.flatnonzero(np.isin(self.kept, whole.velocity_rows))
@@ -157,6 +158,7 @@ class WithRows(Model):
         return self.whole.reaction_q(t, q, self._all(lam))
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+        """Return `c_m M + c_v dr/dv + c_q dr/dq` of the kept rows, (n, n); dense for a small scene."""
         if not self.small:
             return self.whole.tangent(t, q, v, a, self._all(lam), c_m, c_v, c_q)
         rates = c_v * dense(self.force_v(t, q, v)) if c_v and self.needs.velocity_forces else 0.0
@@ -201,7 +203,7 @@ class Slipping:
     """
 
     def use_slips(self, origin, slips):
-        """Set origin and slips."""
+        """Set the model of all rows and its slips, and the numbers of their laws that forces need."""
         self.origin, self.slips, contacts = origin, slips, [law.row for law in origin.row_laws if law.is_contact]
         self.on_contact = [len(law.on) == 1 and law.on[0] in contacts for law, _ in slips]
         self.rubbing = [law.row for law, _ in slips]
@@ -294,6 +296,7 @@ class Slips(Slipping, WithRows):
     _all = Slipping.forces_of_all
 
     def force(self, t, q, v):
+        """Return g with the constant part of the friction that slips, (n,)."""
         force = self.whole.force(t, q, v)
         for law, sign in self.slips:
             if law.constant:

@@ -156,6 +156,7 @@ def solved(f, s, sizes):
     s, raised, vector = np.array(s, float), [], ctypes.c_double * len(s)
 
     def called(*arguments):
+        """Write f(s) where the kernel reads it, as a C function; keep what f raises."""
         try:
             np.frombuffer(vector.from_address(arguments[-1]))[:] = f(s.copy())
         except BaseException as error:  # noqa: BLE001 it is raised below
@@ -178,6 +179,7 @@ class OwnStates:
     """
 
     def __init__(self, name, user, n, written):
+        """Read the states of a user's model of n coordinates. written: names of the functions that it gives. Raises InputError."""
         self.n, k, algebraic = n, user.k, user.algebraic
         if not (is_whole(k, 0) and is_whole(algebraic, 0) and k + algebraic > 0):
             given = f"k = {k!r} and algebraic = {algebraic!r}" if algebraic else f"k = {k!r}"
@@ -201,6 +203,7 @@ class OwnStates:
             self.mass = mean
 
     def _numbers(self, name, field, value, default, least, kind):
+        """x0 or sizes_x as an array (total,), `default` if it is None. Raises InputError unless they are above `least`."""
         numbers = np.full(self.total, default) if value is None else floats(value)
         if np.shape(numbers) != (self.total,) or not (numbers > least).all():
             raise InputError(f"{name}: {field} = {value!r} must be {self.total} {kind} numbers")

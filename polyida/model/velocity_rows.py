@@ -22,6 +22,7 @@ class VelocityRows:
     """
 
     def __init__(self, user):
+        """user: a model with p > 0 velocity rows."""
         self.user, name = user, type(user).__name__
         if not (is_whole(user.p) and is_whole(getattr(user, "m", None), 0)):
             raise InputError(f"{name}: m = {getattr(user, 'm', None)!r} and p = {user.p!r} must be whole numbers of at least 0")
