@@ -186,6 +186,7 @@ class Equations(Model):
     def _take_sizes(self):
         """Set n, m and the numbers of the velocity rows. Raises InputError for wrong ones."""
         n, m = getattr(self.user, "n", None), getattr(self.user, "m", None)
+        self.velocity_rows = self.user.velocity_rows
         if self.psi_rows:
             self.velocity_rows = np.arange(m, m + self.psi_rows.count)
             m = m + self.psi_rows.count
