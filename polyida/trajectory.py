@@ -445,7 +445,7 @@ class Trajectory:
             notes.append(method.summary_of_steps(self.state.memory))
         if model is not None:
             notes += [model.remark, hint_of_rigid(model, self.q, method and method.relative_tolerance())]
-            notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else ""]
+            notes += [hint_of_left_out(model, self.t, self.q, self.a) if model.reduced_bodies else ""]
             notes += [self.events.summary_of_laws(self.cpu_seconds) if model.row_laws else ""]
             notes += [f"events: {self.events.summary()}" if len(self.events) else ""]
             notes += ["" if self.events.given else grown(self._motion("summary"))]

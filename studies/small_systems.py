@@ -164,7 +164,7 @@ class Peer:
         if self.setting is None:
             return {}
         q = pi.solve(model, steps * H, INTEGRATORS["alpha"][0](), every=10**9).q[-1].reshape(-1, 2)
-        centre = (model.reference + q)[model.few[-1].pairs.start]
+        centre = (model.reference + q)[model.reduced_bodies[-1].pairs.start]
         return {"apart_m": float(np.abs(centre - self.make().run(H, steps, self.setting)[1]).max())}
 
 

@@ -170,7 +170,7 @@ def rotation(angle):
 def turned(model, q, angle, shift=(0.0, 0.0)):
     """Coordinates of the state q turned about the origin and shifted, as one rigid body."""
     placed, moves = model.reference + q.reshape(-1, 2), np.ones((len(model.reference), 1))
-    for body in model.few:
+    for body in model.reduced_bodies:
         moves[body.pairs, 0] = body.translation.real
     return (placed @ rotation(angle).T + moves * shift - model.reference).ravel()
 

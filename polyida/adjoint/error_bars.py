@@ -280,7 +280,7 @@ def error_of(
             return bars
         second, changes = time_again(run, objective, bars.value), {}
         bars = replace(bars, again=second.error, time=second.error if bars.time is None else bars.time, reasons=_verdicts(bars, second))
-        if any(isinstance(model.parts[placed.name], Reduced) for placed in model.few):
+        if any(isinstance(model.parts[placed.name], Reduced) for placed in model.reduced_bodies):
             changes["modes"] = _modes_again(run, objective) - bars.value
         if model.is_scene and model.bodies:
             changes |= _mesh_again(run, objective, bars)
@@ -300,15 +300,15 @@ def _verdicts(bars, second):
 def _modes_again(run, objective):
     """J of the run solved again with FIELDS more deformation fields in each reduced plate that is not viscoelastic. Raises InputError."""
     old = guard(run.model)
-    names = [placed.name for placed in old.few if isinstance(old.parts[placed.name], Reduced) and placed.name not in old.strains]
+    names = [placed.name for placed in old.reduced_bodies if isinstance(old.parts[placed.name], Reduced) and placed.name not in old.strains]
     model = old
     for name in names:
         body = old.parts[name]
         own, missing = body.fields, missing_fields(run, name, FIELDS)
         model = with_part(model, name, replace(body, fields=missing if own is None else np.concatenate([own, missing])))
-    sizes = {placed.name: placed.pairs for placed in (*model.bodies, *model.few)}
+    sizes = {placed.name: placed.pairs for placed in model.all_bodies}
     moved = []
-    for placed in (*old.bodies, *old.few):
+    for placed in old.all_bodies:
         first = sizes[placed.name].start
         moved += [(k, first + k - placed.pairs.start) for k in range(placed.pairs.start, placed.pairs.stop)]
     if len(moved) != old.n // 2:

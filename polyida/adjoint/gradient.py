@@ -154,7 +154,7 @@ def gradient(
             )
     names = _names(parameters)
     model = run.model if isinstance(run, (Trajectory, Equilibrium, Modes)) else None
-    relaxing = [body.name for body in (*model.bodies, *model.few) if body.prony] if model is not None and model.is_scene else []
+    relaxing = [body.name for body in model.all_bodies if body.prony] if model is not None and model.is_scene else []
     if relaxing:
         names_of = ", ".join(map(repr, relaxing))
         if not isinstance(run, Trajectory):

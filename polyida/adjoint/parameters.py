@@ -214,7 +214,7 @@ class InitialMotion(PartParameter):
 
 def motion_parameters(model, slopes):
     """Yield velocity and spin of all bodies that have these fields."""
-    for k, placed in enumerate((*model.bodies, *model.few)):
+    for k, placed in enumerate(model.all_bodies):
         part, (velocity, spin) = model.parts[placed.name], motion_of(model.parts[placed.name])
         inside = ("plate",) if "plate" in (field.name for field in fields(part)) else ()
         known = {field.name for field in fields(part.plate if inside else part)}
@@ -278,11 +278,11 @@ class FieldNumber(PartParameter):
         the motion does not depend on the choice.
         """
         part: Any = self.model.parts[self.part]
-        placed = next((placed for placed in self.model.few if placed.user is part), None)
+        placed = next((placed for placed in self.model.reduced_bodies if placed.user is part), None)
         stored = part.fields_to_store(placed.body) if placed else {}
         if stored and self.path[-1] == SHAPES:
             anew = with_part(self.model, self.part, with_field(replace(part, **dict.fromkeys(stored)), self.path, value))
-            stored = part.fields_to_store(next(other for other in anew.few if other.name == placed.name).body, placed.body)
+            stored = part.fields_to_store(next(other for other in anew.reduced_bodies if other.name == placed.name).body, placed.body)
         return with_field(replace(part, **stored), self.path, value)
 
     def replaced(self, value):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.adjoint import relaxation
-from polyida.assembly import compact, joints
+from polyida.assembly import joints, reduced_kernels
 from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.equilibrium import on_pattern
 from polyida.assembly.own_laws import add_own_curvature
@@ -43,8 +43,8 @@ DZ, VZ, WZ, FORCES = range(4)
 
 def arrays_of(model):
     """The arrays of the model, with blocks of the bodies of few coordinates numbered from the first of these."""
-    compact = model.arrays.compact
-    return model.arrays._replace(compact=compact._replace(block=compact.block - compact.block[0]))
+    compact = model.arrays.reduced
+    return model.arrays._replace(reduced=compact._replace(block=compact.block - compact.block[0]))
 
 
 def viscosity_of(model):
@@ -58,7 +58,7 @@ def scratch(model, tied=False, results=None):
     results (3, columns, nodes, 2): arrays for stiff, slowing and heavy; by default new ones for one column.
     """
     results = np.zeros((3, 1, model.n_nodes, 2)) if results is None else results
-    nodes, few = results.shape[1:], (int(np.ptp(model.arrays.compact.block)), 2, 2)
+    nodes, few = results.shape[1:], (int(np.ptp(model.arrays.reduced.block)), 2, 2)
     coupled = (len(model.arrays.links.coupling.columns), 2, 2)
     return Scratch(
         np.zeros(nodes[1:]),
@@ -87,10 +87,10 @@ def hold_state(scene, laws, drives, u, v, lam, results):
         add_own_curvature(laws, scene.links.coupling, drives, results.points[DZ], results.points[VZ], 0.0, 1.0, results.slack)
     if results.few.shape[0]:
         results.few[:] = 0.0
-        compact.blocks(scene.compact, u, v, 0.0, 0.0, 1.0, results.few)
+        reduced_kernels.blocks(scene.reduced, u, v, 0.0, 0.0, 1.0, results.few)
         if results.slow.shape[0]:
             results.slow[:] = 0.0
-            compact.blocks(scene.compact, u, v, 0.0, 1.0, 0.0, results.slow)
+            reduced_kernels.blocks(scene.reduced, u, v, 0.0, 1.0, 0.0, results.slow)
 
 
 @part
@@ -121,14 +121,14 @@ def body_products(scene, viscosity, u, v, columns, fields, rotation, results):
     plate_products(scene.plates, viscosity, u, v, columns, fields, rotation, results)
     for k in range(which.shape[0]):
         c, turns = which[k], rotation if k == 0 else rotation[:0]
-        compact.momentum(scene.compact, fields[c], results.heavy[c])
-        few_products(scene.compact, results.few, fields[c], results.stiff[c])
+        reduced_kernels.momentum(scene.reduced, fields[c], results.heavy[c])
+        few_products(scene.reduced, results.few, fields[c], results.stiff[c])
         if results.slow.shape[0]:
-            few_products(scene.compact, results.slow, fields[c], results.slowing[c])
+            few_products(scene.reduced, results.slow, fields[c], results.slowing[c])
         relaxation.add_products(scene, scene.relaxation, u, v, fields[c], turns, results.stiff[c], results.heavy[c], results.slowing[c])
     if rotation.shape[0]:
-        for b in range(scene.compact.drag.shape[0]):
-            compact.turn(scene.compact, b, u, rotation)
+        for b in range(scene.reduced.drag.shape[0]):
+            reduced_kernels.turn(scene.reduced, b, u, rotation)
 
 
 @part

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.adjoint.parameter import PartParameter
-from polyida.assembly import compact
+from polyida.assembly import reduced_kernels
 from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.equilibrium import hold_strains
 from polyida.assembly.factors import CellContributions
@@ -34,7 +34,7 @@ def multiply_body(scene, body, u, along, pull, back, force, out):
     s = scene.plates
     few = s.body_node.shape[0] - 1
     if body >= few:
-        compact.relaxation_products(scene.compact, body - few, u, along, pull, back, force, out)
+        reduced_kernels.relaxation_products(scene.reduced, body - few, u, along, pull, back, force, out)
     else:
         relaxation_products(cells_of(s, body), material_of(s, body), u, along, pull, back, force, out)
 
@@ -141,7 +141,7 @@ def relaxation_works(model, work):
     states = (np.ascontiguousarray(each, float).reshape(-1, model.n_nodes, 2) for each in (work.q, work.v, work.w))
     sum_works(model.arrays, *states, by_share, by_time, by_strain)
     slopes, cell_works, first = {}, {}, 0
-    for b, body in enumerate((*model.bodies, *model.few)):
+    for b, body in enumerate(model.all_bodies):
         terms = slice(x.terms[b], x.terms[b + 1])
         slopes[body.name] = np.stack([by_share[terms], by_time[terms]], axis=1)
         if b < len(model.bodies):

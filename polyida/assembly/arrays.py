@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.compact import Compact
+from polyida.assembly.reduced_kernels import ReducedArrays
 from polyida.element.operator import Cells, Material
 from polyida.jit import leaf, pack
 
@@ -29,7 +29,7 @@ class Plates(NamedTuple):
     body_operator: np.ndarray
     body_node: np.ndarray  # first node of each plate
     body_block: np.ndarray  # first block of the tangent of each plate
-    body_c1: np.ndarray  # E t / (1 - nu^2), N/m
+    membrane_stiffness: np.ndarray  # E t / (1 - nu^2), N/m
     body_nu: np.ndarray
     body_density: np.ndarray  # rho t, kg/m^2
     body_drag: np.ndarray  # mass-proportional damping, 1/s
@@ -133,7 +133,7 @@ class SceneArrays(NamedTuple):
 
     plates: Plates
     links: Links
-    compact: Compact
+    reduced: ReducedArrays
     relaxation: Relaxation
 
 
@@ -160,4 +160,4 @@ def cells_of(plates, body):
 @leaf
 def material_of(plates, body):
     """The Material of a plate."""
-    return Material(plates.body_c1[body], plates.body_nu[body], plates.body_viscosity[body])
+    return Material(plates.membrane_stiffness[body], plates.body_nu[body], plates.body_viscosity[body])

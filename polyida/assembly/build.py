@@ -6,11 +6,11 @@ from traceback import extract_tb
 import numpy as np
 
 from polyida.assembly.arrays import Coupling, Links, Plates, Relaxation, SceneArrays, concatenated, starts
-from polyida.assembly.compact import BLOCKS, FORCE, Compact, provide
 from polyida.assembly.kept_rows import no_slips
 from polyida.assembly.own_laws import laws_of
 from polyida.assembly.placement import PlacedBody, PlacedPlate, PlacedStates, PlacedStrains, dead_loads, steady
-from polyida.body.body import Body, points_of
+from polyida.assembly.reduced_kernels import BLOCKS, FORCE, ReducedArrays, provide
+from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.element.choice import operator_of
@@ -262,46 +262,47 @@ def attached_sides(name, part):
 
 
 def place_bodies(parts):
-    """([PlacedPlate], [PlacedBody]) of the parts in order. Plates on one mesh with the same mass share one reference operator."""
-    operators, plates, few, first = {}, [], [], 0
-    light = [part for part in of_kind(parts, Contact).values() if part.contact_mass < 1.0]
+    """The bodies of a scene in the order of q, [PlacedPlate or PlacedBody]: the plates, and behind them the bodies of few coordinates."""
+    sides = [side for name, part in parts.items() for side in attached_sides(name, part)]
+    placed, operators, first = [], {}, 0
     for name, plate in of_kind(parts, Plate).items():
         _warn_of_locking(name, plate)
-        kept = None
-        for contact in light:
-            if contact.a.body is plate:
-                kept = np.ones(plate.mesh.n_nodes) if kept is None else kept
-                kept[contact.a.nodes] = np.minimum(kept[contact.a.nodes], contact.contact_mass)
-        key = (id(plate.placed), plate.element, plate.tau, None if kept is None else kept.tobytes())
-        if key not in operators:
-            operators[key] = operator_of(plate, kept)
-        plates.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
-        first = plates[-1].nodes.stop
-    sides = [side for name, part in parts.items() for side in attached_sides(name, part)]
+        placed.append(PlacedPlate(name, plate, _shared_operator(plate, parts, operators), slice(first, first + plate.mesh.n_nodes)))
+        first = placed[-1].pairs.stop
     for name, body in of_kind(parts, Body).items():
-        few.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
-        if body.plate is not None and few[-1].deforms:
+        placed.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
+        if body.plate is not None and placed[-1].deforms:
             _warn_of_locking(name, body.plate)
-        first = few[-1].pairs.stop
-    return plates, few
+        first = placed[-1].pairs.stop
+    return placed
 
 
-def place_states(parts, plates, few, speed, without_strains):
+def _shared_operator(plate, parts, operators):
+    """The reference operator of a plate, one for all plates on one mesh with the same mass; operators: {key: operator} of those made so far."""
+    kept = None
+    for contact in of_kind(parts, Contact).values():
+        if contact.contact_mass < 1.0 and contact.a.body is plate:
+            kept = np.ones(plate.mesh.n_nodes) if kept is None else kept
+            kept[contact.a.nodes] = np.minimum(kept[contact.a.nodes], contact.contact_mass)
+    key = (id(plate.placed), plate.element, plate.tau, None if kept is None else kept.tobytes())
+    if key not in operators:
+        operators[key] = operator_of(plate, kept)
+    return operators[key]
+
+
+def place_states(parts, bodies, speed, without_strains):
     """({name: PlacedStates} of the force elements with states, behind the bodies, {name: PlacedStrains} of viscoelastic plates behind these).
 
     without_strains: True if these count as elastic. For norms, the states of an element have the mean mass of a pair, all strains together
     that of all bodies.
     """
-    whole = sum(placed.whole_mass for placed in plates) + sum(
-        float(np.trace(placed.mass).real) for placed in few if placed.mass is not None
-    )
-    first = (*plates, *few)[-1].pairs.stop
+    whole, first = sum(placed.trace_of_mass for placed in bodies), bodies[-1].pairs.stop
     mass, states, strains = whole / first or 1.0, {}, {}
     for name, element in of_kind(parts, ForceElement).items():
         if element.states or isinstance(element, Controller):
             states[name] = PlacedStates(name, element, first, mass, speed)
             first = states[name].pairs.stop
-    relaxing = [body for body in (*plates, *few) if body.prony and not without_strains]
+    relaxing = [body for body in bodies if body.prony and not without_strains]
     pairs = sum(body.strains * len(body.prony) for body in relaxing) / 2
     for body in relaxing:
         strains[body.name] = PlacedStrains(body, first, whole / pairs, TYPICAL_STRAIN * body.strain_size / speed)
@@ -329,52 +330,33 @@ def _warn_of_locking(name, plate):
         warnings.warn(f"{name}: this thin plate bends about {so} as it should with {remedy}", LockingWarning, stacklevel=5)
 
 
-def extent_of(plates, few):
+def extent_of(bodies):
     """Size of the scene, m: of all nodes, named points, and centres of mass plus and minus radii of gyration; 1 if all are at one place."""
-    places = [body.points for body in plates]
-    for placed in few:
-        whole = placed.body.plate is not None
-        places += [placed.body.plate.points] if whole else [point.point[None] for point in points_of(placed.body)] + [placed.spread]
-    places = concatenated(places, float, (2,))
+    places = concatenated([placed.extreme_points for placed in bodies], float, (2,))
     size = float(np.ptp(places, axis=0).max(initial=0.0))
     return size if size > SAME_PLACE * (1.0 + np.abs(places).max(initial=0.0)) else 1.0
 
 
-def assemble(plates, few, states, strains, places, parts, gravity, size, left_out=(), held=NONE):
+def assemble(bodies, states, strains, places, parts, gravity, size, left_out=(), held=NONE):
     """(SceneArrays, Points, RowTable, Drives, Laws, [Callbacks of each law]) of the parts, without the rows of phi with the numbers `left_out`.
 
-    states, strains: as of `place_states`. gravity: two numbers or profiles, m/s^2. held: {name: joint} of joints that need not hold at rest, in
-    the form in which they hold.
+    bodies, states, strains: as of `place_bodies` and `place_states`; places: {id of a body: its place}. gravity: two numbers or profiles,
+    m/s^2. held: {name: joint} of joints that need not hold at rest, in the form in which they hold.
     """
+    plates, reduced = [placed for placed in bodies if placed.is_full], [placed for placed in bodies if not placed.is_full]
     points, drives = Points(places), Drives()
     table = RowTable(points, drives, size, left_out)
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, held[name], held=True) if name in held else table.add(name, joint.facing())
-    for placed in few:
+    for placed in reduced:
         if given_rows(placed.name, placed.body):
             table.add(placed.name, placed.body)
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass
-    loads, operators = dead_loads(parts, gravity, places), [body.operator for body in plates]
-    materials = [body.plate.material for body in plates]
-    modulus, nu = np.array([material.in_plane for material in materials]).reshape(-1, 2).T
-    thickness = np.array([body.plate.thickness for body in plates], float)
-    fields = operator_arrays(plates) | {
-        "body_node": starts([range(body.mesh.n_nodes) for body in plates]),
-        "body_block": starts([operator.indices for operator in operators]),
-        "body_c1": thickness * modulus / (1 - nu**2),
-        "body_nu": nu.copy(),
-        "body_density": thickness * [material.rho for material in materials],
-        "body_drag": np.array([material.mass_damping for material in materials], float),
-        "body_viscosity": np.array([material.viscosity for material in materials], float),
-        "body_stabilisation": np.array([stabilisation_factor(body.plate, body.operator) for body in plates], float),
-        "weight": np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few, *states.values(), *strains.values())]),
-        "load_ptr": starts([load.pairs for load in loads]),
-        "load_nodes": concatenated([load.pairs for load in loads], np.int32),
-        "load_values": concatenated([load.forces for load in loads], float, (2,)),
-        "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
-    }
-    laws, callbacks = laws_of(of_kind(parts, ForceElement), states, [placed for placed in few if placed.elastic], points, drives, size)
+    loads = dead_loads(parts, gravity, places)
+    weight = np.concatenate([placed.weight(steady(gravity)) for placed in (*bodies, *states.values(), *strains.values())])
+    plate_arrays = plates_of(plates, weight, loads, [drives.add(load.profile, load.name) for load in loads])
+    laws, callbacks = laws_of(of_kind(parts, ForceElement), states, [placed for placed in reduced if placed.elastic], points, drives, size)
     links = Links(
         point_ptr=starts(points.nodes),
         point_nodes=concatenated(points.nodes, np.int32),
@@ -386,10 +368,32 @@ def assemble(plates, few, states, strains, places, parts, gravity, size, left_ou
     )
     links = links._replace(coupling=coupling_of(links, laws), slips=no_slips(links))
     first = plates[-1].nodes.stop if plates else 0
-    compact = compact_of([*few, *states.values()], first, int(fields["body_block"][-1]))
-    relaxation = relaxation_of([*plates, *few], strains, (*plates, *few, *states.values())[-1].pairs.stop)
-    arrays = SceneArrays(Plates(**fields), links, compact, relaxation)
-    return arrays, points, table, drives, laws, callbacks
+    reduced = reduced_arrays([*reduced, *states.values()], first, int(plate_arrays.body_block[-1]))
+    relaxation = relaxation_of(bodies, strains, (*bodies, *states.values())[-1].pairs.stop)
+    return SceneArrays(plate_arrays, links, reduced, relaxation), points, table, drives, laws, callbacks
+
+
+def plates_of(plates, weight, loads, load_drives):
+    """The Plates of PlacedPlates. weight (pairs, 2): steady gravity on all pairs. loads: Dead, with the numbers of their drives."""
+    materials = [body.plate.material for body in plates]
+    modulus, nu = np.array([material.in_plane for material in materials]).reshape(-1, 2).T
+    thickness = np.array([body.plate.thickness for body in plates], float)
+    return Plates(
+        **operator_arrays(plates),
+        body_node=starts([range(body.mesh.n_nodes) for body in plates]),
+        body_block=starts([body.operator.indices for body in plates]),
+        membrane_stiffness=thickness * modulus / (1 - nu**2),
+        body_nu=nu.copy(),
+        body_density=thickness * [material.rho for material in materials],
+        body_drag=np.array([material.mass_damping for material in materials], float),
+        body_viscosity=np.array([material.viscosity for material in materials], float),
+        body_stabilisation=np.array([stabilisation_factor(body.plate, body.operator) for body in plates], float),
+        weight=weight,
+        load_ptr=starts([load.pairs for load in loads]),
+        load_nodes=concatenated([load.pairs for load in loads], np.int32),
+        load_values=concatenated([load.forces for load in loads], float, (2,)),
+        load_drive=np.array(load_drives, np.int64),
+    )
 
 
 def coupling_of(links, laws):
@@ -429,19 +433,19 @@ def relaxation_of(bodies, strains, pairs):
     return Relaxation(pairs, starts(sizes), starts(terms), share.copy(), time.copy(), mass, unit, np.zeros(2, np.int64))
 
 
-def compact_of(few, first, block):
-    """The Compact of the bodies of few coordinates, after `first` pairs and `block` blocks of plates."""
-    pairs = [len(placed.rest) for placed in few]
-    masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in few]
-    forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in few)) if few else ((), ())
-    damping = np.array([placed.damping() for placed in few], float).reshape(-1, 2)
-    result = Compact(
+def reduced_arrays(bodies, first, block):
+    """The ReducedArrays of the bodies of few coordinates, after `first` pairs and `block` blocks of plates."""
+    pairs = [len(placed.rest) for placed in bodies]
+    masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in bodies]
+    forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in bodies)) if bodies else ((), ())
+    damping = np.array([placed.damping() for placed in bodies], float).reshape(-1, 2)
+    result = ReducedArrays(
         pair=first + starts([range(count) for count in pairs]),
         block=block + starts([range(count**2) for count in pairs]),
-        rest=pairs_of(concatenated([placed.rest for placed in few], complex)),
+        rest=pairs_of(concatenated([placed.rest for placed in bodies], complex)),
         mass_start=starts([mass.ravel() for mass in masses]),
         mass=pairs_of(concatenated([mass.ravel() for mass in masses], complex)),
-        axis=pairs_of(concatenated([placed.axis for placed in few], complex)),
+        axis=pairs_of(concatenated([placed.axis for placed in bodies], complex)),
         form_start=starts([form.ravel() for form in forms]),
         form=concatenated([form.ravel() for form in forms], float),
         shift_start=starts(shifts),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.assembly import compact
+from polyida.assembly import reduced_kernels
 from polyida.assembly.arrays import SceneArrays, cells_of, material_of
 from polyida.assembly.relaxation import add_scaled, strains_of
 from polyida.element import kernels
@@ -60,7 +60,7 @@ def take_strain(scene, body, u, strain):
     o = s.body_node.shape[0] - 1
     if body >= o:
         strain[strain.shape[0] - 1] = 0.0
-        compact.strained(scene.compact, body - o, u, strain[: compact.vectors(scene.compact, body - o)[2]])
+        reduced_kernels.strained(scene.reduced, body - o, u, strain[: reduced_kernels.vectors(scene.reduced, body - o)[2]])
     else:
         strain_at_points(cells_of(s, body), u, strain)
 
@@ -102,7 +102,7 @@ def add_condensed(work, u, r):
             pull, strain = work.known[at : at + count].copy(), np.empty(count)
             take_strain(scene, b, u, strain)
             add_scaled(pull, work.shares[b], strain)
-            compact.relax(scene.compact, b - full, u, None, pull, r, strain)
+            reduced_kernels.relax(scene.reduced, b - full, u, None, pull, r, strain)
     return DONE
 
 

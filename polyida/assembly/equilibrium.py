@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from polyida.assembly import compact
+from polyida.assembly import reduced_kernels
 from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.joints import joint_forces, point_values, slip_forces, spread
 from polyida.assembly.relaxation import add_relaxed_blocks, stiffness_changes
-from polyida.element import kernels, two_field
+from polyida.element import kernels, viscous_midpoint
 from polyida.element.operator import Blocks
 from polyida.jit import entry, leaf, part, shared
 from polyida.jit.intrinsics import call, float_of
@@ -39,11 +39,11 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
             det = float_of(call(x.condensed[1], (x.condensed[0], b, u, r, rotation)))
         else:
             det = kernels.internal_force(cells_of(s, b), material_of(s, b), u, r, rotation)
-        least = compact.lesser(least, det)
+        least = reduced_kernels.lesser(least, det)
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
             kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
-    least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
+    least = reduced_kernels.lesser(least, reduced_kernels.forces(scene.reduced, u, a, r, rotation))
     hold_strains(x, a, r, rotation)
     return least, add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r)
 
@@ -90,7 +90,7 @@ def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
         p, e = s.at[o], s.at[o + 1]
         own = Blocks(s.pairs[p[4] : e[4]], first, blocks)
         if v is not None:
-            two_field.tangent_viscous(cells_of(s, b), own, material_of(s, b), u, v, c_q, c_v)
+            viscous_midpoint.tangent_viscous(cells_of(s, b), own, material_of(s, b), u, v, c_q, c_v)
         elif c_q != 0.0:
             kernels.tangent(cells_of(s, b), own, material_of(s, b), u, c_q)
         mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
@@ -99,13 +99,13 @@ def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
                 value = mass * s.mass[p[6] + k] + stiffness * s.stabilisation[p[6] + k]
                 blocks[first + k, 0, 0] += value
                 blocks[first + k, 1, 1] += value
-    compact.blocks(scene.compact, u, u if v is None else v, c_m, c_v, c_q, blocks)
+    reduced_kernels.blocks(scene.reduced, u, u if v is None else v, c_m, c_v, c_q, blocks)
 
 
 @entry
 def strain_energy(scene, u):
     """Elastic energy of all bodies, J."""
-    s, total = scene.plates, compact.energy(scene.compact, u)
+    s, total = scene.plates, reduced_kernels.energy(scene.reduced, u)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         total += kernels.strain_energy(cells_of(s, b), material_of(s, b), u)
@@ -118,7 +118,7 @@ def strain_energy(scene, u):
 def momentum(scene, a, r):
     """r += M a without the masses at points."""
     s = scene.plates
-    compact.momentum(scene.compact, a, r)
+    reduced_kernels.momentum(scene.reduced, a, r)
     hold_strains(scene.relaxation, a, r, r[:0])
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
@@ -172,7 +172,7 @@ def combined(model, c_m, c_v, K, C, m, across, relaxing):
         blocks[:, 1, 0] += c_m * across
     if relaxing is not None:
         changes, s = stiffness_changes(model, c_m / c_v), model.arrays
-        first = np.concatenate([s.plates.body_block[:-1], s.compact.block])[: len(changes) + 1]
+        first = np.concatenate([s.plates.body_block[:-1], s.reduced.block])[: len(changes) + 1]
         blocks[: first[-1]] += np.repeat(changes, np.diff(first))[:, None, None] * relaxing[: first[-1]]
     return blocks
 
@@ -181,7 +181,7 @@ def combined(model, c_m, c_v, K, C, m, across, relaxing):
 def add_damping(scene, u, v, elastic, r):
     """r (nodes, 2) += damping forces of all bodies; elastic (nodes, 2) is workspace."""
     s = scene.plates
-    compact.add_damping(scene.compact, u, v, r)
+    reduced_kernels.add_damping(scene.reduced, u, v, r)
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         if s.body_drag[b] != 0.0:
@@ -194,4 +194,4 @@ def add_damping(scene, u, v, elastic, r):
         for i in range(n0, s.body_node[b + 1]):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
-        two_field.internal_force_viscous(cells_of(s, b), material_of(s, b), u, v, r, none)
+        viscous_midpoint.internal_force_viscous(cells_of(s, b), material_of(s, b), u, v, r, none)

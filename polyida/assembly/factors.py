@@ -35,7 +35,7 @@ def scaled(model, factors):
     other.places = model.places | {id(body.plate): body for body in other.bodies}
     loads = dead_loads(other.parts, other.gravity, other.places)
     weight = np.concatenate(
-        [placed.weight(steady(other.gravity)) for placed in (*other.bodies, *other.few, *other.states.values(), *other.strains.values())]
+        [placed.weight(steady(other.gravity)) for placed in (*other.all_bodies, *other.states.values(), *other.strains.values())]
     )
     plates = plates._replace(weight=weight, load_values=concatenated([load.forces for load in loads], float, (2,)))
     other.arrays, other._derived = model.arrays._replace(plates=plates), {}
@@ -55,7 +55,7 @@ def _checked(model, factors):
             part = model.parts.get(name)
             what = "no part of the scene" if part is None else f"a {type(part).__name__}"
             advice = f"; plates: {', '.join(map(repr, known)) or 'none'}"
-            if any(placed.name == name for placed in model.few):
+            if any(placed.name == name for placed in model.reduced_bodies):
                 advice = ": only the cells of full plates have factors, take its plate into the scene itself"
             raise InputError(f"with_factors: {name!r} is {what}{advice}")
         if not isinstance(pair, (tuple, list)) or len(pair) != 2:

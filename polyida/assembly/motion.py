@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly import compact
+from polyida.assembly import reduced_kernels
 from polyida.assembly.placement import gravity_at
 from polyida.errors import InputError
 from polyida.validation import complex_of_pairs, is_number, pairs_of, vector2
@@ -57,7 +57,7 @@ def moves_at(model, t, q):
 
 def motions_given(model):
     """Velocity along x and y, m/s, and spin, rad/s, that the user gave to each body, (3 bodies,)."""
-    motions = (motion_of(getattr(placed, "plate", None) or placed.user) for placed in (*model.bodies, *model.few))
+    motions = (motion_of(placed.user) for placed in model.all_bodies)
     return np.array([[v.real, v.imag, spin] for v, spin in motions]).ravel()
 
 
@@ -71,7 +71,7 @@ def rigid_motions(model, q):
 
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     columns = []
-    for placed in (*model.bodies, *model.few):
+    for placed in model.all_bodies:
         T, own = placed.translation, z[placed.pairs]
         centre = np.vdot(placed.translation_momentum, own) / (np.vdot(placed.translation_momentum, T) or 1.0)
         units = [T * velocity + 1j * spin * (own - T * centre) for velocity, spin in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
@@ -84,7 +84,7 @@ def motions_as_a_whole(model, q):
     """Velocities of places q (k, n) in the three motions of a scene as one rigid body, (k, n, 3)."""
     z, T = complex_of_pairs(model.reference + q.reshape(len(q), -1, 2)), np.zeros(model.n // 2, complex)
     turned = np.zeros_like(z)
-    for one in (*model.bodies, *model.few):
+    for one in model.all_bodies:
         T[one.pairs] = one.translation
         turned[:, one.pairs] = 1j * z[:, one.pairs]
     units = (np.broadcast_to(T, z.shape), np.broadcast_to(1j * T, z.shape), turned)
@@ -135,7 +135,7 @@ def _least_solution(A, b):
 
 def _warn_of_change(model, R, prescribed, change):
     """Warn if joints change the given motions by much. Given motions far below those of moving joints count as none."""
-    M, changed, bodies = model.mass(np.zeros(model.n)), prescribed + change, (*model.bodies, *model.few)
+    M, changed, bodies = model.mass(np.zeros(model.n)), prescribed + change, model.all_bodies
 
     def energy(w):
         return (R @ w) @ (M @ (R @ w))
@@ -184,7 +184,7 @@ def motion_slopes(model, t, q, bar):
     g = roots @ (roots.T @ motions)
     left, right = np.zeros((2, model.n_nodes), complex)
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
-    for k, placed in enumerate((*model.bodies, *model.few)):
+    for k, placed in enumerate(model.all_bodies):
         mass = np.vdot(placed.translation_momentum, placed.translation).real or 1.0
         centre = np.vdot(placed.translation_momentum, z[placed.pairs]) / mass
         slope, spin = complex(*motions[3 * k : 3 * k + 2]), prescribed[3 * k + 2]
@@ -209,13 +209,13 @@ def left_out(model, t, frames, accelerations):
     with its supports fixed, `C d = 0`: energy `-d^T r / 2`. Forces of joints have no part in it. Not of viscoelastic plates, whose f depends on the past.
     """
     has_error = lambda placed: placed.body.truncation_error is not None and placed.name not in model.strains  # noqa: E731
-    reduced = [(number, placed) for number, placed in enumerate(model.few) if has_error(placed)]
+    reduced = [(number, placed) for number, placed in enumerate(model.reduced_bodies) if has_error(placed)]
     if not (reduced and len(frames)):
         return {}
     chosen, errors = np.unique(np.linspace(0, len(frames) - 1, COMPARED).astype(int)), {}
     pairs = np.array([frames[k] for k in chosen], float).reshape(len(chosen), -1, 2)
-    energies = np.empty((len(chosen), len(model.arrays.compact.drag)))
-    compact.energies(model.arrays.compact, pairs, energies)
+    energies = np.empty((len(chosen), len(model.arrays.reduced.drag)))
+    reduced_kernels.energies(model.arrays.reduced, pairs, energies)
     for number, placed in reduced:
         worst = int(np.argmax(energies[:, number]))
         k, whole = chosen[worst], energies[worst, number]

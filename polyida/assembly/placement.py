@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.body.body import Body, coordinates_of, form_of, mass_of, translation_of, writes
+from polyida.body.body import Body, coordinates_of, form_of, mass_of, points_of, translation_of, writes
 from polyida.body.plate import prony_series
 from polyida.body.rigid_body import PointMass
 from polyida.force.controllers import Controller
@@ -22,12 +22,16 @@ class PlacedPlate:
     """A plate. nodes: its slice of the pairs of q, or of the drawn nodes. operator: weights, mass and stabilisation include the factors.
 
     factors: (stiffness (cells,), mass (cells,)) of its cells. mesh: turned by the plate's angle. translation, T (nodes,): velocity of each
-    node for a unit velocity of the body.
+    node for a unit velocity of the body. user: the plate too, as of PlacedBody.
     """
+
+    is_full = True  # the plates of a scene come first in q, behind them its bodies of few coordinates
 
     def __init__(self, name, plate, operator, nodes, factors=None):
         """nodes: slice of its nodes among all pairs of the scene. factors: of stiffness and mass of its cells, 1 by default."""
-        self.name, self.plate, self.operator, self.nodes, self.pairs = name, plate, operator, nodes, nodes
+        self.name, self.plate, self.user, self.operator = name, plate, plate, operator
+        self.nodes = self.pairs = nodes
+        self.extreme_points = plate.points  # (., 2), m, between which the body lies
         self.mesh, self.points, self.damped = plate.placed, plate.points, plate.material.damped
         self.factors = factors or 2 * (read_only(np.ones(self.mesh.n_cells)),)
         self.translation, self.strain_size = np.ones(self.mesh.n_nodes), 1.0
@@ -56,6 +60,11 @@ class PlacedPlate:
         """Mass, kg."""
         return float(self.translation_momentum.sum())
 
+    @property
+    def trace_of_mass(self):
+        """Sum of the masses of its pairs, kg."""
+        return self.whole_mass
+
     def weight(self, gravity):
         """Gravity on the nodes, (nodes, 2), N."""
         return np.outer(self.translation_momentum, gravity)
@@ -77,6 +86,8 @@ class PlacedBody:
     matrix of the pairs, or None if x and y have different masses; then `uneven`, (2 pairs, 2 pairs). elastic: True if the user wrote its
     elastic force, which has no form for the kernels. axis (pairs,): weights of the vector that turns with the body; zero without one.
     """
+
+    is_full = False
 
     def __init__(self, name, user, first, attachments):
         """first: number of its first pair. attachments: of the parts that use the body."""
@@ -131,7 +142,19 @@ class PlacedBody:
         return float(abs(np.vdot(self.translation, self.translation_momentum)))
 
     @property
-    def spread(self):
+    def trace_of_mass(self):
+        """Sum of the masses of its pairs, kg; zero if x and y have different masses."""
+        return 0.0 if self.mass is None else float(np.trace(self.mass).real)
+
+    @property
+    def extreme_points(self):
+        """Points (., 2), m, between which the body lies: the nodes of its plate, or its named points and those of `_gyration_points`."""
+        if self.body.plate is not None:
+            return self.body.plate.points
+        return np.concatenate([*(point.point[None] for point in points_of(self.body)), self._gyration_points])
+
+    @property
+    def _gyration_points(self):
         """The centre of mass plus and minus the radius of gyration, (2, 2), m; (0, 2) if the body has no mass as a whole."""
         mass = self.whole_mass
         if self.uneven is not None or not mass > 0:

@@ -1,4 +1,4 @@
-"""Viscoelastic plates of a scene: the relaxed strains x as states, of full plates at the points of the elements, of reduced ones in y (compact.py).
+"""Viscoelastic plates of a scene: the relaxed strains x as states, of full plates at the points of the elements, of reduced ones in y (reduced_kernels.py).
 
 Of each term (g, tau) of a plate's Prony series `x' = (E - x) / tau`, E Green's strain, and the stress is `S = D : (E - sum g x)`. As all
 states they are velocities of coordinates of mass `mass`, `x = unit v`, behind all others: `mass (a - (E - x) / (tau unit)) = 0`.
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.assembly import compact
+from polyida.assembly import reduced_kernels
 from polyida.assembly.arrays import SceneArrays, cells_of, material_of
 from polyida.element import kernels
 from polyida.element.operator import Blocks
@@ -45,7 +45,7 @@ def relax_body(scene, body, u, half, pull, force, strain):
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        compact.relax(scene.compact, body - o, u, half, pull, force, strain)
+        reduced_kernels.relax(scene.reduced, body - o, u, half, pull, force, strain)
     else:
         relax(cells_of(s, body), material_of(s, body), u, half, pull, force, strain)
 
@@ -56,7 +56,7 @@ def change_strain(scene, body, u, along, strain):
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        compact.change_of_strain(scene.compact, body - o, u, along, strain)
+        reduced_kernels.change_of_strain(scene.reduced, body - o, u, along, strain)
     else:
         change_of_strain(cells_of(s, body), u, along, strain)
 
@@ -67,7 +67,7 @@ def square(scene, body, strain):
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        return compact.strain_square(scene.compact, body - o, strain)
+        return reduced_kernels.strain_square(scene.reduced, body - o, strain)
     first = s.body_operator[body]
     return strain_square(s.weights[s.at[first, 3] : s.at[first + 1, 3]], material_of(s, body), strain)
 
@@ -75,7 +75,7 @@ def square(scene, body, strain):
 @part
 def pairs_of_body(scene, body):
     """(first pair, end) of q that move a body."""
-    s, c = scene.plates, scene.compact
+    s, c = scene.plates, scene.reduced
     o = s.body_node.shape[0] - 1
     return (c.pair[body - o], c.pair[body - o + 1]) if body >= o else (s.body_node[body], s.body_node[body + 1])
 
@@ -146,7 +146,7 @@ def add_relaxed_blocks(scene, u, v, changes, c_q, blocks):
             pull = np.empty(strains_of(x, b))
             take_pull(x, b, speeds, pull)
             if b >= few:
-                compact.relaxed_blocks(scene.compact, b - few, u, pull, changes[b], c_q, blocks)
+                reduced_kernels.relaxed_blocks(scene.reduced, b - few, u, pull, changes[b], c_q, blocks)
                 continue
             o = s.body_operator[b]
             own = Blocks(s.pairs[s.at[o, 4] : s.at[o + 1, 4]], s.body_block[b], blocks)
@@ -308,7 +308,7 @@ def slope_entries(model, q, c_v, c_q):
     """[(rows, columns, values)] of `c_v dr/dv + c_q dr/dq` of relaxation outside the blocks of the bodies."""
     x, parts = model.arrays.relaxation, []
 
-    for b, body in enumerate((*model.bodies, *model.few)):
+    for b, body in enumerate(model.all_bodies):
         if x.terms[b] == x.terms[b + 1]:
             continue
         at, first, last = 2 * x.first + x.start[b], 2 * body.pairs.start, 2 * body.pairs.stop
@@ -334,7 +334,7 @@ def _strain_slopes(model, b, q):
     changes = [(e11, h, f11), (e11, h + 2, f21), (e22, h + 1, f12), (e22, h + 3, f22)]
     changes += [(e12, h + k, 0.5 * f) for k, f in enumerate((f12, f11, f22, f21))]
     B = summed(changes, 3 * len(weights), 4 * len(weights)) @ gradients
-    w, nu = plates.body_c1[b] * weights, plates.body_nu[b]
+    w, nu = plates.membrane_stiffness[b] * weights, plates.body_nu[b]
     moduli = [(e11, e11, w), (e22, e22, w), (e11, e22, nu * w), (e22, e11, nu * w), (e12, e12, 2.0 * (1.0 - nu) * w)]
     return B, B.T @ summed(moduli, 3 * len(weights))
 
@@ -343,10 +343,10 @@ def _form_slopes(model, body, q):
     """The same of a reduced plate."""
     from scipy.sparse import csr_array
 
-    placed = model.few[body - len(model.bodies)]
+    placed = model.reduced_bodies[body - len(model.bodies)]
     form, z = placed.form[0], pairs_of(placed.rest) + q.reshape(-1, 2)
     slopes = np.zeros((len(form), len(q) - 2))
-    compact.add_y_jacobian(len(z) - 1, z[1:], 1.0, slopes)
+    reduced_kernels.add_y_jacobian(len(z) - 1, z[1:], 1.0, slopes)
     B = np.hstack([np.zeros((len(form), 2)), slopes])
     return csr_array(B), csr_array(B.T @ form)
 
@@ -378,7 +378,7 @@ def gradient_operators(model):
 def fields_at_points(model):
     """{reduced plate: derivatives of its fields in x and y at the points, (points, 2, fields), complex} of viscoelastic ones."""
     gradients, result = model.once(gradient_operators, of_shape=True), {}
-    for placed in model.few:
+    for placed in model.reduced_bodies:
         if placed.name in gradients:
             fields = placed.body.shapes()[:, 1:]
             real = gradients[placed.name] @ np.stack([fields.real, fields.imag], axis=1).reshape(-1, fields.shape[1])

@@ -70,7 +70,7 @@ class Constraints(Model):
         return self.labels[row]
 
     def keeps_body(self, row):
-        return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
+        return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.reduced_bodies if body.name in self.rows)
 
     def phi(self, t, q):
         """Constraints, (m,): of points in m, of motors |d_A| |d_B| sin(angle error)."""
@@ -343,7 +343,7 @@ def _sized(values, size, name):
 
 
 class SceneBodies(Constraints):
-    """The mass matrix of a scene with `bodies`, `few`, `arrays`, `pattern` and `uneven_mass`, and its bodies as they are drawn.
+    """The mass matrix of a scene with `bodies`, `reduced_bodies`, `arrays`, `pattern` and `uneven_mass`, and its bodies as they are drawn.
 
     The even mass is Hermitian on the pairs of q as complex numbers, constant, and factored once.
     """
@@ -364,7 +364,7 @@ class SceneBodies(Constraints):
 
         (indptr, indices), s = self.pattern, self.arrays
         values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
-        values = [concatenated(values, float), s.compact.mass @ (1, 1j)]
+        values = [concatenated(values, float), s.reduced.mass @ (1, 1j)]
         for placed in self.strains.values():
             count = placed.pairs.stop - placed.pairs.start
             values.append(np.full(count, placed.mass))
@@ -392,13 +392,13 @@ class SceneBodies(Constraints):
     @cached_property
     def translation(self):
         """Velocity of each pair of q if all bodies translate with unit velocity, (pairs,), complex."""
-        placed = (*self.bodies, *self.few, *self.states.values(), *self.strains.values())
+        placed = (*self.all_bodies, *self.states.values(), *self.strains.values())
         return np.concatenate([np.zeros(0, complex), *(one.translation for one in placed)])
 
     @property
     def lightest(self):
         """Mass of the lightest body, kg."""
-        return min(placed.whole_mass for placed in (*self.bodies, *self.few))
+        return min(placed.whole_mass for placed in self.all_bodies)
 
     def momenta(self, q, v):
         """(px, py, L): momentum, N s, and angular momentum about the origin, N m s: `p = T^H M z'` and `L = Im(z^H M z')`.
@@ -418,7 +418,7 @@ class SceneBodies(Constraints):
     def _meshed(self):
         """(PlacedPlate, PlacedBody) of the bodies of few coordinates with a mesh."""
         meshed, first = [], self.bodies[-1].nodes.stop if self.bodies else 0
-        for placed in self.few:
+        for placed in self.reduced_bodies:
             if (plate := placed.body.plate) is not None:
                 meshed.append((PlacedPlate(placed.name, plate, placed.body.operator, slice(first, first + plate.mesh.n_nodes)), placed))
                 first = meshed[-1][0].nodes.stop
@@ -448,7 +448,7 @@ class SceneBodies(Constraints):
     def sticks(self, q):
         """Bodies with named points and no mesh as segments between their points, in the order of angles, (segments, 2, 2), m."""
         segments, pairs = [np.zeros((0, 2, 2))], self._nodal(q)
-        for placed in self.few:
+        for placed in self.reduced_bodies:
             if placed.body.plate is None:
                 z = placed.rest + complex_of_pairs(pairs[placed.pairs])
                 points = np.array([placed.body.weights_of(point, "point") @ z for point in points_of(placed.body)])
@@ -536,6 +536,6 @@ def deepest(bodies, u):
 
 def inverse_masses(model):
     """The inverse masses of the bodies of a scene without plates."""
-    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.few, *model.states.values())]
+    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in (*model.reduced_bodies, *model.states.values())]
     flat = np.concatenate([np.linalg.inv(mass).ravel() for mass in each])
-    return model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1))
+    return model.arrays.reduced._replace(mass=np.stack([flat.real, flat.imag], axis=1))

@@ -51,7 +51,7 @@ class SceneModel(SceneBodies):
 
     q are displacements of pairs (x, y): of the plates' nodes, m, then of the complex coordinates of bodies of few coordinates.
 
-    bodies, few: the plates, and the other bodies, in order; places: {id: either}. arrays: all that the kernels read; laws: the force elements
+    bodies, reduced_bodies: the plates, and the bodies of few coordinates, in the order of q; places: {id: either}. arrays: all that the kernels read; laws: the force elements
     and elastic forces for kernels, which call functions in Python by `callbacks`; own_forces: the same for Python. compiled: True if kernels
     can take whole steps.
     rows: {name: slice of phi and lam} of each joint and body with rows. late: names of the parts that events add, or None without events; see
@@ -61,20 +61,22 @@ class SceneModel(SceneBodies):
     is_scene = has_constraint_increments = True
     whole: Any = None  # of a mode: the model that has all parts
     switching = False  # True if a force element declares switches, by `gap`
-    looks_apart = 1024  # without few: joints hold on to points of their own, and only motors turn rows
+    looks_apart = 1024  # without reduced_bodies: joints hold on to points of their own, and only motors turn rows
 
     def __init__(self, parts, gravity, redundant="refuse", without_strains=False, late=None):
         """Place the parts {name: part} of a scene. redundant, without_strains: as for Scene.build. late: names of parts that only events add."""
         self.parts, self.treats_redundant, self.without_strains = dict(parts), redundant, without_strains
         self.late, self._modes, self._rotated = late, {}, [(None, None)]  # q and its rotations, also of models with other rows
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
-        self.bodies, self.few = place_bodies(parts)
-        self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
-        self.extent = extent_of(self.bodies, self.few)
+        placed_bodies = place_bodies(parts)
+        self.bodies = [placed for placed in placed_bodies if placed.is_full]
+        self.reduced_bodies = [placed for placed in placed_bodies if not placed.is_full]
+        self.places = {id(placed.user): placed for placed in placed_bodies}
+        self.extent = extent_of(placed_bodies)
         self.state_speed = float(np.sqrt(self.free_fall * self.extent) or self.extent / SECOND)
-        self.states, self.strains = place_states(parts, self.bodies, self.few, self.state_speed, without_strains)
+        self.states, self.strains = place_states(parts, placed_bodies, self.state_speed, without_strains)
         self.places |= {id(placed): placed for placed in self.states.values()}
-        self.n_factored = [*self.bodies, *self.few, *self.states.values()][-1].pairs.stop
+        self.n_factored = [*placed_bodies, *self.states.values()][-1].pairs.stop
         self.n_nodes = list(self.strains.values())[-1].pairs.stop if self.strains else self.n_factored
         self.n, all_states = 2 * self.n_nodes, [*self.states.values(), *self.strains.values()]
         self.state_columns, self.state_units, start = (
@@ -83,15 +85,15 @@ class SceneModel(SceneBodies):
         )
         self.state_start = start / self.state_units
         self.k = len(self.state_columns)
-        compact = [*self.few, *all_states]
-        self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in compact])
-        self.damped = any(placed.damped for placed in (*self.bodies, *self.few))
-        self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.few)
-        uneven = [body for body in self.few if body.uneven is not None]
+        behind_plates = [*self.reduced_bodies, *all_states]
+        self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in behind_plates])
+        self.damped = any(placed.damped for placed in placed_bodies)
+        self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.reduced_bodies)
+        uneven = [body for body in self.reduced_bodies if body.uneven is not None]
         self.uneven_mass = _uneven([(body, 1.0) for body in uneven], self.n)
         self.uneven_drag = _uneven([(body, body.body.damping()[0]) for body in uneven], self.n)
-        self.solid = not any(placed.massless for placed in self.few) and self.uneven_mass is None
-        self.uniform_units = not (self.few or self.strains)
+        self.solid = not any(placed.massless for placed in self.reduced_bodies) and self.uneven_mass is None
+        self.uniform_units = not (self.reduced_bodies or self.strains)
         self._use_parts(self._late_joints())
         if redundant == "least-norm":
             require_no_laws("Scene.build", self, 'redundant="least-norm" is for equations alone; redundant contacts need none')
@@ -101,14 +103,14 @@ class SceneModel(SceneBodies):
     def _use_parts(self, held, left_out=()):
         """Take from the parts all that depends on which of them act; arguments as of `_assemble`."""
         self._assemble(held, left_out)
-        elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.few if placed.elastic]
+        elements, elastic = of_kind(self.parts, ForceElement), [placed for placed in self.reduced_bodies if placed.elastic]
         functions = iter([one.functions for one in self.callbacks])
         forces = [OwnForce(name, element, self, next(functions)) for name, element in elements.items()]
         self.own_forces = (*forces, *(Elastic(own, self.n_nodes, next(functions)) for own in elastic))
         self.switching = any(own.switches for own in self.own_forces)
         self.controllers = [own for own in self.own_forces if own.period]
-        self.compiled, self.looks_apart = self.solid, 1 if self.few else self.looks_apart
-        plain = [placed.name for placed in self.few if placed.massless or placed.uneven is not None]
+        self.compiled, self.looks_apart = self.solid, 1 if self.reduced_bodies else self.looks_apart
+        plain = [placed.name for placed in self.reduced_bodies if placed.massless or placed.uneven is not None]
         python = [one.functions.name for one in self.callbacks if one.addresses.keys() - {"energy"}]
         why = (("plain paths for the masses of", plain), ("calls in every step of the Python of", python))
         self.remark = " and ".join(f"{what} {', '.join(map(repr, names))}" for what, names in why if names)
@@ -211,8 +213,7 @@ class SceneModel(SceneBodies):
         held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold.
         """
         self._assembled = held, list(left_out)
-        of_bodies = self.bodies, self.few, self.states, self.strains, self.places
-        assembled = assemble(*of_bodies, self.parts, self.gravity, self.extent, left_out, held)
+        assembled = assemble(self.all_bodies, self.states, self.strains, self.places, self.parts, self.gravity, self.extent, left_out, held)
         self._driven = None, None
         self.arrays, points, table, drives, self.laws, self.callbacks = assembled
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
@@ -240,7 +241,7 @@ class SceneModel(SceneBodies):
         return float(np.hypot(*largest))
 
     def __repr__(self):
-        bodies, joints = len(self.bodies) + len(self.few), len(self.joints)
+        bodies, joints = len(self.all_bodies), len(self.joints)
         return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
 
     def __reduce__(self):
@@ -286,11 +287,11 @@ class SceneModel(SceneBodies):
         """
         model = type(self)(self.parts, self.gravity, self.treats_redundant, True, self.late).with_factors(**given_factors(self))
         if relaxed:
-            plates, compact, shares = model.arrays.plates, model.arrays.compact, 1.0 + stiffness_changes(self, 0.0)
-            full, few = np.split(shares, [len(self.bodies)])
-            forms = compact.form * np.repeat(few, np.diff(compact.form_start[: len(few) + 1]))
+            plates, reduced = model.arrays.plates, model.arrays.reduced
+            of_plates, of_reduced = np.split(1.0 + stiffness_changes(self, 0.0), [len(self.bodies)])
+            forms = reduced.form * np.repeat(of_reduced, np.diff(reduced.form_start[: len(of_reduced) + 1]))
             model.arrays = model.arrays._replace(
-                plates=plates._replace(body_c1=plates.body_c1 * full), compact=compact._replace(form=forms)
+                plates=plates._replace(membrane_stiffness=plates.membrane_stiffness * of_plates), reduced=reduced._replace(form=forms)
             )
         return model
 
@@ -538,7 +539,7 @@ class SceneModel(SceneBodies):
         for body, first in zip(self.bodies, s.body_block):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
-        for placed, first in zip([*self.few, *self.states.values()], self.arrays.compact.block):
+        for placed, first in zip([*self.reduced_bodies, *self.states.values()], self.arrays.reduced.block):
             pairs = np.arange(placed.pairs.start, placed.pairs.stop)
             indptr.append((first + len(pairs) * np.arange(1, len(pairs) + 1)).astype(np.int32))
             indices.append(np.tile(pairs, len(pairs)))
@@ -547,7 +548,7 @@ class SceneModel(SceneBodies):
     @cached_property
     def first_pairs(self):
         """First pair of each body, and the end, (bodies + 1,)."""
-        return np.concatenate([self.arrays.plates.body_node, self.arrays.compact.pair[1:]])
+        return np.concatenate([self.arrays.plates.body_node, self.arrays.reduced.pair[1:]])
 
     def once(self, make, of_shape=False, **options):
         """make(self, **options), computed once. of_shape: True if it does not depend on the factors of cells."""
@@ -594,7 +595,7 @@ class Powers:
             if any(row.driven for row in all_rows(part)):
                 self._driven[name] = model.rows[name]
         self._elements = [own for own in model.own_forces if not own.strain]
-        self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
+        self._damped = [placed for placed in model.all_bodies if placed.damped]
         of_bodies = dict.fromkeys([*(body.name for body in self._damped), *model.strains])
         self._rubbing = {law.row: law.name for law in model.row_laws if not law.is_contact}
         elements = [own.name for own in self._elements if own.element.dissipates]
@@ -617,9 +618,7 @@ class Powers:
         if self.model.strains:
             at = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
             lost = relaxation_energies(self.model.arrays, *at)[1]
-            powers |= {
-                body.name: -power for body, power in zip((*self.model.bodies, *self.model.few), lost) if body.name in self.model.strains
-            }
+            powers |= {body.name: -power for body, power in zip(self.model.all_bodies, lost) if body.name in self.model.strains}
         if not self._damped:
             return powers
         u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()

@@ -65,7 +65,7 @@ class Body(OwnPart, part=False):
         About the centre of mass at the start of a run; a class may make it a field.
     """
 
-    few = True  # a body of few coordinates, not a full plate
+    is_full = False  # True for a full plate, False for a body of few coordinates
     turns_only = False  # True if it keeps the direction of its sections at constant length; its points may do so by themselves
     plate: Any = None  # the plate whose mesh shows it; `nodal` then returns the displacements of the nodes
     truncation_error: Any = None  # of a reduced plate: a function that estimates what its modes cannot represent

@@ -146,7 +146,8 @@ class Plate:
     spin: float = field(default=0.0, metadata=check(number, "rad/s"))
     order: int | None = field(default=None, metadata=must_be("1, or 2 for quadratic cells", none_or(lambda x: is_whole(x, 1, 2))))
     label: str = field(init=False, repr=False)
-    few = turns_only = False  # as of Body
+    is_full = True  # as of Body
+    turns_only = False
 
     def __post_init__(self):
         """Check the fields, and take the mesh with the middle nodes that the order needs."""

@@ -281,7 +281,9 @@ def missing_fields(run: "Trajectory", name: str, count: int = 3) -> np.ndarray:
         raise InputError(f"missing_fields: {run!r:.100} is no run; give what solve or load returns")
     model = run.known_model("missing_fields")
     known = {
-        one.name: one for one in (model.few if model.is_scene else ()) if isinstance(one.body, _InModes) and one.name not in model.strains
+        one.name: one
+        for one in (model.reduced_bodies if model.is_scene else ())
+        if isinstance(one.body, _InModes) and one.name not in model.strains
     }
     if not is_one_of(name, known):
         raise InputError(f"missing_fields: no elastic reduced plate is called {name!r}; known: {', '.join(map(repr, known)) or 'none'}")

@@ -261,7 +261,7 @@ def naming_loose(failure, loading, q):
         return failure
     K, B, motions = loading.stiffness(q, np.zeros(model.m)), model.phi_q(loading.t, q), rigid_motions(model, q).tocsc()
     loose = []
-    for k, body in enumerate((*model.bodies, *model.few)):
+    for k, body in enumerate(model.all_bodies):
         own = motions[:, 3 * k : 3 * k + 3].toarray()
         own /= np.maximum(np.linalg.norm(own, axis=0), 1e-300)
         if np.linalg.svd(np.concatenate([K @ own / (abs(K).max() or 1.0), B @ own]), compute_uv=False)[-1] < LOOSE:

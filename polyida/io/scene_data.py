@@ -31,7 +31,7 @@ def to_data(model):
     A dictionary for JSON, its arrays by key, and {key: (part, profile)} of the profiles without a formula.
     """
     parts = model.parts
-    encoder = _Encoder(parts, {placed.name: placed.user.fields_to_store(placed.body) for placed in model.few})
+    encoder = _Encoder(parts, {placed.name: placed.user.fields_to_store(placed.body) for placed in model.reduced_bodies})
     entries = [
         {"kind": registry.name_of(type(part)), "name": name, "fields": encoder.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())

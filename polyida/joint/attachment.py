@@ -122,7 +122,7 @@ class Attachment:
     @property
     def has_edges(self) -> bool:
         """True if it is a section of a plate or the edges of another body, not a point: contact then takes it as edges."""
-        return len(self.nodes) > 1 and (not self.body.few or self.body.plate is not None)
+        return len(self.nodes) > 1 and (self.body.is_full or self.body.plate is not None)
 
     @property
     def depth(self) -> float:

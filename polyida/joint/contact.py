@@ -100,7 +100,7 @@ class Contact(Joint):
             require_directions(label, *([self.a] if self.friction else []))
         if not 0.01 <= number(label, "contact_mass", self.contact_mass, "no unit") <= 1.0:
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r} must be in [0.01, 1]")
-        if self.contact_mass < 1.0 and (isinstance(self.a, Ground) or self.a.body.few):
+        if self.contact_mass < 1.0 and (isinstance(self.a, Ground) or not self.a.body.is_full):
             raise InputError(f"{label}: contact_mass = {self.contact_mass!r}, but {self.a!r} is not of a full plate")
 
     @property

@@ -216,7 +216,7 @@ class Clamp(Joint):
     def by_points(self) -> bool:
         """True if it fixes a full plate to the ground: the reaction is then the force on each node."""
         sides = [side for side in (self.a, self.b) if not isinstance(side, Ground)]
-        return len(sides) == 1 and not sides[0].body.few
+        return len(sides) == 1 and sides[0].body.is_full
 
     def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or the rows of a Weld."""

@@ -123,7 +123,7 @@ class Model:
     free_fall = 0.0
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
     bodies = drawn = ()  # its full plates; all bodies with a mesh: full plates, then reduced and rigid ones
-    few = ()  # its bodies of few coordinates
+    reduced_bodies = ()  # its bodies of few coordinates
     strains = NONE  # by name: relaxed strains of viscoelastic plates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: names, and units of the multipliers
@@ -146,12 +146,22 @@ class Model:
     columns: Any = slice(None)  # numbers of the rows of phi among the columns of a run's lam
     not_finite = ""  # names of the functions that last returned numbers that are not finite
 
+    @property
+    def all_bodies(self) -> list:
+        """Its bodies in the order of q: full plates, then bodies of few coordinates."""
+        return [*self.bodies, *self.reduced_bodies]
+
+    @property
+    def few(self) -> Any:
+        """The same as `reduced_bodies`, under its former name."""
+        return self.reduced_bodies
+
     def __repr__(self):
         return f"<{type(self).__name__}: n = {getattr(self, 'n', '?')}, m = {getattr(self, 'm', '?')}>"
 
     def _repr_html_(self):
         """Its numbers, and a table of the parts, for notebooks."""
-        sizes = {body.name: f"{2 * (body.pairs.stop - body.pairs.start)} coordinates" for body in (*self.bodies, *self.few)}
+        sizes = {body.name: f"{2 * (body.pairs.stop - body.pairs.start)} coordinates" for body in self.all_bodies}
         counts = {name: rows.stop - rows.start for name, rows in self.rows.items()}
         of_rows = {name: f"{count} row{'s' * (count != 1)} of phi" for name, count in counts.items()}
         rows = [

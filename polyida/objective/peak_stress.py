@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from polyida.assembly import equilibrium
-from polyida.assembly.build import compact_of
+from polyida.assembly.build import reduced_arrays
 from polyida.assembly.factors import CellContributions
 from polyida.element import kernels as element
 from polyida.element.cell_products import _add_forces
@@ -197,7 +197,7 @@ class Elastic:
         self.arrays = model.arrays._replace(
             plates=s._replace(**of_bodies, weight=np.zeros_like(s.weight), load_drive=s.load_drive[:0]),
             links=model.arrays.links._replace(gravity=np.zeros(2)),
-            compact=compact_of([_body(placed, names) for placed in model.few], int(model.arrays.compact.pair[0]), 0),
+            reduced=reduced_arrays([_body(placed, names) for placed in model.reduced_bodies], int(model.arrays.reduced.pair[0]), 0),
         )
         self.still, self.none, self.drives = np.zeros((model.n_nodes, 2)), np.zeros(model.m), model.drives(0.0)
 
@@ -244,7 +244,11 @@ def _body(placed, names):
 def _cell_energies(model, body, q, factor):
     """Sum over frames q (count, n) of factor times the energy of every cell of a plate at a factor of 1, (cells,), J."""
     s, number = model.arrays.plates, model.bodies.index(body)
-    u, operator, material = q.reshape(len(q), -1, 2)[:, body.nodes], body.operator, Material(s.body_c1[number], s.body_nu[number])
+    u, operator, material = (
+        q.reshape(len(q), -1, 2)[:, body.nodes],
+        body.operator,
+        Material(s.membrane_stiffness[number], s.body_nu[number]),
+    )
     slopes = np.zeros(operator.n_cells)
     for one, f in zip(u, factor):
         add_cell_energies(operator.cells(), operator.lane_cells, material, np.ascontiguousarray(one), f, slopes)

@@ -60,7 +60,7 @@ class Mass(Objective):
         """{name: kg} of the chosen bodies and point masses."""
         if not model.is_scene:
             raise InputError(f"Mass: {model.name} is no scene's model; write it as a pi.objective.UserObjective")
-        known = {body.name: body.whole_mass for body in (*model.bodies, *model.few)}
+        known = {body.name: body.whole_mass for body in model.all_bodies}
         known |= {name: part.mass for name, part in model.parts.items() if isinstance(part, PointMass)}
         name = named(model, self.part)
         if name is not None and not is_one_of(name, known):

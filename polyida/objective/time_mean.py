@@ -62,7 +62,7 @@ def named(model, place):
 
 def deforming(model):
     """{name: placed body} of a scene's bodies that deform."""
-    return {body.name: body for body in (*model.bodies, *(placed for placed in model.few if placed.deforms))}
+    return {body.name: body for body in (*model.bodies, *(placed for placed in model.reduced_bodies if placed.deforms))}
 
 
 class Frames:

@@ -145,7 +145,7 @@ class Cut:
             first = sum(len(other.operator.weights) for other in model.bodies[:b])
             of_cells = contributions.weight_cells[first : first + len(body.operator.weights)] - contributions.first[b]
             self.strains_ahead = np.repeat(ahead[of_cells].reshape(-1, 1, LANES), 3, axis=1).ravel()
-            self.material = Material(plates.body_c1[b], plates.body_nu[b])
+            self.material = Material(plates.membrane_stiffness[b], plates.body_nu[b])
 
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""

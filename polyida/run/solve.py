@@ -211,7 +211,7 @@ def solve(
         run = Run(model, integrator, plan, store, recorder, Counts(), begun, until, progress, happenings)
         run.begin(state, overwrite)
         result = run.go(state)
-    if model.few and (hint := hint_of_left_out(model, result.t, result.q, result.a)):
+    if model.reduced_bodies and (hint := hint_of_left_out(model, result.t, result.q, result.a)):
         warnings.warn(f"solve: {hint}", ReductionWarning, stacklevel=3)
     return result
 

@@ -39,7 +39,7 @@ IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in so
 | BIAS | q, v, a, out | `phi_q a + phi_bias`, the second derivative of phi; B is that of the last REACTION |
 
 The functions of a scene are compiled once for all scenes: what one lacks has arrays of size 0. Kernels of force elements, of damping and of
-viscoelastic plates (assembly/optional.py), and of elastic bodies of few coordinates (assembly/compact.py), are called by addresses of their
+viscoelastic plates (assembly/optional.py), and of elastic bodies of few coordinates (assembly/reduced_kernels.py), are called by addresses of their
 own and compiled for the scenes that have such parts.
 
 The backward sweeps of generalized-alpha and Radau IIA have their own tables (adjoint/tables.py) with one entry.

@@ -16,7 +16,7 @@ import numpy as np
 from numba import carray, int64, typeof
 
 from polyida import system as table
-from polyida.assembly import compact, corotated, joints
+from polyida.assembly import corotated, joints, reduced_kernels
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.condensation import ADD_CONDENSED, BEGIN_STRAINS, END_STRAINS, WORKSPACE, Condensation, condensation
 from polyida.assembly.increments import Moves, drive_table, gain_table, moves, take_step
@@ -80,7 +80,7 @@ class SceneWork(NamedTuple):
     still: np.ndarray  # (nodes, 2) zeros
     level: np.ndarray  # (m,) zeros
     spare: np.ndarray  # (m,) scratch
-    inverse: compact.Compact  # inverse masses of the bodies, with masses at points, for `acceleration`
+    inverse: reduced_kernels.ReducedArrays  # inverse masses of the bodies, with masses at points, for `acceleration`
     inverse_matrix: np.ndarray  # (nodes, nodes) complex M^-1 in its place, or (0, 0)
 
 
@@ -240,7 +240,7 @@ def acceleration(work, instant, u, v, a, lam):
         for i in range(g.shape[0]):
             g[i, 0], g[i, 1] = -g[i, 0], -g[i, 1]
         clear(free)
-        compact.momentum(work.inverse, g, free)
+        reduced_kernels.momentum(work.inverse, g, free)
     if not constrain(work.scene.links, work.projection, drives, work.dz[k], v, free, lam):
         return SINGULAR
     copy_matrix(free, a)
@@ -490,7 +490,7 @@ class Scene:
             "still": np.zeros(nodes),
             "level": np.zeros(m),
             "spare": np.zeros(m),
-            "inverse": model.arrays.compact,
+            "inverse": model.arrays.reduced,
             "inverse_matrix": np.zeros((0, 0), complex),
         } | options
 

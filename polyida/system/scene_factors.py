@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray
 
-from polyida.assembly import compact, corotated, joints
+from polyida.assembly import corotated, joints, reduced_kernels
 from polyida.assembly.equilibrium import symmetric_parts
 from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, slowing, solve_rates, subtract_rates
 from polyida.assembly.relaxation import eliminate, recover
@@ -78,12 +78,12 @@ def mode_values(work, at):
 @entry
 def matrices(work, instant, u, v, a, lam, slot, c):
     """Factor S of both modes at u, in the slot; v, a and lam are not read."""
-    factors, bodies, turn = work.stored, work.scene.compact, work.turn[0]
+    factors, bodies, turn = work.stored, work.scene.reduced, work.turn[0]
     factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
-    compact.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)  # K
-    compact.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)  # M
+    reduced_kernels.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)  # K
+    reduced_kernels.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)  # M
     for b in range(bodies.drag.shape[0]):
-        compact.turn(bodies, b, u, turn)
+        reduced_kernels.turn(bodies, b, u, turn)
     good = factor_mode(factors, factors.real, work.real, c[0], turn, slot)
     return DONE if good and factor_mode(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
 

@@ -82,7 +82,7 @@ def test_a_free_body_moves_as_it_was_given(scenes, kind):
         state = pi.consistent_state(model)
     assert energy(model, state) == pytest.approx(0.5 * mass * np.dot(V, V) + 0.5 * inertia(kind) * SPIN**2, rel=1e-9)
     assert np.abs(model.phi_rate(0.0, state.q, state.v)).max(initial=0.0) < 1e-14
-    for body in model.few:  # the momentum is m V: T^H M v
+    for body in model.reduced_bodies:  # the momentum is m V: T^H M v
         z = state.v.reshape(-1, 2)[body.pairs] @ (1, 1j)
         assert np.vdot(body.translation, body.mass @ z) == pytest.approx(mass * complex(*V), rel=1e-9)
     assert not pi.consistent_state(model, v0=np.zeros(model.n)).v.any()

@@ -19,10 +19,10 @@ class FloatingFrame(pi.Model):
     """
 
     def __init__(self, few, full, hinge, about):
-        self.fields, self.full, self.n, self.m = few.few[0].body.shapes(), full, few.n, 2
+        self.fields, self.full, self.n, self.m = few.reduced_bodies[0].body.shapes(), full, few.n, 2
         pairs, weights = full.pairs_and_weights(hinge, "point")
         self.hinge = weights @ self.fields[pairs]
-        self.rest, self.about = few.few[0].rest, about
+        self.rest, self.about = few.reduced_bodies[0].rest, about
         self.M = full.mass()
 
     def split(self, p):
@@ -116,7 +116,7 @@ def spinning(body):
     model, random = scene.build(), np.random.default_rng(3)
     z = model.reference @ (1, 1j)
     v = 12.0 * 1j * z + 0.3 * (random.standard_normal(len(z)) + 1j * random.standard_normal(len(z)))
-    v[[placed.pairs.start for placed in model.few]] += 1.0 - 0.5j
+    v[[placed.pairs.start for placed in model.reduced_bodies]] += 1.0 - 0.5j
     v = np.stack([v.real, v.imag], axis=1).ravel()
     return model, model.mass_system(0.0, np.zeros(model.n)).solve(-model.mass() @ v, np.zeros(model.m))[0]
 

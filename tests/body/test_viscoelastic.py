@@ -89,7 +89,7 @@ def test_energy_and_dissipated_work_in_the_energy_momentum_method():
     model = spinning().build()
     run, h = pi.solve(model, 4.0, pi.EnergyMomentum(h=0.01)), 0.01
     body, strains, dissipated = model.bodies[0], model.strains["plate"], 0.0
-    operator, material = body.operator, Material(model.arrays.plates.body_c1[0], model.arrays.plates.body_nu[0])
+    operator, material = body.operator, Material(model.arrays.plates.membrane_stiffness[0], model.arrays.plates.body_nu[0])
     for (q0, v0), (q1, v1) in pairwise(zip(np.asarray(run.q), np.asarray(run.v))):
         middle, half = ((x.reshape(-1, 2)[body.nodes]).copy() for x in (0.5 * (q0 + q1), 0.5 * (q1 - q0)))
         mean, none = np.empty(3 * len(operator.weights)), np.zeros_like(middle)

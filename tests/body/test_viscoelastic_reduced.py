@@ -69,7 +69,7 @@ def test_steps_do_not_depend_on_the_unit_of_length(integrator):
 
 def test_energy_and_dissipated_work_in_the_energy_momentum_method(reduced):
     run, h, dissipated = pi.solve(reduced, 0.1, pi.EnergyMomentum(h=2e-3)), 2e-3, 0.0
-    placed, strains, size = reduced.few[0], reduced.strains["arm"], len(reduced.few[0].form[1])
+    placed, strains, size = reduced.reduced_bodies[0], reduced.strains["arm"], len(reduced.reduced_bodies[0].form[1])
     for (q0, v0), (q1, v1) in pairwise(zip(np.asarray(run.q), np.asarray(run.v))):
         ends = []
         for q in (q0, q1):
@@ -198,7 +198,7 @@ def test_files_keep_reduced_viscoelastic_plates(tmp_path):
     run = pi.solve(arm(modes=2), 0.02, pi.GeneralizedAlpha(h=2e-3))
     run.save(tmp_path / "run.h5")
     again = pi.load(tmp_path / "run.h5")
-    assert np.array_equal(again.x, run.x) and again.model.few[0].prony == tuple(TERMS)
+    assert np.array_equal(again.x, run.x) and again.model.reduced_bodies[0].prony == tuple(TERMS)
     assert again.stress(-1) == pytest.approx(run.stress(-1), rel=1e-9, abs=1e-6)
 
 

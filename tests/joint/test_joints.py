@@ -39,7 +39,7 @@ def draw(model):
 
 def side(model, attachment, q, weights):
     """Weighted sum of an attachment's nodal positions, from its own data."""
-    plate = attachment.body.plate if attachment.body.few else attachment.body
+    plate = attachment.body if attachment.body.is_full else attachment.body.plate
     start = next(body.nodes.start for body in model.drawn if body.plate is plate)
     return weights @ (model.drawn_points + model.nodal(q))[attachment.nodes + start]
 

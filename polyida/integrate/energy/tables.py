@@ -12,15 +12,15 @@ work. The matrix leaves out the derivative of the bracket, which is of second or
 import numpy as np
 from numba import carray
 
-from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
+from polyida.assembly import joints, reduced_kernels
 from polyida.assembly.increments import drive_table
 from polyida.assembly.optional import DAMPING, LAW_FORCES, LAW_MIDDLE, LAW_SLOPES, PARTS, RELAXING_MIDDLE
 from polyida.assembly.own_laws import NOISE, POINTS, add_midpoint_forces
 from polyida.assembly.relaxation import add_relaxation_middle
 from polyida.assembly.scene_bodies import inverse_masses
 from polyida.element import kernels as elements
-from polyida.element import two_field
+from polyida.element import viscous_midpoint
 from polyida.element.operator import Material
 from polyida.errors import DONE, INVERTED, NOT_FINITE
 from polyida.jit import entry, part, served
@@ -171,9 +171,9 @@ def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
     for i in range(r.shape[0]):
         r[i, 0], r[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
     clear(rotation)
-    few = compact.forces_middle(scene.compact, h, states, r, rotation)
+    few = reduced_kernels.forces_middle(scene.reduced, h, states, r, rotation)
     kernels.hold_strains(scene.relaxation, a, r, rotation)
-    least = compact.lesser(plates_middle(plates, h, states, r, rotation), few)
+    least = reduced_kernels.lesser(plates_middle(plates, h, states, r, rotation), few)
     kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, r)
     return least
 
@@ -184,8 +184,10 @@ def plates_middle(plates, h, states, r, rotation):
     u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(plates.body_operator.shape[0]):
         o, n0, density = plates.body_operator[b], plates.body_node[b], plates.body_density[b]
-        material = Material(plates.body_c1[b], plates.body_nu[b], plates.body_viscosity[b] / h)
-        least = compact.lesser(least, two_field.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, r, rotation))
+        material = Material(plates.membrane_stiffness[b], plates.body_nu[b], plates.body_viscosity[b] / h)
+        least = reduced_kernels.lesser(
+            least, viscous_midpoint.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, r, rotation)
+        )
         elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, r)
         if plates.body_drag[b] != 0.0:
             elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, r)
@@ -201,7 +203,7 @@ class EnergyTable(OneFactorScene):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     def __init__(self, model):
-        compact.provide(model.arrays.compact, compact.MIDDLE)
+        reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.complete, options = not (model.bodies or model.strains or model.slipping), {}
         if self.complete:
             options["inverse"] = model.once(inverse_masses)
@@ -234,7 +236,7 @@ class PythonScene(MiddleTable, PythonTable):
 
     def __init__(self, model):
         super().__init__(model)
-        compact.provide(model.arrays.compact, compact.MIDDLE)
+        reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
 
     def _middle(self, instant, states, lam, r, phi, *_):

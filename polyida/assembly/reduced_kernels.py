@@ -19,11 +19,11 @@ from polyida.jit.intrinsics import call, float_of, pointer
 from polyida.jit.user_functions import table_address
 from polyida.linear.dense import put
 
-FORCE, BLOCKS, MIDDLE = range(3)  # of Compact.calls
+FORCE, BLOCKS, MIDDLE = range(3)  # of ReducedArrays.calls
 
 
 @pack
-class Compact(NamedTuple):
+class ReducedArrays(NamedTuple):
     """The bodies of few coordinates. The vectors z_i of an elastic body are its pairs from the second on."""
 
     pair: np.ndarray  # (bodies + 1,) first pair of q

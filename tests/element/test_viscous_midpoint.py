@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from polyida.element import two_field
+from polyida.element import viscous_midpoint
 from polyida.element.operator import Blocks
 
 TAU = 0.03
@@ -49,13 +49,13 @@ class TwoStates:
         return plate.dense(blocks[5:])
 
     def viscous(self, u, v, tau=TAU):
-        return self.force(two_field.internal_force_viscous, tau, u, v)[0]
+        return self.force(viscous_midpoint.internal_force_viscous, tau, u, v)[0]
 
     def viscous_tangent(self, u, v, c_q, c_v, tau=TAU):
-        return self.tangent(two_field.tangent_viscous, tau, u, v, c_q, c_v)
+        return self.tangent(viscous_midpoint.tangent_viscous, tau, u, v, c_q, c_v)
 
     def midpoint(self, u0, u1, viscosity=0.0):
-        return self.force(two_field.internal_force_midpoint, viscosity, u0, u1)[0]
+        return self.force(viscous_midpoint.internal_force_midpoint, viscosity, u0, u1)[0]
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def assert_gradient(matrix, function, at, first):
 
 def test_without_relaxation_time_the_force_is_the_elastic_one(plate):
     u = plate.plate.displacement(wavy)
-    f, rotation, status = plate.force(two_field.internal_force_viscous, 0.0, u, velocity(plate))
+    f, rotation, status = plate.force(viscous_midpoint.internal_force_viscous, 0.0, u, velocity(plate))
     elastic, elastic_rotation, elastic_status = plate.plate.force(u)
     assert abs(f - elastic).max() < 1e-14 * abs(elastic).max()
     assert abs(rotation - elastic_rotation).max() < 1e-14
