@@ -20,7 +20,7 @@ from polyida.assembly import reduced_kernels
 from polyida.assembly.arrays import cells_of, material_of
 from polyida.assembly.equilibrium import hold_strains
 from polyida.assembly.factors import CellContributions
-from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, relax_body, strains_of, take_pull
+from polyida.assembly.relaxation import add_real, add_scaled, pairs_of_body, relax_body, strains_of, take_viscous_strain
 from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.element.relaxation import relaxation_products
@@ -29,14 +29,14 @@ from polyida.jit.intrinsics import LANES
 
 
 @shared
-def multiply_body(scene, body, u, along, pull, back, force, out):
+def multiply_body(scene, body, u, along, viscous_strain, back, force, out):
     """`relaxation_products` of a body."""
     s = scene.plates
     few = s.body_node.shape[0] - 1
     if body >= few:
-        reduced_kernels.relaxation_products(scene.reduced, body - few, u, along, pull, back, force, out)
+        reduced_kernels.relaxation_products(scene.reduced, body - few, u, along, viscous_strain, back, force, out)
     else:
-        relaxation_products(cells_of(s, body), material_of(s, body), u, along, pull, back, force, out)
+        relaxation_products(cells_of(s, body), material_of(s, body), u, along, viscous_strain, back, force, out)
 
 
 @part
@@ -48,12 +48,12 @@ def add_products(scene, relaxing, u, v, along, rotation, stiff, heavy, slowing):
         if relaxing.terms[b] == relaxing.terms[b + 1]:
             continue
         count, first = strains_of(relaxing, b), 2 * relaxing.first + relaxing.start[b]
-        pull, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
-        take_pull(relaxing, b, speeds, pull)
+        viscous_strain, back, pushed = np.empty(count), np.zeros(count), np.empty(count)
+        take_viscous_strain(relaxing, b, speeds, viscous_strain)
         for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
             at = first + (k - relaxing.terms[b]) * count
             add_scaled(back, -relaxing.mass / (relaxing.time[k] * relaxing.unit[b]), own[at : at + count])
-        multiply_body(scene, b, u, along, pull, back, stiff, pushed)
+        multiply_body(scene, b, u, along, viscous_strain, back, stiff, pushed)
         for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
             at = first + (k - relaxing.terms[b]) * count
             add_scaled(slow[at : at + count], relaxing.mass / relaxing.time[k], own[at : at + count])
@@ -69,7 +69,7 @@ def eliminate_transposed(scene, relaxing, work, u, r):
             if relaxing.terms[b] == relaxing.terms[b + 1]:
                 continue
             count, (first, end) = strains_of(relaxing, b), pairs_of_body(scene, b)
-            pull, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
+            viscous_strain, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
             for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
                 at = 2 * relaxing.first + relaxing.start[b] + (k - relaxing.terms[b]) * count
                 add_scaled(
@@ -78,7 +78,7 @@ def eliminate_transposed(scene, relaxing, work, u, r):
             for p in range(work.parts.shape[0]):
                 work.force[:], back[:] = 0.0, 0.0
                 add_real(back, 1.0, sums, p)
-                multiply_body(scene, b, u, none, pull, back, work.force, pushed)
+                multiply_body(scene, b, u, none, viscous_strain, back, work.force, pushed)
                 for i in range(first, end):
                     for j in range(2):
                         r[i, j] += work.parts[p] * work.force[i, j]

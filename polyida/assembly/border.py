@@ -205,14 +205,14 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def measure(border, work, u):
-    """right = F u. u: (points, 2)."""
+def measure(border, work, moved):
+    """right = F moved. moved: (points, 2)."""
     zero(work.right)
     for n in range(border.block.shape[0] - 1):
         for r in range(border.row_start[n], border.row_start[n + 1]):
             for e in range(border.row_entry[r], border.row_entry[r + 1]):
                 at = border.row_component[e]
-                work.right[border.rows[r]] += work.slots[border.row_slot[e]] * u[border.points[border.point_start[n] + at // 2], at % 2]
+                work.right[border.rows[r]] += work.slots[border.row_slot[e]] * moved[border.points[border.point_start[n] + at // 2], at % 2]
 
 
 @shared

@@ -54,15 +54,15 @@ def condensation(model, condensed):
 
 
 @part
-def take_strain(scene, body, u, strain):
-    """Store the strain of a body at u; in the last place, which an odd size of y leaves unused, 0."""
+def take_strain(scene, body, moved, strain):
+    """Store the strain of a body at `moved`; in the last place, which an odd size of y leaves unused, 0."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
         strain[strain.shape[0] - 1] = 0.0
-        reduced_kernels.strained(scene.reduced, body - o, u, strain[: reduced_kernels.vectors(scene.reduced, body - o)[2]])
+        reduced_kernels.strained(scene.reduced, body - o, moved, strain[: reduced_kernels.vectors(scene.reduced, body - o)[2]])
     else:
-        strain_at_points(cells_of(s, body), u, strain)
+        strain_at_points(cells_of(s, body), moved, strain)
 
 
 @part
@@ -85,24 +85,24 @@ def step_numbers(work, at):
 
 
 @part
-def condensed_force(work, body, u, r, rotation):
-    """r += the force of a full plate with the stress D : (kappa E - known); the least det F, as in `kernels.internal_force`, with its bits."""
+def condensed_force(work, body, moved, residual, rotation):
+    """residual += the force of a full plate with the stress D : (kappa E - known); the least det F, as in `kernels.internal_force`, with its bits."""
     plates, x = work.scene.plates, work.scene.relaxation
     known, kappa = work.known[x.start[body] : x.start[body] + strains_of(x, body)], 1.0 - work.shares[body]
-    return integer_of(kernels.relaxed_force(cells_of(plates, body), material_of(plates, body), u, known, kappa, r, rotation))
+    return integer_of(kernels.relaxed_force(cells_of(plates, body), material_of(plates, body), moved, known, kappa, residual, rotation))
 
 
 @part
-def add_condensed(work, u, r):
-    """r += the forces of relaxation of the reduced plates at displacements u."""
+def add_condensed(work, moved, residual):
+    """residual += the forces of relaxation of the reduced plates at the displacements `moved`."""
     scene, x, full = work.scene, work.scene.relaxation, work.scene.plates.body_operator.shape[0]
     for b in range(full, x.start.shape[0] - 1):
         if x.terms[b] < x.terms[b + 1]:
             at, count = x.start[b], strains_of(x, b)
-            pull, strain = work.known[at : at + count].copy(), np.empty(count)
-            take_strain(scene, b, u, strain)
-            add_scaled(pull, work.shares[b], strain)
-            reduced_kernels.relax(scene.reduced, b - full, u, None, pull, r, strain)
+            viscous_strain, strain = work.known[at : at + count].copy(), np.empty(count)
+            take_strain(scene, b, moved, strain)
+            add_scaled(viscous_strain, work.shares[b], strain)
+            reduced_kernels.relax(scene.reduced, b - full, moved, None, viscous_strain, residual, strain)
     return DONE
 
 
@@ -126,15 +126,15 @@ def begin_strains(work, rows, numbers):
 
 
 @part
-def end_strains(work, u, past, rows, numbers):
-    """Fill the strains in the rows at the end of a step from the past rows, maybe the same ones, and the displacements u at the end."""
+def end_strains(work, moved, past, rows, numbers):
+    """Fill the strains in the rows at the end of a step from the past rows, maybe the same ones, and the displacements `moved` at the end."""
     scene, x = work.scene, work.scene.relaxation
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:
             continue
         count, at = strains_of(x, b), 2 * x.first + x.start[b]
         strain = np.empty(count)
-        take_strain(scene, b, u, strain)
+        take_strain(scene, b, moved, strain)
         for k in range(x.terms[b], x.terms[b + 1]):
             for i in range(0, count, TOGETHER):
                 first, end = at + i, at + min(i + TOGETHER, count)

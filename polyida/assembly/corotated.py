@@ -167,11 +167,11 @@ def solve_in_place(factored, team, solution):
 
 
 @part
-def solve_turned(factored, work, size, r, solution):
-    """solution (nodes, 2) = P S_ref^-1 P^T r; size: of r, by which it is divided in the solve, so that it fits into single precision."""
+def solve_turned(factored, work, size, residual, solution):
+    """solution (nodes, 2) = P S_ref^-1 P^T residual; size: of residual, by which it is divided in the solve, so that it fits into single precision."""
     order, b, turn, part = factored.fronts.order, work.x, work.turn, 1.0 / size
     for i in range(turn.shape[0]):
-        p, q = part * r[i, 0], part * r[i, 1]
+        p, q = part * residual[i, 0], part * residual[i, 1]
         b[order[2 * i]] = turn[i, 0] * p + turn[i, 1] * q
         b[order[2 * i + 1]] = turn[i, 0] * q - turn[i, 1] * p
     solve_in_place(factored, work.team, b)
@@ -182,15 +182,15 @@ def solve_turned(factored, work, size, r, solution):
 
 
 @part
-def solve_turned_columns(factored, work, lanes, sizes, r, solution, which):
-    """The same for the columns in `which`, at most COLUMNS, of r and solution (columns, nodes, 2), with one pass through the factor."""
+def solve_turned_columns(factored, work, lanes, sizes, residual, solution, which):
+    """The same for the columns in `which`, at most COLUMNS, of residual and solution (columns, nodes, 2), with one pass through the factor."""
     order, turn, count, parts = factored.fronts.order, work.turn, which.shape[0], np.empty(lanes.shape[1])
     for e in range(count):
         parts[e] = 1.0 / sizes[which[e]]
     for i in range(turn.shape[0]):
         first, second, co, si = lanes[order[2 * i]], lanes[order[2 * i + 1]], turn[i, 0], turn[i, 1]
         for e in range(count):
-            p, q = parts[e] * r[which[e], i, 0], parts[e] * r[which[e], i, 1]
+            p, q = parts[e] * residual[which[e], i, 0], parts[e] * residual[which[e], i, 1]
             first[e], second[e] = co * p + si * q, co * q - si * p
         for e in range(count, lanes.shape[1]):
             first[e] = second[e] = 0.0
@@ -203,10 +203,10 @@ def solve_turned_columns(factored, work, lanes, sizes, r, solution, which):
 
 
 @shared
-def solve(links, factored, work, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
+def solve(links, factored, work, drives, rotation, dz, lam, residual, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,). rotation, dz: of `equilibrium` at the current q. Returns False if the system is singular."""
     turn_frames(links, factored, work, rotation)
-    solve_turned(factored, work, 1.0, r, dq)
+    solve_turned(factored, work, 1.0, residual, dq)
     for i in range(work.turn.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if work.spin.shape[0] == 0:

@@ -21,64 +21,64 @@ def on_pattern(plates, operator, values):
 
 
 @shared
-def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
-    """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
+def equilibrium(scene, drives, moved, a, lam, residual, phi, rotation, dz, forces):
+    """Fill residual (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at the displacements `moved`, accelerations a, multipliers lam.
 
     rotation: area-weighted sums of (F11 + F22, F21 - F12), in the direction of the nodal rotation, or the vector of a body's frame; pass
-    (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); det F is nan if u is not finite.
+    (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); det F is nan if moved is not finite.
     """
     s, links, x = scene.plates, scene.links, scene.relaxation
     condensed = x.condensed[0] != 0
-    for i in range(r.shape[0]):
-        r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
+    for i in range(residual.shape[0]):
+        residual[i, 0], residual[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
     clear(rotation)
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         if condensed and x.terms[b] < x.terms[b + 1]:
-            det = float_of(call(x.condensed[1], (x.condensed[0], b, u, r, rotation)))
+            det = float_of(call(x.condensed[1], (x.condensed[0], b, moved, residual, rotation)))
         else:
-            det = kernels.internal_force(cells_of(s, b), material_of(s, b), u, r, rotation)
+            det = kernels.internal_force(cells_of(s, b), material_of(s, b), moved, residual, rotation)
         least = reduced_kernels.lesser(least, det)
-        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
+        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, residual)
         if s.body_stabilisation[b] != 0.0:
-            kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
-    least = reduced_kernels.lesser(least, reduced_kernels.forces(scene.reduced, u, a, r, rotation))
-    hold_strains(x, a, r, rotation)
-    return least, add_loads_and_joints(s, links, drives, u, a, lam, phi, dz, forces, r)
+            kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, moved, residual)
+    least = reduced_kernels.lesser(least, reduced_kernels.forces(scene.reduced, moved, a, residual, rotation))
+    hold_strains(x, a, residual, rotation)
+    return least, add_loads_and_joints(s, links, drives, moved, a, lam, phi, dz, forces, residual)
 
 
 @part
-def add_loads_and_joints(plates, links, drives, u, a, lam, phi, dz, forces, r):
-    """Add loads, and forces of the joints and masses at points to r; fill phi, dz and forces. Returns what `joint_forces` returns."""
+def add_loads_and_joints(plates, links, drives, moved, a, lam, phi, dz, forces, residual):
+    """Add loads, and forces of the joints and masses at points to residual; fill phi, dz and forces. Returns what `joint_forces` returns."""
     for k in range(plates.load_drive.shape[0]):
         factor = drives[plates.load_drive[k], 0]
         for i in range(plates.load_ptr[k], plates.load_ptr[k + 1]):
-            r[plates.load_nodes[i], 0] -= factor * plates.load_values[i, 0]
-            r[plates.load_nodes[i], 1] -= factor * plates.load_values[i, 1]
+            residual[plates.load_nodes[i], 0] -= factor * plates.load_values[i, 0]
+            residual[plates.load_nodes[i], 1] -= factor * plates.load_values[i, 1]
     point_values(links, a, dz)
     for f in range(dz.shape[0]):
         forces[f, 0] = links.point_mass[f] * (dz[f, 0] - links.gravity[0])
         forces[f, 1] = links.point_mass[f] * (dz[f, 1] - links.gravity[1])
-    point_values(links, u, dz)
+    point_values(links, moved, dz)
     cosine = joint_forces(links, drives, dz, lam, phi, forces)
     slip_forces(links.slips, drives, dz, lam, forces)
-    spread(links, forces, r)
+    spread(links, forces, residual)
     return cosine
 
 
 @part
-def hold_strains(relaxation, a, r, rotation):
-    """Add the inertia of the relaxed strains to r, and set their frames."""
-    for i in range(relaxation.first, r.shape[0]):
-        r[i, 0] += relaxation.mass * a[i, 0]
-        r[i, 1] += relaxation.mass * a[i, 1]
+def hold_strains(relaxation, a, residual, rotation):
+    """Add the inertia of the relaxed strains to residual, and set their frames."""
+    for i in range(relaxation.first, residual.shape[0]):
+        residual[i, 0] += relaxation.mass * a[i, 0]
+        residual[i, 1] += relaxation.mass * a[i, 1]
     for i in range(relaxation.first, rotation.shape[0]):
         rotation[i, 0] = 1.0
 
 
 @entry
-def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
+def tangent_blocks(scene, moved, v, c_m, c_v, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = `c_m M + c_v dg/dv + c_q dg/dq` of the bodies on their pattern, without masses at points and joints.
 
     v: velocities (nodes, 2), or None without damping; dg/dq is symmetric only for v = 0.
@@ -90,39 +90,39 @@ def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
         p, e = s.at[o], s.at[o + 1]
         own = Blocks(s.pairs[p[4] : e[4]], first, blocks)
         if v is not None:
-            viscous_midpoint.tangent_viscous(cells_of(s, b), own, material_of(s, b), u, v, c_q, c_v)
+            viscous_midpoint.tangent_viscous(cells_of(s, b), own, material_of(s, b), moved, v, c_q, c_v)
         elif c_q != 0.0:
-            kernels.tangent(cells_of(s, b), own, material_of(s, b), u, c_q)
+            kernels.tangent(cells_of(s, b), own, material_of(s, b), moved, c_q)
         mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
         if mass != 0.0 or stiffness != 0.0:
             for k in range(e[6] - p[6]):
                 value = mass * s.mass[p[6] + k] + stiffness * s.stabilisation[p[6] + k]
                 blocks[first + k, 0, 0] += value
                 blocks[first + k, 1, 1] += value
-    reduced_kernels.blocks(scene.reduced, u, u if v is None else v, c_m, c_v, c_q, blocks)
+    reduced_kernels.blocks(scene.reduced, moved, moved if v is None else v, c_m, c_v, c_q, blocks)
 
 
 @entry
-def strain_energy(scene, u):
+def strain_energy(scene, moved):
     """Elastic energy of all bodies, J."""
-    s, total = scene.plates, reduced_kernels.energy(scene.reduced, u)
+    s, total = scene.plates, reduced_kernels.energy(scene.reduced, moved)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
-        total += kernels.strain_energy(cells_of(s, b), material_of(s, b), u)
+        total += kernels.strain_energy(cells_of(s, b), material_of(s, b), moved)
         if s.body_stabilisation[b] != 0.0:
-            total += kernels.stabilisation_energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], u)
+            total += kernels.stabilisation_energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], moved)
     return total
 
 
 @entry
-def momentum(scene, a, r):
-    """r += M a without the masses at points."""
+def momentum(scene, a, residual):
+    """residual += M a without the masses at points."""
     s = scene.plates
-    reduced_kernels.momentum(scene.reduced, a, r)
-    hold_strains(scene.relaxation, a, r, r[:0])
+    reduced_kernels.momentum(scene.reduced, a, residual)
+    hold_strains(scene.relaxation, a, residual, residual[:0])
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
-        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], s.body_node[b], a, r)
+        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], s.body_node[b], a, residual)
 
 
 def symmetric_parts(model, q, v):
@@ -178,20 +178,20 @@ def combined(model, c_m, c_v, K, C, m, across, relaxing):
 
 
 @entry
-def add_damping(scene, u, v, elastic, r):
-    """r (nodes, 2) += damping forces of all bodies; elastic (nodes, 2) is workspace."""
+def add_damping(scene, moved, v, elastic, residual):
+    """residual (nodes, 2) += damping forces of all bodies; elastic (nodes, 2) is workspace."""
     s = scene.plates
-    reduced_kernels.add_damping(scene.reduced, u, v, r)
+    reduced_kernels.add_damping(scene.reduced, moved, v, residual)
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         if s.body_drag[b] != 0.0:
-            kernels.mass_product(*on_pattern(s, o, s.mass), s.body_drag[b] * s.body_density[b], n0, v, r)
+            kernels.mass_product(*on_pattern(s, o, s.mass), s.body_drag[b] * s.body_density[b], n0, v, residual)
         if s.body_viscosity[b] == 0.0:
             continue
         none = elastic[:0]
         elastic[:] = 0.0
-        kernels.internal_force(cells_of(s, b), material_of(s, b), u, elastic, none)
+        kernels.internal_force(cells_of(s, b), material_of(s, b), moved, elastic, none)
         for i in range(n0, s.body_node[b + 1]):
-            r[i, 0] -= elastic[i, 0]
-            r[i, 1] -= elastic[i, 1]
-        viscous_midpoint.internal_force_viscous(cells_of(s, b), material_of(s, b), u, v, r, none)
+            residual[i, 0] -= elastic[i, 0]
+            residual[i, 1] -= elastic[i, 1]
+        viscous_midpoint.internal_force_viscous(cells_of(s, b), material_of(s, b), moved, v, residual, none)

@@ -163,14 +163,14 @@ def stiffness_work(model, q, v, w):
     return contributions.by_plate(works.reshape(*np.shape(w)[1:-1], count))
 
 
-def mass_work(model, b, w, pull=None):
-    """{plate: (..., cells)}: sums over frames of `w . M_e (b - pull)`; b (frames, n), w (frames, ..., n), pull (frames, 2): the same at all nodes.
+def mass_work(model, b, w, gravity=None):
+    """{plate: (..., cells)}: sums over frames of `w . M_e (b - gravity)`; b (frames, n), w (frames, ..., n), gravity (frames, 2): the same at all nodes.
 
     M_e: mass matrix of cell e at factor 1.
     """
     contributions, along = model.once(CellContributions, of_shape=True), _nodal(model, w)
     pairs = np.zeros((along.shape[1], len(contributions.plates.mass)))
-    _mass_works(contributions.plates, _nodal(model, b), np.zeros((len(along), 2)) if pull is None else pull, along, pairs)
+    _mass_works(contributions.plates, _nodal(model, b), np.zeros((len(along), 2)) if gravity is None else gravity, along, pairs)
     density = contributions.of_cells(contributions.plates.body_density)
     works = np.array([density * contributions.mass.slopes(each, contributions.first[-1]) for each in pairs])
     return contributions.by_plate(works.reshape(*np.shape(w)[1:-1], -1))
@@ -195,9 +195,9 @@ def _force_works(plates, q, v, fields, lanes, pairs):
 
 
 @entry
-def _mass_works(plates, accelerations, pull, fields, pairs):
-    """Add sums over frames of products of fields with accelerations - pull for the mass on the pattern."""
-    right, still = kernels.by_node(accelerations, 0, pull), np.zeros((fields.shape[0], 2))
+def _mass_works(plates, accelerations, gravity, fields, pairs):
+    """Add sums over frames of products of fields with accelerations - gravity for the mass on the pattern."""
+    right, still = kernels.by_node(accelerations, 0, gravity), np.zeros((fields.shape[0], 2))
     for c in range(fields.shape[1]):
         left = kernels.by_node(fields, c, still)
         for o in range(plates.body_operator.shape[0]):

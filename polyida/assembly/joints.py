@@ -15,39 +15,39 @@ from polyida.linear.dense import put, zero
 
 
 @leaf
-def point_value(links, u, point):
-    """The components (x, y) of `A u` at a point: its displacement or velocity, if u (pairs, 2) has those of the coordinates."""
+def point_value(links, moved, point):
+    """The components (x, y) of `A moved` at a point: its displacement or velocity, if moved (pairs, 2) has those of the coordinates."""
     x = y = 0.0
     for k in range(links.point_ptr[point], links.point_ptr[point + 1]):
         c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
-        x += c * u[i, 0] - n * u[i, 1]
-        y += c * u[i, 1] + n * u[i, 0]
+        x += c * moved[i, 0] - n * moved[i, 1]
+        y += c * moved[i, 1] + n * moved[i, 0]
     return x, y
 
 
 @entry
-def point_values(links, u, dz):
-    """dz = A u, (points, 2)."""
+def point_values(links, moved, dz):
+    """dz = A moved, (points, 2)."""
     for f in range(dz.shape[0]):
-        dz[f, 0], dz[f, 1] = point_value(links, u, f)
+        dz[f, 0], dz[f, 1] = point_value(links, moved, f)
 
 
 @leaf
-def spread_one(links, point, x, y, r):
-    """r += A^T of the force (x, y) at a point."""
+def spread_one(links, point, x, y, residual):
+    """residual += A^T of the force (x, y) at a point."""
     for k in range(links.point_ptr[point], links.point_ptr[point + 1]):
         c, n, i = links.point_weights[k, 0], links.point_weights[k, 1], links.point_nodes[k]
-        r[i, 0] += c * x + n * y
-        r[i, 1] += c * y - n * x
+        residual[i, 0] += c * x + n * y
+        residual[i, 1] += c * y - n * x
 
 
 @part
-def spread(links, forces, r):
-    """Add the forces at the points of the joints to r: `r += A^T forces`."""
+def spread(links, forces, residual):
+    """Add the forces at the points of the joints to residual: `residual += A^T forces`."""
     for f in range(forces.shape[0]):
         x, y = forces[f, 0], forces[f, 1]
         if x != 0.0 or y != 0.0:
-            spread_one(links, f, x, y, r)
+            spread_one(links, f, x, y, residual)
 
 
 @leaf

@@ -61,9 +61,9 @@ def on_coupling(work, at):
 
 
 @part
-def law_forces(work, drives, u, v, r):
-    """r -= the forces of the laws at displacements u and velocities v."""
-    return DONE if add_own_forces(work.laws, work.scene.links, drives, u, v, r) else NOT_FINITE
+def law_forces(work, drives, moved, v, residual):
+    """residual -= the forces of the laws at the displacements `moved` and velocities v."""
+    return DONE if add_own_forces(work.laws, work.scene.links, drives, moved, v, residual) else NOT_FINITE
 
 
 @part
@@ -87,23 +87,23 @@ def law_middle(work, drives, dz0, dz1, vz, half, forces):
 
 
 @part
-def relaxing(work, still, u, v, r):
-    """r += the forces of relaxation; still: as of `add_relaxation`."""
-    add_relaxation(work.scene, u, None, v, float(still), r)
+def relaxing(work, still, moved, v, residual):
+    """residual += the forces of relaxation; still: as of `add_relaxation`."""
+    add_relaxation(work.scene, moved, None, v, float(still), residual)
     return DONE
 
 
 @part
-def relaxing_middle(work, u0, u1, um, vm, r):
-    """r += the forces of relaxation in the middle of a step from u0 to u1."""
-    add_relaxation_middle(work.scene, u0, u1, um, vm, r)
+def relaxing_middle(work, u0, u1, um, vm, residual):
+    """residual += the forces of relaxation in the middle of a step from u0 to u1."""
+    add_relaxation_middle(work.scene, u0, u1, um, vm, residual)
     return DONE
 
 
 @part
-def damping(work, u, v, elastic, r):
-    """r += the damping forces of bodies at displacements u and velocities v."""
-    add_damping(work.scene, u, v, elastic, r)
+def damping(work, moved, v, elastic, residual):
+    """residual += the damping forces of bodies at the displacements `moved` and velocities v."""
+    add_damping(work.scene, moved, v, elastic, residual)
     return DONE
 
 

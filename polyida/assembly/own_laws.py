@@ -122,15 +122,15 @@ def energy_at(laws, law, numbers, places, v, states, forces):
 
 
 @part
-def point_of(links, u, point):
-    """A u at a point; u itself holds the values of points if links is None."""
+def point_of(links, moved, point):
+    """A moved at a point; moved itself holds the values of points if links is None."""
     if links is None:
-        return u[point, 0], u[point, 1]
-    return point_value(links, u, point)
+        return moved[point, 0], moved[point, 1]
+    return point_value(links, moved, point)
 
 
 @part
-def place(laws, law, links, u, speeds):
+def place(laws, law, links, moved, speeds):
     """Places x and velocities v of the sides of a law, and workspaces for its states and forces; from displacements and velocities of nodes,
     or of points if links is None."""
     first, count = laws.parts[law, 1], laws.parts[law + 1, 1] - laws.parts[law, 1]
@@ -140,7 +140,7 @@ def place(laws, law, links, u, speeds):
         p = laws.points[first + i]
         x[i, 0], x[i, 1], v[i, 0], v[i, 1] = laws.rest[first + i, 0], laws.rest[first + i, 1], 0.0, 0.0
         if p >= 0:
-            dx, dy = point_of(links, u, p)
+            dx, dy = point_of(links, moved, p)
             x[i, 0] += dx
             x[i, 1] += dy
             v[i, 0], v[i, 1] = point_of(links, speeds, p)
@@ -148,29 +148,29 @@ def place(laws, law, links, u, speeds):
 
 
 @entry
-def add_own_forces(laws, links, drives, u, v, r):
-    """r (nodes, 2) -= the forces of all laws at displacements u and velocities v, (nodes, 2). Returns True if they are finite."""
+def add_own_forces(laws, links, drives, moved, v, residual):
+    """residual (nodes, 2) -= the forces of all laws at the displacements `moved` and velocities v, (nodes, 2). Returns True if they are finite."""
     numbers, finite = numbers_at(laws, drives), True
     for k in range(laws.parts.shape[0] - 1):
-        x, speeds, s, f = place(laws, k, links, u, v)
+        x, speeds, s, f = place(laws, k, links, moved, v)
         evaluate(laws, k, numbers, x, speeds, s, f)
         for i in range(f.shape[0]):
             p = laws.points[laws.parts[k, 1] + i]
             finite = finite and abs(f[i, 0]) + abs(f[i, 1]) < np.inf
             if p >= 0:
-                spread_one(links, p, -f[i, 0], -f[i, 1], r)
+                spread_one(links, p, -f[i, 0], -f[i, 1], residual)
     return finite
 
 
 @entry
-def energies_and_powers(laws, links, drives, u, v, step, out):
-    """out (laws, 2): energy, J, and work beyond it, `f . v + dE/dt`, W, of each law at displacements u and velocities v of nodes.
+def energies_and_powers(laws, links, drives, moved, v, step, out):
+    """out (laws, 2): energy, J, and work beyond it, `f . v + dE/dt`, W, of each law at the displacements `moved` and velocities v of nodes.
 
     dE/dt is a central difference of fourth order, `step` times the size of the sides' coordinates along the motion.
     """
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
-        x, speeds, s, rates = place(laws, k, links, u, v)
+        x, speeds, s, rates = place(laws, k, links, moved, v)
         evaluate(laws, k, numbers, x, speeds, s, rates)
         side, first, states = laws.parts[k, 1], laws.parts[k, 4], laws.parts[k + 1, 4] - laws.parts[k, 4]
         own, power, pace, there, then, f = x.shape[0] - (states + 1) // 2, 0.0, 0.0, x.copy(), speeds.copy(), rates.copy()
@@ -201,15 +201,13 @@ def energies_and_powers(laws, links, drives, u, v, step, out):
 def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
     """forces (points, 2) -= forces of all laws at the middle of a step of the points from dz0 to dz1, by a discrete gradient (Gonzalez 1996).
 
-    vz: velocities in the middle; half: half their change in the step. With `[V_1 - V_0 - V'] d / (d^T dx)` subtracted, the work of f from
-    x0 to x1 is that of the law's energy V. V' is as of `energy_along`. A bracket within round-off of V counts as zero. With states, V_i = V(x_i, s_i) - V(x, s_i), x in the middle: the states change V by V(x, s_1) - V(x, s_0). d: as of `is_along`.
-    Returns True if they are finite.
+    vz: velocities in the middle; half: half their change in the step. The work of a force from x0 to x1 is that of the law's energy V
+    (`correct_work`). Returns True if they are finite.
     """
     numbers, finite = numbers_at(laws, drives), True
     for k in range(laws.parts.shape[0] - 1):
         x0, v, s, f = place(laws, k, None, dz0, vz)
         x1, change, _, static = place(laws, k, None, dz1, half)
-        own = x0.shape[0] - (laws.parts[k + 1, 4] - laws.parts[k, 4] + 1) // 2
         middle, v0, v1 = np.empty(x0.shape), np.empty(x0.shape), np.empty(x0.shape)
         for i in range(x0.shape[0]):
             for j in range(2):
@@ -217,33 +215,44 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, half, forces):
                 v0[i, j], v1[i, j] = v[i, j] - change[i, j], v[i, j] + change[i, j]
         evaluate(laws, k, numbers, middle, v, s, f)
         if laws.energies[k] != 0:
-            first, last = energy_at(laws, k, numbers, x0, v0, s, static), energy_at(laws, k, numbers, x1, v1, s, static)
-            if own < x0.shape[0]:
-                first -= energy_at(laws, k, numbers, middle, v0, s, static)
-                last -= energy_at(laws, k, numbers, middle, v1, s, static)
-            for i in range(own):
-                v[i, 0] = v[i, 1] = 0.0
-            evaluate(laws, k, numbers, middle, v, s, static)
-            size = work = most = 0.0
-            for i in range(own):
-                for j in range(2):
-                    dx = x1[i, j] - x0[i, j]
-                    size += dx * dx
-                    work += static[i, j] * dx
-                    most += abs(static[i, j] * middle[i, j])
-            bracket = last - first - energy_along(laws, k, numbers, x0, x1, middle, v, s, static, work)
-            if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
-                along = k < laws.elements and is_along(bracket, work, most)
-                for i in range(own):
-                    for j in range(2):
-                        f[i, j] -= bracket / work * static[i, j] if along else bracket / size * (x1[i, j] - x0[i, j])
+            correct_work(laws, k, numbers, x0, x1, middle, v0, v1, v, s, static, f)
         finite = subtract_sides(laws, k, f, forces) and finite
     return finite
 
 
+@part
+def correct_work(laws, law, numbers, x0, x1, middle, v0, v1, v, states, static, force):
+    """Subtract `[V_1 - V_0 - V'] d / (d^T dx)` from the force of a law at the middle of a step: its work is then that of the energy V.
+
+    V' is as of `energy_along`, d as of `is_along`. A bracket within round-off of V counts as zero. With states, V_i = V(x_i, s_i) - V(x, s_i),
+    x in the middle: the states change V by V(x, s_1) - V(x, s_0). v is set to zero, static to the force there.
+    """
+    own = x0.shape[0] - (laws.parts[law + 1, 4] - laws.parts[law, 4] + 1) // 2
+    first, last = energy_at(laws, law, numbers, x0, v0, states, static), energy_at(laws, law, numbers, x1, v1, states, static)
+    if own < x0.shape[0]:
+        first -= energy_at(laws, law, numbers, middle, v0, states, static)
+        last -= energy_at(laws, law, numbers, middle, v1, states, static)
+    for i in range(own):
+        v[i, 0] = v[i, 1] = 0.0
+    evaluate(laws, law, numbers, middle, v, states, static)
+    size = work = most = 0.0
+    for i in range(own):
+        for j in range(2):
+            dx = x1[i, j] - x0[i, j]
+            size += dx * dx
+            work += static[i, j] * dx
+            most += abs(static[i, j] * middle[i, j])
+    bracket = last - first - energy_along(laws, law, numbers, x0, x1, middle, v, states, static, work)
+    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
+        along = law < laws.elements and is_along(bracket, work, most)
+        for i in range(own):
+            for j in range(2):
+                force[i, j] -= bracket / work * static[i, j] if along else bracket / size * (x1[i, j] - x0[i, j])
+
+
 @entry
-def add_midpoint_forces(laws, links, drives, h, states, r):
-    """Add the forces of `take_midpoint_forces` to r; states: as of the middle of a step, energy/tables.py."""
+def add_midpoint_forces(laws, links, drives, h, states, residual):
+    """Add the forces of `take_midpoint_forces` to residual; states: as of the middle of a step, energy/tables.py."""
     points = np.zeros((5, links.point_mass.shape[0], 2))
     joints.point_values(links, states[0], points[0])
     joints.point_values(links, states[1], points[1])
@@ -253,7 +262,7 @@ def add_midpoint_forces(laws, links, drives, h, states, r):
         for k in range(2):
             points[3, p, k] *= 0.5 * h
     take_midpoint_forces(laws, drives, points[0], points[1], points[2], points[3], points[4])
-    joints.spread(links, points[4], r)
+    joints.spread(links, points[4], residual)
 
 
 @part
@@ -370,6 +379,47 @@ def add_slopes(laws, law, numbers, sides, c_q, c_v, unit, blocks, curvature):
                     curvature[block, a, e] -= unit * ((ahead[i, a] - behind[i, a]) / (2.0 * step))
 
 
+class PlacedLaw(NamedTuple):
+    """A force element, or the elastic force of a body, as `laws_of` gathers them."""
+
+    sides: tuple  # Side each; behind them those of its states
+    data: OwnData
+    addresses: tuple  # of forces, energy and rates; 0 without
+    callbacks: Callbacks
+    rated: int  # number of its states, algebraic ones included
+    units: np.ndarray = NO_NUMBERS  # (states, 2) units and scales of its states
+    guesses: np.ndarray = NO_NUMBERS  # (algebraic states, 2) start and size
+
+
+def _law_of_element(name, element, placed, calls):
+    """The PlacedLaw of a force element; placed: PlacedStates or None. States are arguments s, outputs of controllers u."""
+    sides, names = sides_of(name, element), element.states + element.algebraic
+    shape = len(sides), 2
+    arguments = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
+    if names:
+        arguments["s"] = ("d", (len(names),))
+    of_energy = {"x": arguments["x"]}
+    if placed:
+        arguments["s"] = ("d", (len(names),))
+        if placed.controls:
+            arguments["u"] = of_energy["u"] = ("e", (len(placed.units) - placed.own,))
+        of_energy["s"] = ("d", (placed.own,))
+    written = {"forces"} | {key for key in ("energy", "rates") if writes(element, ForceElement, key)}
+    functions = _functions(PythonFunctions(name, element), calls, written, arguments, of_energy, shape)
+    guesses = np.column_stack([element.start(), element.sizes()])[len(element.states) :]
+    if placed is None:
+        return PlacedLaw(sides, *functions, len(names), guesses=guesses)
+    return PlacedLaw(sides + placed.sides(), *functions, len(names), np.column_stack([placed.units, placed.scale]), guesses)
+
+
+def _law_of_body(placed, calls):
+    """The PlacedLaw of a body's elastic force, which acts on its coordinates with the opposite sign."""
+    count = len(placed.rest)
+    sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
+    functions, arguments = PythonFunctions(placed.name, placed.body), {"z": ("b", (count,), True)}
+    return PlacedLaw(sides, *_functions(functions, calls, {"elastic", "energy"}, arguments, arguments, (count,)), 0)
+
+
 def laws_of(elements, states, elastic, points, drives, size):
     """(the Laws, [Callbacks of each]) of {name: force element} and of PlacedBody with an elastic force.
 
@@ -381,51 +431,33 @@ def laws_of(elements, states, elastic, points, drives, size):
     for name, element in elements.items():
         for profile in profiles_of(element):
             drives.add(profile, name)
-    laws, calls = [], Calls()
-    for name, element in elements.items():
-        sides, placed = sides_of(name, element), states.get(name)
-        shape, names = (len(sides), 2), element.states + element.algebraic
-        arguments = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
-        if names:
-            arguments["s"] = ("d", (len(names),))
-        if placed:
-            arguments["s"], sides = ("d", (len(names),)), sides + placed.sides()
-            arguments |= {"u": ("e", (len(placed.units) - placed.own,))} if placed.controls else {}
-        of_energy = {key: value for key, value in arguments.items() if key not in "tvs"} | ({"s": ("d", (placed.own,))} if placed else {})
-        written = {"forces"} | {key for key in ("energy", "rates") if writes(element, ForceElement, key)}
-        laws.append((sides, *_functions(PythonFunctions(name, element), calls, written, arguments, of_energy, shape)))
-    for placed in elastic:  # its elastic force acts on its coordinates, with the opposite sign
-        count = len(placed.rest)
-        sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
-        functions, arguments = PythonFunctions(placed.name, placed.body), {"z": ("b", (count,), True)}
-        laws.append((sides, *_functions(functions, calls, {"elastic", "energy"}, arguments, arguments, (count,))))
-    sides, data, addresses, callbacks = zip(*laws) if laws else ((), (), (), ())
-    numbers = [np.zeros(1), *(one.words for one in data)]  # the time comes first
-    of_laws = [states.get(name) for name in elements] + [None] * len(elastic)
-    units = [np.column_stack([one.units, one.scale]) if one else NO_NUMBERS for one in of_laws]
-    guesses = [np.column_stack([one.start(), one.sizes()])[len(one.states) :] for one in elements.values()] + [NO_NUMBERS] * len(elastic)
-    rated = [len(one.states) + len(one.algebraic) for one in elements.values()] + [0] * len(elastic)
-    first, each = starts(numbers)[1:], [side for group in sides for side in group]
-    driven = [(begin + k, drives.add(profile, "")) for begin, one in zip(first, data) for k, profile in one.profiles]
-
-    def ended(which):
-        return np.array([*(each[which] for each in addresses), 0], np.int64)
-
+    calls = Calls()
+    laws = [_law_of_element(name, element, states.get(name), calls) for name, element in elements.items()]
+    laws += [_law_of_body(placed, calls) for placed in elastic]
+    numbers = [np.zeros(1), *(law.data.words for law in laws)]  # the time comes first
+    first, each = starts(numbers)[1:], [side for law in laws for side in law.sides]
+    driven = [(begin + k, drives.add(profile, "")) for begin, law in zip(first, laws) for k, profile in law.data.profiles]
+    forces, energies, rates = (np.array([law.addresses[k] for law in laws], np.int64) for k in range(3))
+    units, guesses = [law.units for law in laws], [law.guesses for law in laws]
+    behind, rated = np.zeros(1, np.int64), [law.rated for law in laws]
+    of_parts = [
+        np.append(forces, behind), starts([law.sides for law in laws]), first, np.append(rates, behind), starts(units), [*rated, 0], starts(guesses),
+    ]  # fmt: skip
     result = Laws(
-        parts=np.stack([ended(0), starts(sides), first, ended(2), starts(units), [*rated, 0], starts(guesses)], axis=1),
+        parts=np.stack(of_parts, axis=1),
         states=np.concatenate([NO_NUMBERS, *units]),
         guesses=np.concatenate([NO_NUMBERS, *guesses]),
         points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
         rest=np.array([side.rest for side in each], float).reshape(-1, 2),
         sizes=np.array([side.size(size) for side in each], float),
-        energies=np.array([energy for _, energy, _ in addresses], np.int64),
-        slopes=np.array([slope_of(one) for one in callbacks], np.int64),
+        energies=energies,
+        slopes=np.array([slope_of(law.callbacks) for law in laws], np.int64),
         elements=len(elements),
         numbers=np.concatenate(numbers),
         driven=np.array(driven, np.int64).reshape(-1, 2),
         clock=drives.add(polynomial([0.0, 1.0]), "") if laws else -1,
     )
-    return result, callbacks
+    return result, [law.callbacks for law in laws]
 
 
 def _functions(python, calls, written, arguments, of_energy, shape):

@@ -250,7 +250,7 @@ class PlacedStrains(PlacedStates):
         self.rest = self.translation = np.zeros(whole // 2, complex)
         self.mass = mass
 
-    def pull_of(self, v):
+    def viscous_strain_of(self, v):
         """sum g x, (strains,), of velocities v (n,) of a scene."""
         return np.array([g for g, _ in self.terms]) @ (self.units * v[self.columns]).reshape(len(self.terms), -1)
 

@@ -122,8 +122,8 @@ def subtract_rates(links, rates, dz, right):
 
 
 @part
-def add_rate_forces(links, rates, slowing, work, factor, mu, r):
-    """r += (c M + C) B^T mu. slowing: C A^T of the points or empty; work: SolveWorkspace with the frames of the nodes and points."""
+def add_rate_forces(links, rates, slowing, work, factor, mu, residual):
+    """residual += (c M + C) B^T mu. slowing: C A^T of the points or empty; work: SolveWorkspace with the frames of the nodes and points."""
     forces = work.point_forces
     clear(forces)
     joints.add_rows(links, rates.workspace.slopes, mu, forces)
@@ -133,16 +133,16 @@ def add_rate_forces(links, rates, slowing, work, factor, mu, r):
             continue
         for e in range(rates.start[f], rates.start[f + 1]):
             i, a, b = rates.pairs[e], rates.mass[e, 0], rates.mass[e, 1]
-            r[i, 0] += factor * (a * px - b * py)
-            r[i, 1] += factor * (a * py + b * px)
+            residual[i, 0] += factor * (a * px - b * py)
+            residual[i, 1] += factor * (a * py + b * px)
         if slowing.shape[0]:
             co, si = work.spin[f, 0], work.spin[f, 1]
             p, q = co * px + si * py, co * py - si * px
             for e in range(rates.start[f], rates.start[f + 1]):
                 i = rates.pairs[e]
                 gx, gy = slowing[e, 0, 0] * p + slowing[e, 0, 1] * q, slowing[e, 1, 0] * p + slowing[e, 1, 1] * q
-                r[i, 0] += work.turn[i, 0] * gx - work.turn[i, 1] * gy
-                r[i, 1] += work.turn[i, 1] * gx + work.turn[i, 0] * gy
+                residual[i, 0] += work.turn[i, 0] * gx - work.turn[i, 1] * gy
+                residual[i, 1] += work.turn[i, 1] * gx + work.turn[i, 0] * gy
 
 
 @part

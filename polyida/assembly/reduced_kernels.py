@@ -55,8 +55,8 @@ def lesser(one, other):
 
 
 @part
-def add_mass(bodies, body, factor, a, r):
-    """r += factor M a of a body."""
+def add_mass(bodies, body, factor, a, residual):
+    """residual += factor M a of a body."""
     first, count, at = bodies.pair[body], bodies.pair[body + 1] - bodies.pair[body], bodies.mass_start[body]
     for i in range(count):
         x = y = 0.0
@@ -64,16 +64,16 @@ def add_mass(bodies, body, factor, a, r):
             p, n = bodies.mass[at + i * count + j, 0], bodies.mass[at + i * count + j, 1]
             x += p * a[first + j, 0] - n * a[first + j, 1]
             y += p * a[first + j, 1] + n * a[first + j, 0]
-        r[first + i, 0] += factor * x
-        r[first + i, 1] += factor * y
+        residual[first + i, 0] += factor * x
+        residual[first + i, 1] += factor * y
 
 
 @part
-def place(bodies, first, count, u, z):
-    """z (count, 2) of a body's vectors at displacements u."""
+def place(bodies, first, count, moved, z):
+    """z (count, 2) of a body's vectors at the displacements `moved`."""
     for i in range(count):
         for k in range(2):
-            z[i, k] = bodies.rest[first - bodies.pair[0] + i, k] + u[first + i, k]
+            z[i, k] = bodies.rest[first - bodies.pair[0] + i, k] + moved[first + i, k]
 
 
 @part
@@ -114,26 +114,26 @@ def stresses(bodies, body, factor, change):
 
 
 @part
-def push(count, first, stress, z, r):
-    """r += (dy/dz)^T stress on the vectors z (count, 2) of a body."""
+def push(count, first, stress, z, residual):
+    """residual += (dy/dz)^T stress on the vectors z (count, 2) of a body."""
     real, imag = 0, count * (count + 1) // 2
     for i in range(count):
         for j in range(i, count):
             a, b = stress[real], stress[imag] if i < j else 0.0
-            r[first + i, 0] += a * z[j, 0] + b * z[j, 1]
-            r[first + i, 1] += a * z[j, 1] - b * z[j, 0]
-            r[first + j, 0] += a * z[i, 0] - b * z[i, 1]
-            r[first + j, 1] += a * z[i, 1] + b * z[i, 0]
+            residual[first + i, 0] += a * z[j, 0] + b * z[j, 1]
+            residual[first + i, 1] += a * z[j, 1] - b * z[j, 0]
+            residual[first + j, 0] += a * z[i, 0] - b * z[i, 1]
+            residual[first + j, 1] += a * z[i, 1] + b * z[i, 0]
             real, imag = real + 1, imag + (i < j)
 
 
 @leaf
-def turn(bodies, body, u, rotation):
-    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) without one; return its square, nan if u is nan."""
+def turn(bodies, body, moved, rotation):
+    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) without one; return its square, nan if moved is nan."""
     x = y = some = 0.0
     for i in range(bodies.pair[body], bodies.pair[body + 1]):
         k = i - bodies.pair[0]
-        p, n, zx, zy = bodies.axis[k, 0], bodies.axis[k, 1], bodies.rest[k, 0] + u[i, 0], bodies.rest[k, 1] + u[i, 1]
+        p, n, zx, zy = bodies.axis[k, 0], bodies.axis[k, 1], bodies.rest[k, 0] + moved[i, 0], bodies.rest[k, 1] + moved[i, 1]
         x += p * zx - n * zy
         y += p * zy + n * zx
         some += abs(p) + abs(n)
@@ -146,31 +146,31 @@ def turn(bodies, body, u, rotation):
 
 
 @part
-def forces(bodies, u, a, r, rotation):
-    """r += M a + dW/dz of all; rotation: as of `turn`. Returns the least square of a frame's vector, 1e300 without bodies."""
+def forces(bodies, moved, a, residual, rotation):
+    """residual += M a + dW/dz of all; rotation: as of `turn`. Returns the least square of a frame's vector, 1e300 without bodies."""
     least = 1e300
     for b in range(bodies.drag.shape[0]):
-        add_mass(bodies, b, 1.0, a, r)
-        least = lesser(least, turn(bodies, b, u, rotation))
+        add_mass(bodies, b, 1.0, a, residual)
+        least = lesser(least, turn(bodies, b, moved, rotation))
         if vectors(bodies, b)[2]:
-            call(bodies.calls[FORCE], (bodies, b, u, r))
+            call(bodies.calls[FORCE], (bodies, b, moved, residual))
     return least
 
 
 @part
-def forces_middle(bodies, h, states, r, rotation):
+def forces_middle(bodies, h, states, residual, rotation):
     """The same at the middle of a step of h, with damping. s is that of the mean strain of the ends, which conserves the energy.
 
     states (5, nodes, 2): displacements at both ends, and those of the middle with their velocities and accelerations.
     """
     u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(bodies.drag.shape[0]):
-        add_mass(bodies, b, 1.0, a, r)
+        add_mass(bodies, b, 1.0, a, residual)
         if bodies.drag[b] != 0.0:
-            add_mass(bodies, b, bodies.drag[b], vm, r)
+            add_mass(bodies, b, bodies.drag[b], vm, residual)
         least = lesser(least, lesser(turn(bodies, b, u1, rotation), turn(bodies, b, um, rotation)))
         if vectors(bodies, b)[2]:
-            call(bodies.calls[MIDDLE], (bodies, b, h, u0, u1, um, r))
+            call(bodies.calls[MIDDLE], (bodies, b, h, u0, u1, um, residual))
     return least
 
 
@@ -193,84 +193,84 @@ def tangent_at(bodies, at):
 
 
 @part
-def elastic_force(bodies, body, u, r):
-    """r += dW/dz of an elastic body."""
+def elastic_force(bodies, body, moved, residual):
+    """residual += dW/dz of an elastic body."""
     change = np.empty(vectors(bodies, body)[2])
-    strained(bodies, body, u, change)
-    push_elastic(bodies, body, u, change, r)
+    strained(bodies, body, moved, change)
+    push_elastic(bodies, body, moved, change, residual)
     return DONE
 
 
 @part
-def push_elastic(bodies, body, u, change, r):
-    """r += (dy/dz)^T (form change + shift) of an elastic body at displacements u."""
+def push_elastic(bodies, body, moved, change, residual):
+    """residual += (dy/dz)^T (form change + shift) of an elastic body at the displacements `moved`."""
     s = stresses(bodies, body, 1.0, change)
     for k in range(s.shape[0]):
         s[k] += bodies.shift[bodies.shift_start[body] + k]
-    push_placed(bodies, body, u, s, r)
+    push_placed(bodies, body, moved, s, residual)
 
 
 @part
-def push_placed(bodies, body, u, stress, r):
-    """r += (dy/dz)^T stress of a body at displacements u."""
+def push_placed(bodies, body, moved, stress, residual):
+    """residual += (dy/dz)^T stress of a body at the displacements `moved`."""
     first, count, _ = vectors(bodies, body)
     z = np.empty((count, 2))
-    place(bodies, first, count, u, z)
-    push(count, first, stress, z, r)
+    place(bodies, first, count, moved, z)
+    push(count, first, stress, z, residual)
 
 
 @part
-def elastic_force_middle(bodies, body, h, u0, u1, um, r):
-    """r += the elastic force at um in the middle of a step of h, with s of the mean strain of u0 and u1, and the viscous force."""
+def elastic_force_middle(bodies, body, h, u0, u1, um, residual):
+    """residual += the elastic force at um in the middle of a step of h, with s of the mean strain of u0 and u1, and the viscous force."""
     size, lag = vectors(bodies, body)[2], bodies.viscosity[body] / h
     before, change = np.empty(size), np.empty(size)
     strained(bodies, body, u0, before)
     strained(bodies, body, u1, change)
     for k in range(size):
         change[k] = 0.5 * (before[k] + change[k]) + lag * (change[k] - before[k])
-    push_elastic(bodies, body, um, change, r)
+    push_elastic(bodies, body, um, change, residual)
     return DONE
 
 
 @part
-def momentum(bodies, a, r):
-    """r += M a of all."""
+def momentum(bodies, a, residual):
+    """residual += M a of all."""
     for b in range(bodies.drag.shape[0]):
-        add_mass(bodies, b, 1.0, a, r)
+        add_mass(bodies, b, 1.0, a, residual)
 
 
 @part
-def add_damping(bodies, u, v, r):
-    """Add the damping forces of all bodies to r: `drag M v + viscosity (dy/dz)^T form y'`."""
+def add_damping(bodies, moved, v, residual):
+    """Add the damping forces of all bodies to residual: `drag M v + viscosity (dy/dz)^T form y'`."""
     for b in range(bodies.drag.shape[0]):
         if bodies.drag[b] != 0.0:
-            add_mass(bodies, b, bodies.drag[b], v, r)
+            add_mass(bodies, b, bodies.drag[b], v, residual)
         first, count, size = vectors(bodies, b)
         if size and bodies.viscosity[b] != 0.0:
             rate, z = np.empty(size), np.empty((count, 2))
-            place(bodies, first, count, u, z)
+            place(bodies, first, count, moved, z)
             quadratic(count, z, v[first : first + count], rate)
             for e in range(size):
                 rate[e] *= 2.0 * bodies.viscosity[b]
-            push(count, first, stresses(bodies, b, 1.0, rate), z, r)
+            push(count, first, stresses(bodies, b, 1.0, rate), z, residual)
 
 
 @part
-def energy(bodies, u):
+def energy(bodies, moved):
     """Elastic energy of all, J."""
     total = 0.0
     for b in range(bodies.drag.shape[0]):
-        total += body_energy(bodies, b, u)
+        total += body_energy(bodies, b, moved)
     return total
 
 
 @part
-def body_energy(bodies, body, u):
+def body_energy(bodies, body, moved):
     """Elastic energy of a body, J."""
     total, size = 0.0, vectors(bodies, body)[2]
     if size:
         d = np.empty(size)
-        strained(bodies, body, u, d)
+        strained(bodies, body, moved, d)
         s = stresses(bodies, body, 1.0, d)
         for e in range(size):
             total += d[e] * (0.5 * s[e] + bodies.shift[bodies.shift_start[body] + e])
@@ -286,7 +286,7 @@ def energies(bodies, frames, out):
 
 
 @part
-def blocks(bodies, u, v, c_m, c_v, c_q, out):
+def blocks(bodies, moved, v, c_m, c_v, c_q, out):
     """out (nnz, 2, 2) += `c_m M + c_v dg/dv + c_q dg/dq` of all."""
     for b in range(bodies.drag.shape[0]):
         count = bodies.pair[b + 1] - bodies.pair[b]
@@ -303,20 +303,20 @@ def blocks(bodies, u, v, c_m, c_v, c_q, out):
                 out[at, 0, 1] -= y
                 out[at, 1, 0] += y
         if vectors(bodies, b)[2] and (c_q != 0.0 or c_v * bodies.viscosity[b] != 0.0):
-            call(bodies.calls[BLOCKS], (bodies, b, u, v, c_v, c_q, out))
+            call(bodies.calls[BLOCKS], (bodies, b, moved, v, c_v, c_q, out))
 
 
 @part
-def elastic_blocks(bodies, body, u, v, c_v, c_q, out):
+def elastic_blocks(bodies, body, moved, v, c_v, c_q, out):
     """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
     first, count, size = vectors(bodies, body)
     d, z = np.empty(size), np.empty((count, 2))
     slopes, factored = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
-    place(bodies, first, count, u, z)
+    place(bodies, first, count, moved, z)
     add_y_jacobian(count, z, 1.0, slopes)
     add_y_jacobian(count, z, c_q + c_v * bodies.viscosity[body], factored)
     if c_q != 0.0:
-        strained(bodies, body, u, d)
+        strained(bodies, body, moved, d)
         if bodies.viscosity[body] != 0.0:
             rate, moving = np.empty(size), v[first : first + count]
             quadratic(count, z, moving, rate)
@@ -354,28 +354,28 @@ def stiffen(bodies, body, slopes, factored, out):
 
 
 @part
-def relaxed_blocks(bodies, body, u, pull, change, c_q, out):
-    """What relaxation adds to c_q K of a body: the curvature of y under -form pull, and `change` times (dy/dz)^T form dy/dz."""
+def relaxed_blocks(bodies, body, moved, viscous_strain, change, c_q, out):
+    """What relaxation adds to c_q K of a body: the curvature of y under -form viscous_strain, and `change` times (dy/dz)^T form dy/dz."""
     first, count, size = vectors(bodies, body)
     z, slopes, factored = np.empty((count, 2)), np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
-    place(bodies, first, count, u, z)
+    place(bodies, first, count, moved, z)
     add_y_jacobian(count, z, 1.0, slopes)
     add_y_jacobian(count, z, c_q * change, factored)
-    curve(count, stresses(bodies, body, -c_q, pull), bodies.block[body], out)
+    curve(count, stresses(bodies, body, -c_q, viscous_strain), bodies.block[body], out)
     stiffen(bodies, body, slopes, factored, out)
 
 
 @part
-def relax(bodies, body, u, half, pull, r, out):
-    """Add (dy/dz)^T (-form pull) of a body to r, and store d at u in out, in whose last place is 0 if d has an odd size.
+def relax(bodies, body, moved, half, viscous_strain, residual, out):
+    """Add (dy/dz)^T (-form viscous_strain) of a body to residual, and store d at `moved` in out, in whose last place is 0 if d has an odd size.
 
-    half: as of element/relaxation.py; y is quadratic, and its mean at u - half and u + half is that at u plus y(half).
+    half: as of element/relaxation.py; y is quadratic, and its mean at `moved` - half and moved + half is that at `moved` plus y(half).
     """
     first, count, size = vectors(bodies, body)
     out[:] = 0.0
-    strained(bodies, body, u, out[:size])
+    strained(bodies, body, moved, out[:size])
     add_half(half, first, count, out[:size])
-    push_placed(bodies, body, u, stresses(bodies, body, -1.0, pull), r)
+    push_placed(bodies, body, moved, stresses(bodies, body, -1.0, viscous_strain), residual)
 
 
 @part
@@ -389,11 +389,11 @@ def add_half(half, first, count, out):
 
 
 @part
-def change_of_strain(bodies, body, u, along, out):
-    """Store the change of y at u along the velocities `along` in out."""
+def change_of_strain(bodies, body, moved, along, out):
+    """Store the change of y at `moved` along the velocities `along` in out."""
     first, count, size = vectors(bodies, body)
     z = np.empty((count, 2))
-    place(bodies, first, count, u, z)
+    place(bodies, first, count, moved, z)
     out[:] = 0.0
     quadratic(count, z, along[first : first + count], out[:size])
     for e in range(size):
@@ -401,13 +401,13 @@ def change_of_strain(bodies, body, u, along, out):
 
 
 @part
-def relaxation_products(bodies, body, u, along, pull, back, r, out):
-    """Add the change of (dy/dz)^T (-form pull) along the velocities `along`, and (dy/dz)^T back, to r, and store form times the change of y along w in out."""
+def relaxation_products(bodies, body, moved, along, viscous_strain, back, residual, out):
+    """Add the change of (dy/dz)^T (-form viscous_strain) along the velocities `along`, and (dy/dz)^T back, to residual, and store form times the change of y along w in out."""
     first, count, size = vectors(bodies, body)
-    push(count, first, stresses(bodies, body, -1.0, pull), along[first : first + count], r)
-    push_placed(bodies, body, u, back, r)
+    push(count, first, stresses(bodies, body, -1.0, viscous_strain), along[first : first + count], residual)
+    push_placed(bodies, body, moved, back, residual)
     change, out[:] = np.empty(size), 0.0
-    change_of_strain(bodies, body, u, along, change)
+    change_of_strain(bodies, body, moved, along, change)
     put(1.0, stresses(bodies, body, 1.0, change), out)
 
 

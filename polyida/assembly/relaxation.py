@@ -40,25 +40,25 @@ def strains_of(relaxation, body):
 
 
 @part
-def relax_body(scene, body, u, half, pull, force, strain):
+def relax_body(scene, body, moved, half, viscous_strain, force, strain):
     """Relax the strains of a body, full plate or of few coordinates, by the kernel `relax` of its kind."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        reduced_kernels.relax(scene.reduced, body - o, u, half, pull, force, strain)
+        reduced_kernels.relax(scene.reduced, body - o, moved, half, viscous_strain, force, strain)
     else:
-        relax(cells_of(s, body), material_of(s, body), u, half, pull, force, strain)
+        relax(cells_of(s, body), material_of(s, body), moved, half, viscous_strain, force, strain)
 
 
 @part
-def change_strain(scene, body, u, along, strain):
+def change_strain(scene, body, moved, along, strain):
     """Fill the change of the strains of a body along a velocity, by the kernel `change_of_strain` of its kind."""
     s = scene.plates
     o = s.body_node.shape[0] - 1
     if body >= o:
-        reduced_kernels.change_of_strain(scene.reduced, body - o, u, along, strain)
+        reduced_kernels.change_of_strain(scene.reduced, body - o, moved, along, strain)
     else:
-        change_of_strain(cells_of(s, body), u, along, strain)
+        change_of_strain(cells_of(s, body), moved, along, strain)
 
 
 @part
@@ -81,12 +81,12 @@ def pairs_of_body(scene, body):
 
 
 @part
-def take_pull(relaxation, body, v, pull):
-    """pull = sum g x of a body, from the velocities v (numbers,)."""
-    at, count = 2 * relaxation.first + relaxation.start[body], pull.shape[0]
-    pull[:] = 0.0
+def take_viscous_strain(relaxation, body, v, viscous_strain):
+    """viscous_strain = sum g x of a body, from the velocities v (numbers,)."""
+    at, count = 2 * relaxation.first + relaxation.start[body], viscous_strain.shape[0]
+    viscous_strain[:] = 0.0
     for k in range(relaxation.terms[body], relaxation.terms[body + 1]):
-        add_real(pull, relaxation.share[k] * relaxation.unit[body], v[at : at + count], 0)
+        add_real(viscous_strain, relaxation.share[k] * relaxation.unit[body], v[at : at + count], 0)
         at += count
 
 
@@ -105,20 +105,20 @@ def add_scaled(out, factor, numbers):
 
 
 @entry
-def add_relaxation(scene, u, half, v, still, r):
-    """Add to r (n / 2, 2) the forces of relaxation on the nodes, and behind them the residuals of the relaxing strains, without inertia.
+def add_relaxation(scene, moved, half, v, still, residual):
+    """Add to residual (n / 2, 2) the forces of relaxation on the nodes, and behind them the residuals of the relaxing strains, without inertia.
 
     half: as of `relax`. v (n / 2, 2): velocities, of the strains these over `unit`. still: factor of the strain in the equations of the
     relaxing strains, 0 for the part that is linear in v.
     """
-    x, speeds, forces = scene.relaxation, v.reshape(-1), r.reshape(-1)
+    x, speeds, forces = scene.relaxation, v.reshape(-1), residual.reshape(-1)
     for b in range(x.start.shape[0] - 1):
         if x.terms[b] == x.terms[b + 1]:
             continue
         count = strains_of(x, b)
-        pull, strain = np.empty(count), np.empty(count)
-        take_pull(x, b, speeds, pull)
-        relax_body(scene, b, u, half, pull, r, strain)
+        viscous_strain, strain = np.empty(count), np.empty(count)
+        take_viscous_strain(x, b, speeds, viscous_strain)
+        relax_body(scene, b, moved, half, viscous_strain, residual, strain)
         at = 2 * x.first + x.start[b]
         for k in range(x.terms[b], x.terms[b + 1]):
             rate, own = x.mass / x.time[k], forces[at : at + count]
@@ -128,29 +128,29 @@ def add_relaxation(scene, u, half, v, still, r):
 
 
 @entry
-def add_relaxation_middle(scene, u0, u1, um, vm, r):
+def add_relaxation_middle(scene, u0, u1, um, vm, residual):
     """The same in the middle of a step, with the mean strain of its ends."""
     half = np.empty((scene.relaxation.first, 2))
     for i in range(half.shape[0]):
         half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
-    add_relaxation(scene, um, half, vm, 1.0, r)
+    add_relaxation(scene, um, half, vm, 1.0, residual)
 
 
 @entry
-def add_relaxed_blocks(scene, u, v, changes, c_q, blocks):
+def add_relaxed_blocks(scene, moved, v, changes, c_q, blocks):
     """Add c_q times what relaxation adds to K; changes (bodies,): kappa - 1."""
     s, x, speeds = scene.plates, scene.relaxation, v.reshape(-1)
     few = s.body_node.shape[0] - 1
     for b in range(changes.shape[0]):
         if x.terms[b] < x.terms[b + 1]:
-            pull = np.empty(strains_of(x, b))
-            take_pull(x, b, speeds, pull)
+            viscous_strain = np.empty(strains_of(x, b))
+            take_viscous_strain(x, b, speeds, viscous_strain)
             if b >= few:
-                reduced_kernels.relaxed_blocks(scene.reduced, b - few, u, pull, changes[b], c_q, blocks)
+                reduced_kernels.relaxed_blocks(scene.reduced, b - few, moved, viscous_strain, changes[b], c_q, blocks)
                 continue
             o = s.body_operator[b]
             own = Blocks(s.pairs[s.at[o, 4] : s.at[o + 1, 4]], s.body_block[b], blocks)
-            kernels.relaxed_tangent(cells_of(s, b), own, material_of(s, b), u, c_q, pull, changes[b])
+            kernels.relaxed_tangent(cells_of(s, b), own, material_of(s, b), moved, c_q, viscous_strain, changes[b])
 
 
 @pack
@@ -181,21 +181,21 @@ def elimination(model, dtype):
 
 
 @entry
-def eliminate(work, u, r):
-    """The residuals of the nodes without the strains, from those of all coordinates r (nodes, 2) at displacements u; r itself without strains."""
+def eliminate(work, moved, residual):
+    """The residuals of the nodes without the strains, from those of all coordinates residual (nodes, 2) at the displacements `moved`; residual itself without strains."""
     if work.calls[0] == 0:
-        return r
-    copy_matrix(r, work.whole)
-    call(work.calls[1], (work.calls[0], u))
+        return residual
+    copy_matrix(residual, work.whole)
+    call(work.calls[1], (work.calls[0], moved))
     return work.r
 
 
 @entry
-def recover(work, u, dq):
+def recover(work, moved, dq):
     """Fill the corrections of the strains behind `eliminate`, from those of the nodes, in dq (nodes, 2)."""
     if work.calls[0] != 0:
         copy_matrix(dq, work.whole)
-        call(work.calls[2], (work.calls[0], u))
+        call(work.calls[2], (work.calls[0], moved))
         copy_matrix(work.whole, dq)
 
 
@@ -206,8 +206,8 @@ def nodal(work, at):
 
 
 @part
-def eliminate_whole(work, u):
-    """Fill work.r, the residuals of the nodes, from those of all coordinates in work.whole, at displacements u."""
+def eliminate_whole(work, moved):
+    """Fill work.r, the residuals of the nodes, from those of all coordinates in work.whole, at the displacements `moved`."""
     scene, x, r = work.scene, work.scene.relaxation, work.whole
     copy_matrix(r[: x.first], work.r)
     residuals = r.reshape(-1)[2 * x.first :]
@@ -215,17 +215,17 @@ def eliminate_whole(work, u):
         if x.terms[body] == x.terms[body + 1]:
             continue
         count, at, (first, end) = strains_of(x, body), x.start[body], pairs_of_body(scene, body)
-        pull, strain = np.empty(count), np.empty(count)
+        viscous_strain, strain = np.empty(count), np.empty(count)
         for k in range(x.terms[body], x.terms[body + 1]):
             factor = x.unit[body] * x.time[k] / (x.mass * (1.0 + work.rates[0] * x.time[k]))
             put(factor, residuals[at : at + count], work.strains[at : at + count])
             at += count
         for p in range(work.parts.shape[0]):
-            pull[:], work.force[:], at = 0.0, 0.0, x.start[body]
+            viscous_strain[:], work.force[:], at = 0.0, 0.0, x.start[body]
             for k in range(x.terms[body], x.terms[body + 1]):
-                add_real(pull, x.share[k], work.strains[at : at + count], p)
+                add_real(viscous_strain, x.share[k], work.strains[at : at + count], p)
                 at += count
-            relax_body(scene, body, u, None, pull, work.force, strain)
+            relax_body(scene, body, moved, None, viscous_strain, work.force, strain)
             for i in range(first, end):
                 work.r[i, 0] -= work.parts[p] * work.force[i, 0]
                 work.r[i, 1] -= work.parts[p] * work.force[i, 1]
@@ -233,8 +233,8 @@ def eliminate_whole(work, u):
 
 
 @part
-def recover_whole(work, u):
-    """Fill the corrections of the strains in work.whole, from those of the nodes there, at displacements u."""
+def recover_whole(work, moved):
+    """Fill the corrections of the strains in work.whole, from those of the nodes there, at the displacements `moved`."""
     scene, x, dq = work.scene, work.scene.relaxation, work.whole
     changes, c_v = dq.reshape(-1)[2 * x.first :], work.rates[1]
     for body in range(x.start.shape[0] - 1):
@@ -246,7 +246,7 @@ def recover_whole(work, u):
             for i in range(first, end):
                 for k in range(2):
                     work.force[i, k] = dq[i, k].real if p == 0 else dq[i, k].imag
-            change_strain(scene, body, u, work.force, strain)
+            change_strain(scene, body, moved, work.force, strain)
             at = x.start[body]
             for k in range(x.terms[body], x.terms[body + 1]):
                 own = changes[at : at + count]
@@ -261,7 +261,7 @@ FUNCTIONS = served(eliminate_whole, first=nodal), served(recover_whole, first=no
 
 
 @entry
-def relaxation_energies(scene, u, v):
+def relaxation_energies(scene, moved, v):
     """(energy of relaxation beyond that of the strain E alone, J, the power that each body dissipates (bodies,), W).
 
     W = sum of E : D : E / 2 over the points with `g_0 E : D : E + sum g (E - x) : D : (E - x)` in place of E : D : E; the power is
@@ -272,12 +272,12 @@ def relaxation_energies(scene, u, v):
     for b in range(powers.shape[0]):
         if x.terms[b] < x.terms[b + 1]:
             count, at = strains_of(x, b), 2 * x.first + x.start[b]
-            strain, pull = np.empty(count), np.zeros(count)
-            relax_body(scene, b, u, None, pull, none, strain)
+            strain, viscous_strain = np.empty(count), np.zeros(count)
+            relax_body(scene, b, moved, None, viscous_strain, none, strain)
             for k in range(x.terms[b], x.terms[b + 1]):
                 for j in range(count):
-                    pull[j] = strain[j] - x.unit[b] * speeds[at + j]
-                size = square(scene, b, pull)
+                    viscous_strain[j] = strain[j] - x.unit[b] * speeds[at + j]
+                size = square(scene, b, viscous_strain)
                 total += 0.5 * x.share[k] * (size - square(scene, b, strain))
                 powers[b] += x.share[k] * size / x.time[k]
                 at += count
@@ -312,11 +312,11 @@ def slope_entries(model, q, c_v, c_q):
         if x.terms[b] == x.terms[b + 1]:
             continue
         at, first, last = 2 * x.first + x.start[b], 2 * body.pairs.start, 2 * body.pairs.stop
-        B, pulled = (_strain_slopes if b < len(model.bodies) else _form_slopes)(model, b, q[first:last])
-        B, pulled = B.tocoo(), pulled.tocoo()
+        B, viscous_strains = (_strain_slopes if b < len(model.bodies) else _form_slopes)(model, b, q[first:last])
+        B, viscous_strains = B.tocoo(), viscous_strains.tocoo()
         for k in range(x.terms[b], x.terms[b + 1]):
             rate, states = x.mass / x.time[k], at + np.arange(model.strains[body.name].padded)
-            parts.append((pulled.row + first, pulled.col + at, -c_v * x.unit[b] * x.share[k] * pulled.data))
+            parts.append((viscous_strains.row + first, viscous_strains.col + at, -c_v * x.unit[b] * x.share[k] * viscous_strains.data))
             parts.append((B.row + at, B.col + first, -c_q * rate / x.unit[b] * B.data))
             parts.append((states, states, np.full(len(states), c_v * rate)))
             at += len(states)
@@ -386,12 +386,12 @@ def fields_at_points(model):
     return result
 
 
-def pull_at_points(fields, pull):
-    """The strains at the points (3 weights,) of a reduced plate that a change `pull` of its y means; fields: of `fields_at_points`."""
+def viscous_strain_at_points(fields, viscous_strain):
+    """The strains at the points (3 weights,) of a reduced plate that a change `viscous_strain` of its y means; fields: of `fields_at_points`."""
     count = fields.shape[2]
     products, upper = np.zeros((count, count), complex), np.triu_indices(count)
-    products[upper] = pull[: len(upper[0])]
-    products[np.triu_indices(count, 1)] += 1j * pull[len(upper[0]) :]
+    products[upper] = viscous_strain[: len(upper[0])]
+    products[np.triu_indices(count, 1)] += 1j * viscous_strain[len(upper[0]) :]
     products += np.triu(products, 1).conj().T
     e = 0.5 * np.einsum("pki,ij,plj->klp", fields.conj(), products, fields, optimize=True).real
     strains = np.stack([e[0, 0], 0.5 * (e[0, 1] + e[1, 0]), e[1, 1]])

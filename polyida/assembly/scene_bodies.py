@@ -9,7 +9,7 @@ from polyida.assembly import joints
 from polyida.assembly.arrays import concatenated
 from polyida.assembly.own_laws import with_callbacks
 from polyida.assembly.placement import PlacedPlate
-from polyida.assembly.relaxation import fields_at_points, pull_at_points
+from polyida.assembly.relaxation import fields_at_points, viscous_strain_at_points
 from polyida.body.body import points_of, sticks_between
 from polyida.element import kernels
 from polyida.element.operator import LISTED, Material
@@ -473,13 +473,16 @@ class SceneBodies(Constraints):
             kernels.stress(cells, operator.lane_cells, operator.areas, material, nodal, parts[-1])
             viscosity, relaxes = body.plate.material.viscosity, body.name in self.strains
             if v is not None and (viscosity or relaxes):
-                pull = np.zeros(3 * len(operator.weights))
-                change_of_strain(cells, nodal, rates, pull)
-                pull *= -viscosity
+                viscous_strain = np.zeros(3 * len(operator.weights))
+                change_of_strain(cells, nodal, rates, viscous_strain)
+                viscous_strain *= -viscosity
                 if relaxes:
-                    relaxed, fields = self.strains[body.name].pull_of(v), self.once(fields_at_points, of_shape=True).get(body.name)
-                    pull += relaxed if fields is None else pull_at_points(fields, relaxed)
-                relax_stress(cells, operator.lane_cells, operator.areas, material, nodal, pull, parts[-1])
+                    relaxed, fields = (
+                        self.strains[body.name].viscous_strain_of(v),
+                        self.once(fields_at_points, of_shape=True).get(body.name),
+                    )
+                    viscous_strain += relaxed if fields is None else viscous_strain_at_points(fields, relaxed)
+                relax_stress(cells, operator.lane_cells, operator.areas, material, nodal, viscous_strain, parts[-1])
         return np.concatenate(parts)
 
 

@@ -317,7 +317,7 @@ class PlateMatrices:
     def __init__(self, plate):
         self.plate, self.operator = plate, operator_of(plate)
         modulus, nu = plate.material.in_plane
-        self.c1 = plate.thickness * modulus / (1 - nu**2), nu  # N/m, and the ratio
+        self.membrane = plate.thickness * modulus / (1 - nu**2), nu  # membrane stiffness, N/m, and the ratio
 
     @cached_property
     def mass(self):
@@ -342,14 +342,14 @@ class PlateMatrices:
 
         o = self.operator
         blocks = np.zeros((len(o.indices), 2, 2))
-        kernels.tangent(o.cells(), Blocks(o.pairs, 0, blocks), Material(*self.c1), np.zeros((o.n_nodes, 2)), 1.0)
+        kernels.tangent(o.cells(), Blocks(o.pairs, 0, blocks), Material(*self.membrane), np.zeros((o.n_nodes, 2)), 1.0)
         K = bsr_array((blocks, o.indices, o.indptr), shape=(2 * o.n_nodes,) * 2).tocsc()
         return K if self.stabilisation is None else (K + kron(self.stabilisation, eye_array(2))).tocsc()
 
     def force(self, moved):
         """Internal force (N, 2), N, at displacements (N, 2), m."""
         o, f, moved = self.operator, np.zeros_like(moved), np.ascontiguousarray(moved)
-        kernels.internal_force(o.cells(), Material(*self.c1), moved, f, np.empty((0, 2)))
+        kernels.internal_force(o.cells(), Material(*self.membrane), moved, f, np.empty((0, 2)))
         if self.stabilisation is not None:
             kernels.stabilisation_force(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, moved, f)
         return f
@@ -451,8 +451,8 @@ def form_of_fields(matrices, fields):
     With a_k, b_k the x and y derivatives of f_k, Q maps y to (Exx, Eyy, 2 Exy): conj(z_i) z_j has the factors conj(a_i) a_j / 2,
     conj(b_i) b_j / 2 and (conj(a_i) b_j + conj(b_i) a_j) / 2. shift: of the stabilisation, which is quadratic in z.
     """
-    c1, nu = matrices.c1
-    C = c1 * np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]])
+    membrane_stiffness, nu = matrices.membrane
+    C = membrane_stiffness * np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]])
     i, j = np.triu_indices(fields.shape[1])
     p, q = np.triu_indices(fields.shape[1], 1)
     half = np.where(i == j, 0.5, 1.0)

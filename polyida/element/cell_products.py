@@ -79,10 +79,10 @@ def piola_change(h, s, d, weight, lam_bar, two_mu):
 @traced(8)
 def viscous_change(h, v, d, weight, lam_bar, two_mu, tau):
     """weight (D S + (F + tau V) T), then weight tau F T."""
-    ball, shear = lam_bar * weight, two_mu * weight
-    turned = times(d, second_piola(two_state_strain(h, v, tau, 0.0), ball, shear))
-    pull = second_piola(symmetric_part(h, d), ball, shear)
-    stretched, dragged = carried(h, pull), times(v, pull)
+    lam_bar, two_mu = lam_bar * weight, two_mu * weight
+    turned = times(d, second_piola(two_state_strain(h, v, tau, 0.0), lam_bar, two_mu))
+    stress = second_piola(symmetric_part(h, d), lam_bar, two_mu)
+    stretched, dragged = carried(h, stress), times(v, stress)
     return tuple(a + b + tau * c for a, b, c in zip(turned, stretched, dragged)) + tuple(tau * b for b in stretched)
 
 
@@ -110,8 +110,8 @@ def _two_gradients(gradients, start, differences, count):
 
 
 @entry
-def stiffness_product(cells, material, u, which, fields, nodal_forces, rotation):
-    """Add K(u) w, w = fields[c], to nodal_forces[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
+def stiffness_product(cells, material, moved, which, fields, nodal_forces, rotation):
+    """Add K(moved) w, w = fields[c], to nodal_forces[c], (columns, N, 2), for the columns c in `which`; to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
     count = which.shape[0]
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 2 + 4 * count, 0)
@@ -119,7 +119,7 @@ def stiffness_product(cells, material, u, which, fields, nodal_forces, rotation)
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         forces = work[(1 + count) * size :]
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         for c in range(count):
             _differences(fields[which[c]], cells.corners, first, cells.first_node, m, work[(1 + c) * size :])
         for k in range(0, count * size, 2 * LANES):
@@ -173,15 +173,15 @@ def mass_products(indptr, indices, mass, scale, node_offset, which, fields, out)
 
 
 @entry
-def viscous_products(cells, material, u, v, along, nodal_force, slow, rotation):
-    """Add K(u, v)^T w, w = along, to nodal_force and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
+def viscous_products(cells, material, moved, v, along, nodal_force, slow, rotation):
+    """Add K(moved, v)^T w, w = along, to nodal_force and C(moved)^T w to slow, (N, 2), of a viscous body; rotation as above."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 10, 0)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         rates, force, drag = work[2 * size :], work[3 * size :], work[4 * size :]
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         _differences(along, cells.corners, first, cells.first_node, m, work[size:])
         _differences(v, cells.corners, first, cells.first_node, m, rates)
         for k in range(0, 2 * size, 2 * LANES):
@@ -208,7 +208,7 @@ def add_product_of(total, a, b):
 
 
 @entry
-def force_work(cells, material, u, v, fields, out):
+def force_work(cells, material, moved, v, fields, out):
     """Add the work `w . f`, w = fields[c], of each cell, without stabilisation, to out (columns, blocks * LANES) in the order of the lanes; v is not used without viscosity."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 8, 0)
@@ -216,7 +216,7 @@ def force_work(cells, material, u, v, fields, out):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         rate, force, along = work[size:], work[2 * size :], work[3 * size :]
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         if material.viscosity != 0.0:
             _differences(v, cells.corners, first, cells.first_node, m, rate)
         for k in range(0, size, 2 * LANES):
@@ -261,15 +261,15 @@ def products(indptr, indices, node_offset, others, fields, out):
 
 
 @entry
-def difference_products(indptr, indices, node_offset, u, fields, out):
+def difference_products(indptr, indices, node_offset, moved, fields, out):
     """out (columns, nnz) += fields[c]_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
     for c in range(fields.shape[0]):
         for row in range(indptr.shape[0] - 1):
             i = row + node_offset
-            x, y, ux, uy = fields[c, i, 0], fields[c, i, 1], u[i, 0], u[i, 1]
+            x, y, ux, uy = fields[c, i, 0], fields[c, i, 1], moved[i, 0], moved[i, 1]
             for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
                 j = load_integer(indices, k) + node_offset
-                out[c, k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)
+                out[c, k] += x * (moved[j, 0] - ux) + y * (moved[j, 1] - uy)
 
 
 @entry

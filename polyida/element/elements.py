@@ -77,9 +77,9 @@ def stabilisation_factor(plate, operator):
     return share * plane_trace(plate.thickness * material.E / (1 - material.nu**2), material.nu)
 
 
-def plane_trace(c1, nu):
-    """Return t (C11 + C22 + C33) of plane stress, N/m; c1 = t E / (1 - nu^2)."""
-    return c1 * (5.0 - nu) / 2.0
+def plane_trace(membrane_stiffness, nu):
+    """Return t (C11 + C22 + C33) of plane stress, N/m; membrane_stiffness = t E / (1 - nu^2)."""
+    return membrane_stiffness * (5.0 - nu) / 2.0
 
 
 def wachspress(mesh, kept=None):

@@ -76,11 +76,11 @@ def _workspace(layout, per_corner, per_corner_point):
 
 
 @part
-def _differences(u, corners, start, node_offset, count, out):
+def _differences(moved, corners, start, node_offset, count, out):
     """Store the displacements of `count` corners relative to the last one, which follows them, in out."""
-    last = gather(u, corners, start + count * LANES, node_offset)
+    last = gather(moved, corners, start + count * LANES, node_offset)
     for i in range(count):
-        store(out, 2 * i * LANES, difference(gather(u, corners, start + i * LANES, node_offset), last))
+        store(out, 2 * i * LANES, difference(gather(moved, corners, start + i * LANES, node_offset), last))
 
 
 @part
@@ -131,31 +131,31 @@ def _add_means(state, lane_cells, first, areas, out):
 
 
 @entry
-def internal_force(cells, material, u, nodal_force, rotation):
+def internal_force(cells, material, moved, nodal_force, rotation):
     """Add the internal force to nodal_force (N, 2); return the least det F, NaN if a displacement is not finite.
 
     Add to rotation (N, 2), unless it is (0, 2), at every node the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F: the
     angle of this vector is the node's rotation.
     """
-    return _add_force(cells, material, u, None, 1.0, nodal_force, rotation)
+    return _add_force(cells, material, moved, None, 1.0, nodal_force, rotation)
 
 
 @entry
-def relaxed_force(cells, material, u, pull, kappa, nodal_force, rotation):
-    """The same with the stress D : (kappa E - pull); pull as in relaxation.py."""
-    return _add_force(cells, material, u, pull, kappa, nodal_force, rotation)
+def relaxed_force(cells, material, moved, viscous_strain, kappa, nodal_force, rotation):
+    """The same with the stress D : (kappa E - viscous_strain); viscous_strain as in relaxation.py."""
+    return _add_force(cells, material, moved, viscous_strain, kappa, nodal_force, rotation)
 
 
 @part
-def _add_force(cells, material, u, pull, kappa, nodal_force, rotation):
-    """Add the force of `internal_force`, or of `relaxed_force` if pull is not None; return the least det F."""
+def _add_force(cells, material, moved, viscous_strain, kappa, nodal_force, rotation):
+    """Add the force of `internal_force`, or of `relaxed_force` if viscous_strain is not None; return the least det F."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 4, 0)
     least = spread(np.inf), spread(0.0)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         force, size = work[2 * m * LANES :], 2 * m * LANES
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
@@ -163,7 +163,7 @@ def _add_force(cells, material, u, pull, kappa, nodal_force, rotation):
             g, w = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
             h = _gradient(cells.gradients, g, work, m)
             least, turn = watch(least, h), add_rotation(turn, w, h)
-            stress = _stress(pull, kappa, h, w, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
+            stress = _stress(viscous_strain, kappa, h, w, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(cells.gradients, g + k)))
         balance = zeros2()  # inlined: calls of the functions above make this most frequent kernel slower
@@ -179,38 +179,38 @@ def _add_force(cells, material, u, pull, kappa, nodal_force, rotation):
 
 
 @part
-def _stress(pull, kappa, h, weight, at, lam_bar, two_mu):
-    """weight P of a point: relaxed stress unless pull is None. Its own function: numba drops a branch only if an argument is None."""
-    if pull is None:
+def _stress(viscous_strain, kappa, h, weight, at, lam_bar, two_mu):
+    """weight P of a point: relaxed stress unless viscous_strain is None. Its own function: numba drops a branch only if an argument is None."""
+    if viscous_strain is None:
         return first_piola(h, weight, lam_bar, two_mu)
-    return relaxing_piola(h, load3(pull, 3 * at), kappa, weight, lam_bar, two_mu)
+    return relaxing_piola(h, load3(viscous_strain, 3 * at), kappa, weight, lam_bar, two_mu)
 
 
 @entry
-def tangent(cells, blocks, material, u, scale):
+def tangent(cells, blocks, material, moved, scale):
     """Add scale * K to blocks (M, 2, 2) of the node pattern; the body's blocks start at pair_offset."""
-    _add_tangent(cells, blocks, material, u, scale, None, 0.0)
+    _add_tangent(cells, blocks, material, moved, scale, None, 0.0)
 
 
 @entry
-def relaxed_tangent(cells, blocks, material, u, scale, pull, change):
-    """The same with the stress -D : pull, and `change` times D elsewhere: what relaxation adds to K; pull as in relaxation.py."""
-    _add_tangent(cells, blocks, material, u, scale, pull, change)
+def relaxed_tangent(cells, blocks, material, moved, scale, viscous_strain, change):
+    """The same with the stress -D : viscous_strain, and `change` times D elsewhere: what relaxation adds to K; viscous_strain as in relaxation.py."""
+    _add_tangent(cells, blocks, material, moved, scale, viscous_strain, change)
 
 
 @part
-def _add_tangent(cells, blocks, material, u, scale, pull, change):
-    """Add scale * K of `tangent`, or of `relaxed_tangent` if pull is not None."""
+def _add_tangent(cells, blocks, material, moved, scale, viscous_strain, change):
+    """Add scale * K of `tangent`, or of `relaxed_tangent` if viscous_strain is not None."""
     lam_bar, two_mu = scale * material.stiffness * material.nu, scale * material.stiffness * (1.0 - material.nu)
     work = _workspace(cells.layout, 6, 8)
     for b in range(cells.layout.shape[0]):
         m, points, g = cells.layout[b, 0] - 1, cells.layout[b, 1], cells.layout[b, 3]
         sums, products = work[2 * m * LANES :], work[6 * m * LANES :]
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         for p in range(points):
             start = g + 2 * p * m * LANES
             h = _gradient(cells.gradients, start, work, m)
-            a = _moduli(pull, change, h, cells.weights, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
+            a = _moduli(viscous_strain, change, h, cells.weights, cells.layout[b, 4] + p * LANES, lam_bar, two_mu)
             for j in range(m):
                 store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(cells.gradients, start + 2 * j * LANES)))
         for k in range(0, 4 * m * LANES, 4 * LANES):
@@ -227,11 +227,11 @@ def _add_tangent(cells, blocks, material, u, scale, pull, change):
 
 
 @part
-def _moduli(pull, change, h, weights, at, lam_bar, two_mu):
+def _moduli(viscous_strain, change, h, weights, at, lam_bar, two_mu):
     """The moduli of a point. Its own function: numba drops a branch only if an argument is None."""
-    if pull is None:
+    if viscous_strain is None:
         return moduli(h, load(weights, at), lam_bar, two_mu)
-    return relaxed_moduli(h, load3(pull, 3 * at), load(weights, at), lam_bar, two_mu, change)
+    return relaxed_moduli(h, load3(viscous_strain, 3 * at), load(weights, at), lam_bar, two_mu, change)
 
 
 @part
@@ -260,14 +260,14 @@ def _add_last(count, start, blocks, sums):
 
 
 @entry
-def strain_energy(cells, material, u):
+def strain_energy(cells, material, moved):
     """Strain energy in J, summed with compensation."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 2, 0)
     state = zeros2()
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         for p in range(cells.layout[b, 1]):
             h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
             state = add_energy(state, h, load(cells.weights, cells.layout[b, 4] + p * LANES), lam_bar, two_mu)
@@ -278,7 +278,7 @@ def strain_energy(cells, material, u):
 
 
 @entry
-def stress(cells, lane_cells, areas, material, u, out):
+def stress(cells, lane_cells, areas, material, moved, out):
     """Store the Cauchy stress (sxx, syy, sxy), Pa, mean over the reference area of each cell, in out (cells, 3).
 
     sigma = F S F^T / det F with F in the plane; modulus = E_mod / (1 - nu^2), Pa. Exact in plane strain; in plane stress the change of thickness is
@@ -289,7 +289,7 @@ def stress(cells, lane_cells, areas, material, u, out):
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
         for p in range(cells.layout[b, 1]):
             h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
@@ -298,13 +298,13 @@ def stress(cells, lane_cells, areas, material, u, out):
 
 
 @entry
-def green_strain(cells, lane_cells, areas, u, out):
+def green_strain(cells, lane_cells, areas, moved, out):
     """Store the Green-Lagrange strain (Exx, Eyy, 2 Exy), mean over the reference area of each cell, in out (cells, 3)."""
     out[:] = 0.0
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
         for p in range(cells.layout[b, 1]):
             h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
@@ -313,13 +313,13 @@ def green_strain(cells, lane_cells, areas, u, out):
 
 
 @entry
-def mass_product(indptr, indices, mass, scale, node_offset, a, r):
-    """r (N, 2) += scale * (mass (x) I2) a for a body's node pattern; scale = rho * thickness in kg/m^2."""
+def mass_product(indptr, indices, mass, scale, node_offset, a, residual):
+    """residual (N, 2) += scale * (mass (x) I2) a for a body's node pattern; scale = rho * thickness in kg/m^2."""
     for row in range(indptr.shape[0] - 1):
         total = zero_pair()
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
             total = add_product(total, load_float(mass, k), load_pair(a, 2 * (load_integer(indices, k) + node_offset)))
-        add_pair(r, 2 * (row + node_offset), scaled(scale, total))
+        add_pair(residual, 2 * (row + node_offset), scaled(scale, total))
 
 
 @traced(1, pair)
@@ -329,26 +329,26 @@ def _add_pull(total, weight, other, own):
 
 
 @entry
-def stabilisation_force(indptr, indices, stabilisation, factor, node_offset, u, nodal_force):
-    """nodal_force (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
+def stabilisation_force(indptr, indices, stabilisation, factor, node_offset, moved, nodal_force):
+    """nodal_force (N, 2) += factor (stabilisation (x) I2) moved of a body's nodes."""
     for row in range(indptr.shape[0] - 1):
-        total, own = zero_pair(), load_pair(u, 2 * (row + node_offset))
+        total, own = zero_pair(), load_pair(moved, 2 * (row + node_offset))
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
-            other = load_pair(u, 2 * (load_integer(indices, k) + node_offset))
+            other = load_pair(moved, 2 * (load_integer(indices, k) + node_offset))
             total = _add_pull(total, load_float(stabilisation, k), other, own)
         add_pair(nodal_force, 2 * (row + node_offset), scaled(factor, total))
 
 
 @entry
-def stabilisation_energy(indptr, indices, stabilisation, factor, node_offset, u):
-    """factor u . (stabilisation (x) I2) u / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
+def stabilisation_energy(indptr, indices, stabilisation, factor, node_offset, moved):
+    """factor moved . (stabilisation (x) I2) moved / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
     total, lost = 0.0, 0.0
     for row in range(indptr.shape[0] - 1):
         i = row + node_offset
         for k in range(indptr[row], indptr[row + 1]):
             j = indices[k] + node_offset
             if j > i:
-                x, y = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1]
+                x, y = moved[j, 0] - moved[i, 0], moved[j, 1] - moved[i, 1]
                 term = -0.5 * factor * stabilisation[k] * (x * x + y * y) - lost
                 bigger = total + term
                 lost, total = (bigger - total) - term, bigger

@@ -66,9 +66,9 @@ def first_piola(h, weight, lam_bar, two_mu):
 
 
 @traced(4)
-def relaxing_piola(h, pull, kappa, weight, lam_bar, two_mu):
-    """The same with the strain kappa E - pull in S."""
-    return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), pull)), lam_bar * weight, two_mu * weight))
+def relaxing_piola(h, viscous_strain, kappa, weight, lam_bar, two_mu):
+    """The same with the strain kappa E - viscous_strain in S."""
+    return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), viscous_strain)), lam_bar * weight, two_mu * weight))
 
 
 def carried(h, s):
@@ -132,26 +132,26 @@ def moduli(h, weight, lam_bar, two_mu):
 
 
 @traced(10)
-def relaxed_moduli(h, pull, weight, lam_bar, two_mu, change):
-    """The same with S = -D : pull, and `change` times D elsewhere."""
-    ball, shear = lam_bar * weight, two_mu * weight
-    return moduli_of_stress(h, second_piola(pull, -1.0 * ball, -1.0 * shear), change * ball, change * shear)
+def relaxed_moduli(h, viscous_strain, weight, lam_bar, two_mu, change):
+    """The same with S = -D : viscous_strain, and `change` times D elsewhere."""
+    lam_bar, two_mu = lam_bar * weight, two_mu * weight
+    return moduli_of_stress(h, second_piola(viscous_strain, -1.0 * lam_bar, -1.0 * two_mu), change * lam_bar, change * two_mu)
 
 
-def moduli_of_stress(h, s, ball, shear):
-    """The same with the stress S, ball and shear the moduli of D times w."""
-    half, (s11, s12, s22) = 0.5 * shear, s
+def moduli_of_stress(h, s, lam_bar, two_mu):
+    """The same with the stress S; S, lam_bar and two_mu include the weight."""
+    half, (s11, s12, s22) = 0.5 * two_mu, s
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
-    both = ball + half
+    both = lam_bar + half
     c11, c12, c22 = half * (f11 * f11 + f12 * f12), half * (f11 * f21 + f12 * f22), half * (f21 * f21 + f22 * f22)
     straight, crossed = f11 * f22, f12 * f21
     return (
         s11 + c11 + both * f11 * f11,
         s12 + both * f11 * f12,
         c12 + both * f11 * f21,
-        ball * straight + half * crossed,
+        lam_bar * straight + half * crossed,
         s22 + c11 + both * f12 * f12,
-        ball * crossed + half * straight,
+        lam_bar * crossed + half * straight,
         c12 + both * f12 * f22,
         s11 + c22 + both * f21 * f21,
         s12 + both * f21 * f22,
@@ -259,14 +259,15 @@ def two_state_moduli(h, d, weight, lam_bar, two_mu, rate, factors):
     A[a, k, b, l] = c_s delta_ab S_kl + lam_bar F_ak W_bl + two_mu / 2 ((F W^T)_ab delta_kl + F_al W_bk)
     """
     c_s, c_f, c_d = factors
-    ball, half = lam_bar * weight, 0.5 * (two_mu * weight)
-    s11, s12, s22 = second_piola(two_state_strain(h, d, rate, 0.0), c_s * ball, c_s * (two_mu * weight))
+    lam_bar, two_mu = lam_bar * weight, two_mu * weight
+    half = 0.5 * two_mu
+    s11, s12, s22 = second_piola(two_state_strain(h, d, rate, 0.0), c_s * lam_bar, c_s * two_mu)
     s = ((s11, s12), (s12, s22))
     f = ((1.0 + h[0], h[1]), (h[2], 1.0 + h[3]))
     other = [[c_f * f[b][m] + c_d * d[2 * b + m] for m in (0, 1)] for b in (0, 1)]
     entries = []
     for a, b, k, m in product((0, 1), repeat=4):
-        entry = ball * f[a][k] * other[b][m] + half * f[a][m] * other[b][k]
+        entry = lam_bar * f[a][k] * other[b][m] + half * f[a][m] * other[b][k]
         if k == m:
             entry = entry + half * (f[a][0] * other[b][0] + f[a][1] * other[b][1])
         entries.append(entry + s[k][m] if a == b else entry)

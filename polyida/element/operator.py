@@ -160,14 +160,6 @@ def build(mesh, element):
     indptr, indices, places = _pattern(len(points), groups)
     blocks = [_blocks(group, place) for group, place in zip(groups, places)]
     flat = {name: np.concatenate([block[name].ravel() for block in blocks]) for name in blocks[0]}
-    tables, starts = [], np.zeros(4, dtype=np.int64)
-    for group, block in zip(groups, blocks):
-        listed = [block[name] for name in LISTED]
-        count = len(listed[0])
-        shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
-        sizes = np.array([array[0].size for array in listed])
-        tables.append(np.hstack([shape, starts + np.arange(count)[:, None] * sizes]).astype(np.int64))
-        starts = starts + [array.size for array in listed]
     along = np.argsort(flat["lane_cells"][::LANES], kind="stable")
     matrices = {name: flat[name] for name in ("cell_mass", "cell_stabilisation") if name in flat}
     return ReferenceOperator(
@@ -176,7 +168,7 @@ def build(mesh, element):
         n_nodes=len(points),
         areas=areas,
         mean_gradients=means,
-        layout=np.concatenate(tables)[along],
+        layout=_layout(groups, blocks)[along],
         lane_cells=_integers(flat["lane_cells"].reshape(-1, LANES)[along].ravel()),
         corners=_integers(flat["corners"]),
         gradients=_aligned(flat["gradients"]),
@@ -187,6 +179,19 @@ def build(mesh, element):
         **matrices,
         **{name.removeprefix("cell_"): np.bincount(flat["pairs"], values) for name, values in matrices.items()},
     )
+
+
+def _layout(groups, blocks):
+    """The rows of Cells.layout of all blocks, group after group: corners, points, and the starts of the block in the arrays of LISTED."""
+    tables, starts = [], np.zeros(4, dtype=np.int64)
+    for group, block in zip(groups, blocks):
+        listed = [block[name] for name in LISTED]
+        count = len(listed[0])
+        shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
+        sizes = np.array([array[0].size for array in listed])
+        tables.append(np.hstack([shape, starts + np.arange(count)[:, None] * sizes]).astype(np.int64))
+        starts = starts + [array.size for array in listed]
+    return np.concatenate(tables)
 
 
 def _pattern(n_nodes, groups):

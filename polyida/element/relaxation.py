@@ -1,8 +1,8 @@
 """Numba kernels of the relaxation of a viscoelastic body: its strains at the points of the elements, and the stress that relaxes.
 
-    S = D : (E - pull),   pull = sum_k g_k x_k,   x_k' = (E - x_k) / tau_k
+    S = D : (E - viscous_strain),   viscous_strain = sum_k g_k x_k,   x_k' = (E - x_k) / tau_k
 
-Strains of the points, pull and x_k, are flat arrays (3 weights,): (11, 12, 22) of the LANES cells of one point, point after point in the order of
+Strains of the points, viscous_strain and x_k, are flat arrays (3 weights,): (11, 12, 22) of the LANES cells of one point, point after point in the order of
 the weights. Other arguments as in kernels.py; h, d: gradients of a state and of a direction, as in material.py.
 """
 
@@ -14,9 +14,9 @@ from polyida.jit.intrinsics import LANES, load, load2, load3, store, traced, zer
 
 
 @traced(4)
-def relaxed_piola(h, pull, weight, lam_bar, two_mu):
-    """weight F (D : pull)."""
-    return carried(h, second_piola(pull, lam_bar * weight, two_mu * weight))
+def relaxed_piola(h, viscous_strain, weight, lam_bar, two_mu):
+    """weight F (D : viscous_strain)."""
+    return carried(h, second_piola(viscous_strain, lam_bar * weight, two_mu * weight))
 
 
 @traced(3)
@@ -38,18 +38,18 @@ def strain_change(h, d):
 
 
 @traced(3)
-def less_relaxed_cauchy(state, h, pull, weight, lam_bar, two_mu):
-    """state - weight (sigma_xx, sigma_yy, sigma_xy) with sigma = F (D : pull) F^T / det F."""
-    return add_cauchy_of(state, h, relaxed_piola(h, pull, -1.0 * weight / determinant(h), lam_bar, two_mu))
+def less_relaxed_cauchy(state, h, viscous_strain, weight, lam_bar, two_mu):
+    """state - weight (sigma_xx, sigma_yy, sigma_xy) with sigma = F (D : viscous_strain) F^T / det F."""
+    return add_cauchy_of(state, h, relaxed_piola(h, viscous_strain, -1.0 * weight / determinant(h), lam_bar, two_mu))
 
 
 @traced(7)
-def relaxation_change(h, d, pull, back, weight, lam_bar, two_mu):
-    """D S of S = -weight D : pull, plus (dE/dF)^T back; then weight D : (change of E weight d), with both shear terms in the second."""
-    ball, shear = lam_bar * weight, two_mu * weight
-    turned = times(d, second_piola(pull, -1.0 * ball, -1.0 * shear))
+def relaxation_change(h, d, viscous_strain, back, weight, lam_bar, two_mu):
+    """D S of S = -weight D : viscous_strain, plus (dE/dF)^T back; then weight D : (change of E weight d), with both shear terms in the second."""
+    lam_bar, two_mu = lam_bar * weight, two_mu * weight
+    turned = times(d, second_piola(viscous_strain, -1.0 * lam_bar, -1.0 * two_mu))
     held = carried(h, (back[0], 0.5 * back[1], back[2]))
-    s11, s12, s22 = second_piola(symmetric_part(h, d), ball, shear)
+    s11, s12, s22 = second_piola(symmetric_part(h, d), lam_bar, two_mu)
     return (*(a + b for a, b in zip(turned, held)), s11, s12 + s12, s22)
 
 
@@ -60,10 +60,10 @@ def last_three(change):
 
 
 @entry
-def relax(cells, material, u, half, pull, nodal_force, out):
-    """Add the force of the stress -D : pull to nodal_force (N, 2), and store the strain at u in out.
+def relax(cells, material, moved, half, viscous_strain, nodal_force, out):
+    """Add the force of the stress -D : viscous_strain to nodal_force (N, 2), and store the strain at `moved` in out.
 
-    half: None; or half the change of u in a step (N, 2): the strain is then the mean of those at u - half and u + half.
+    half: None; or half the change of moved in a step (N, 2): the strain is then the mean of those at `moved` - half and moved + half.
     """
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 6, 0)
@@ -71,7 +71,7 @@ def relax(cells, material, u, half, pull, nodal_force, out):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         force = work[2 * size :]
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         _directions(half, cells.corners, first, cells.first_node, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
@@ -79,7 +79,7 @@ def relax(cells, material, u, half, pull, nodal_force, out):
             g, at = cells.layout[b, 3] + p * size, cells.layout[b, 4] + p * LANES
             h = _gradient(cells.gradients, g, work, m)
             store(out, 3 * at, _strain(half, h, cells.gradients, g, work[size:], m))
-            stress = relaxed_piola(h, load3(pull, 3 * at), load(cells.weights, at), -lam_bar, -two_mu)
+            stress = relaxed_piola(h, load3(viscous_strain, 3 * at), load(cells.weights, at), -lam_bar, -two_mu)
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(cells.gradients, g + k)))
         _scatter_balanced(force, cells.corners, first, cells.first_node, m, nodal_force)
@@ -101,25 +101,25 @@ def _strain(half, h, gradients, start, directions, count):
 
 
 @entry
-def strain_at_points(cells, u, out):
-    """Store the strain at u in out."""
+def strain_at_points(cells, moved, out):
+    """Store the strain at `moved` in out."""
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         for p in range(cells.layout[b, 1]):
             h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
             store(out, 3 * (cells.layout[b, 4] + p * LANES), strain_of(h))
 
 
 @entry
-def change_of_strain(cells, u, along, out):
-    """Store the change of the strain at u along a field (N, 2) in out."""
+def change_of_strain(cells, moved, along, out):
+    """Store the change of the strain at `moved` along a field (N, 2) in out."""
     work = _workspace(cells.layout, 4, 0)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         _differences(along, cells.corners, first, cells.first_node, m, work[size:])
         for p in range(cells.layout[b, 1]):
             h, d = _two_gradients(cells.gradients, cells.layout[b, 3] + p * size, work, m)
@@ -127,22 +127,22 @@ def change_of_strain(cells, u, along, out):
 
 
 @entry
-def relaxation_products(cells, material, u, along, pull, back, nodal_force, out):
-    """Add the change of the force of the stress -D : pull along a field w = along (N, 2), and B^T back, to nodal_force, and store D B w in out, B = dE/du."""
+def relaxation_products(cells, material, moved, along, viscous_strain, back, nodal_force, out):
+    """Add the change of the force of the stress -D : viscous_strain along a field w = along (N, 2), and B^T back, to nodal_force, and store D B w in out, B = dE/du."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 6, 0)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size = 2 * m * LANES
         force = work[2 * size :]
-        _differences(u, cells.corners, first, cells.first_node, m, work)
+        _differences(moved, cells.corners, first, cells.first_node, m, work)
         _differences(along, cells.corners, first, cells.first_node, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         for p in range(cells.layout[b, 1]):
             g, at = cells.layout[b, 3] + p * size, cells.layout[b, 4] + p * LANES
             h, d = _two_gradients(cells.gradients, g, work, m)
-            change = relaxation_change(h, d, load3(pull, 3 * at), load3(back, 3 * at), load(cells.weights, at), lam_bar, two_mu)
+            change = relaxation_change(h, d, load3(viscous_strain, 3 * at), load3(back, 3 * at), load(cells.weights, at), lam_bar, two_mu)
             store(out, 3 * at, last_three(change))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), first_half(change), load2(cells.gradients, g + k)))
@@ -150,17 +150,17 @@ def relaxation_products(cells, material, u, along, pull, back, nodal_force, out)
 
 
 @entry
-def relax_stress(cells, lane_cells, areas, material, u, pull, out):
-    """Add the Cauchy stress of -D : pull to out (cells, 3), as of kernels.stress."""
+def relax_stress(cells, lane_cells, areas, material, moved, viscous_strain, out):
+    """Add the Cauchy stress of -D : viscous_strain to out (cells, 3), as of kernels.stress."""
     lam_bar, two_mu = lame(material)
     work = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[b, 2], cells.first_node, m, work)
         state = zeros3()
         for p in range(cells.layout[b, 1]):
             at, h = cells.layout[b, 4] + p * LANES, _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, work, m)
-            state = less_relaxed_cauchy(state, h, load3(pull, 3 * at), load(cells.weights, at), lam_bar, two_mu)
+            state = less_relaxed_cauchy(state, h, load3(viscous_strain, 3 * at), load(cells.weights, at), lam_bar, two_mu)
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 

@@ -32,17 +32,17 @@ MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)  # state = mean of the fields, direction =
 
 
 @entry
-def internal_force_viscous(cells, material, u, v, nodal_force, rotation):
-    """Add elastic and viscous force at displacements u and velocities v to nodal_force; return the least det F, NaN if undefined.
+def internal_force_viscous(cells, material, moved, v, nodal_force, rotation):
+    """Add elastic and viscous force at the displacements `moved` and velocities v to nodal_force; return the least det F, NaN if undefined.
 
     rotation as in kernels.internal_force. The dissipated power is
     v . (f - f(tau_v = 0)) = tau_v int t Edot : D : Edot >= 0, W.
     """
-    return _force(cells, material, (material.viscosity, 0.0, 0.0), SECOND_ALONE, u, v, nodal_force, rotation)
+    return _force(cells, material, (material.viscosity, 0.0, 0.0), SECOND_ALONE, moved, v, nodal_force, rotation)
 
 
 @entry
-def tangent_viscous(cells, blocks, material, u, v, c_q, c_v):
+def tangent_viscous(cells, blocks, material, moved, v, c_q, c_v):
     """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
 
     dg/dv = tau_v int t B^T D B is symmetric to round-off and positive semidefinite; dg/dq is unsymmetric unless v is a rigid motion.
@@ -53,7 +53,7 @@ def tangent_viscous(cells, blocks, material, u, v, c_q, c_v):
         m, points, g = cells.layout[k, 0] - 1, cells.layout[k, 1], cells.layout[k, 3]
         size = 2 * m * LANES
         rates, sums, products = work[size:], work[2 * size :], work[6 * size :]
-        _differences(u, cells.corners, cells.layout[k, 2], cells.first_node, m, work)
+        _differences(moved, cells.corners, cells.layout[k, 2], cells.first_node, m, work)
         _differences(v, cells.corners, cells.layout[k, 2], cells.first_node, m, rates)
         for p in range(points):
             start, weight = g + p * size, load(cells.weights, cells.layout[k, 4] + p * LANES)

@@ -322,8 +322,8 @@ class Maxwell(ForceElement):
     def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states
         """Return `u N` on a and `-u N` on b, (2, 2), N."""
         e, ux, uy = elongation(self, x)
-        pull = self.stiffness * (e - s[0])
-        return np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
+        tension = self.stiffness * (e - s[0])
+        return np.array(((tension * ux, tension * uy), (-tension * ux, -tension * uy)))
 
     def energy(self, x: np.ndarray, s: np.ndarray) -> float:  # type: ignore[override]  # of an element with states
         """Return `k (e - s)^2 / 2`, J."""

@@ -28,16 +28,16 @@ def spring(self, t, x, v):
     """`u N` on the first side, `-u N` on the second: `N = k e + c e' + N0`, e = l - l0."""
     e, ux, uy = elongation(self, x)
     rate = ux * (v[1, 0] - v[0, 0]) + uy * (v[1, 1] - v[0, 1])
-    pull = self.stiffness * e + self.damping * rate + self.preload
-    return np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
+    tension = self.stiffness * e + self.damping * rate + self.preload
+    return np.array(((tension * ux, tension * uy), (-tension * ux, -tension * uy)))
 
 
 def spring_with_function(self, t, x, v):
     """The same plus `force(e, e')`."""
     e, ux, uy = elongation(self, x)
     rate = ux * (v[1, 0] - v[0, 0]) + uy * (v[1, 1] - v[0, 1])
-    pull = self.force(e, rate) if ux != 0.0 or uy != 0.0 else 0.0
-    return spring(self, t, x, v) + np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
+    tension = self.force(e, rate) if ux != 0.0 or uy != 0.0 else 0.0
+    return spring(self, t, x, v) + np.array(((tension * ux, tension * uy), (-tension * ux, -tension * uy)))
 
 
 def spring_energy(self, x):

@@ -177,9 +177,68 @@ def add(weights, at, weight, xi, eta):
     weights[at, 3] -= weight * eta
 
 
+@part
+def in_wedge(px, py, nodes, others, edge, place):
+    """True for a point, projected to `place` beyond an end of an edge, in the wedge behind a reentrant corner: beyond both of its edges."""
+    inside = False
+    for g in range(others.shape[0]):
+        if others[g, 0] == others[edge, 1] and place > 1.0:
+            inside = place_on(px, py, nodes, others, g) < 0.0
+        elif others[g, 1] == others[edge, 0] and place < 0.0:
+            inside = place_on(px, py, nodes, others, g) > 1.0
+    return inside
+
+
+@part
+def add_point(node, px, py, second, others, reach, row, edge, points, weights, total, count):
+    """Add a product for each edge that a point faces, of the row of that edge. Returns the number of all products."""
+    for f in range(others.shape[0]):
+        gap, eta = gap_at(px, py, second, others, f), place_on(px, py, second, others, f)
+        at, inside = min(max(eta, 0.0), 1.0), False
+        if gap <= 0.0 and eta != at:
+            inside = in_wedge(px, py, second, others, f, eta)
+        if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, second, others, f, gap))):
+            row[count], edge[count], points[count, :], weights[count, :] = f, f, node, 0.0
+            add(weights, count, 1.0, 0.0, at)
+            total[f], count = 1.0, count + 1
+    return count
+
+
+@part
+def find_overlaps(px, py, tx, ty, length, second, others, low, high, cuts):
+    """Fill the part of an edge, low to high in [0, 1], that faces each other edge, -1 for high if none does, and all ends. Returns their number.
+
+    px, py: first end of the edge; tx, ty: unit vector along it.
+    """
+    ends = 0
+    for f in range(others.shape[0]):
+        bx, by = second[others[f, 0], 0], second[others[f, 0], 1]
+        dx, dy = second[others[f, 1], 0] - bx, second[others[f, 1], 1] - by
+        start = ((bx - px) * tx + (by - py) * ty) / length
+        end = start + (dx * tx + dy * ty) / length
+        low[f], high[f] = max(0.0, end), min(1.0, start)
+        if tx * dx + ty * dy < -OPPOSED * np.sqrt(dx * dx + dy * dy) and high[f] - low[f] > SHORT:
+            cuts[ends], cuts[ends + 1], ends = low[f], high[f], ends + 2
+        else:
+            high[f] = -1.0
+    return ends
+
+
+@part
+def nearest_edge(x, y, place, second, others, reach, low, high):
+    """The edge that faces an edge's point (x, y) at `place` with the least gap of at least -reach; -1 if none does."""
+    best, least = -1, np.inf
+    for f in range(others.shape[0]):
+        if low[f] <= place <= high[f]:
+            gap = gap_at(x, y, second, others, f)
+            if -reach <= gap < least:
+                best, least = f, gap
+    return best
+
+
 @entry
 def find_pieces(first, edges, second, others, reach, row, edge, points, weights):
-    """Fill the products of all rows. Returns their number."""
+    """Fill the products of all rows: those of points, or of the pieces of edges at two Gauss points each. Returns their number."""
     count, others_count = 0, others.shape[0]
     total = np.zeros(max(first.shape[0], others_count))
     low, high, cuts = np.empty(others_count), np.empty(others_count), np.empty(2 * others_count)
@@ -187,43 +246,18 @@ def find_pieces(first, edges, second, others, reach, row, edge, points, weights)
         i, j = edges[e, 0], edges[e, 1]
         px, py = first[i, 0], first[i, 1]
         if i == j:
-            for f in range(others_count):
-                gap, eta = gap_at(px, py, second, others, f), place_on(px, py, second, others, f)
-                at, inside = min(max(eta, 0.0), 1.0), False  # inside: in the wedge behind a reentrant corner, beyond both of its edges
-                if gap <= 0.0 and eta != at:
-                    for g in range(others_count):
-                        if others[g, 0] == others[f, 1] and eta > 1.0:
-                            inside = place_on(px, py, second, others, g) < 0.0
-                        elif others[g, 1] == others[f, 0] and eta < 0.0:
-                            inside = place_on(px, py, second, others, g) > 1.0
-                if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, second, others, f, gap))):
-                    row[count], edge[count], points[count, :], weights[count, :] = f, f, i, 0.0
-                    add(weights, count, 1.0, 0.0, at)
-                    total[f], count = 1.0, count + 1
+            count = add_point(i, px, py, second, others, reach, row, edge, points, weights, total, count)
             continue
         tx, ty = first[j, 0] - px, first[j, 1] - py
         length = np.sqrt(tx * tx + ty * ty)
-        tx, ty, marks = tx / length, ty / length, 0
-        for f in range(others_count):
-            bx, by = second[others[f, 0], 0], second[others[f, 0], 1]
-            dx, dy = second[others[f, 1], 0] - bx, second[others[f, 1], 1] - by
-            start = ((bx - px) * tx + (by - py) * ty) / length
-            end = start + (dx * tx + dy * ty) / length
-            low[f], high[f] = max(0.0, end), min(1.0, start)
-            if tx * dx + ty * dy < -OPPOSED * np.sqrt(dx * dx + dy * dy) and high[f] - low[f] > SHORT:
-                cuts[marks], cuts[marks + 1], marks = low[f], high[f], marks + 2
-            else:
-                high[f] = -1.0
-        cuts[:marks].sort()
-        for k in range(marks - 1):
+        tx, ty = tx / length, ty / length
+        ends = find_overlaps(px, py, tx, ty, length, second, others, low, high, cuts)
+        cuts[:ends].sort()
+        for k in range(ends - 1):
             if cuts[k + 1] - cuts[k] <= SHORT:
                 continue
-            middle, best, least = 0.5 * (cuts[k] + cuts[k + 1]), -1, np.inf
-            for f in range(others_count):
-                if low[f] <= middle <= high[f]:
-                    gap = gap_at(px + middle * length * tx, py + middle * length * ty, second, others, f)
-                    if -reach <= gap < least:
-                        best, least = f, gap
+            middle = 0.5 * (cuts[k] + cuts[k + 1])
+            best = nearest_edge(px + middle * length * tx, py + middle * length * ty, middle, second, others, reach, low, high)
             if best < 0:
                 continue
             bx, by = second[others[best, 0], 0], second[others[best, 0], 1]

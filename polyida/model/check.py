@@ -305,57 +305,13 @@ def check_derivatives(
         ],
     )
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
-    n, m = model.n, model.m
+    pairs = _of_forces(model, t, q, v, a, lam) | _of_phi(model, t, q, v, lam) | _of_parameters(model, t, q, v, a, lam)
     force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
     blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
-    pairs = {
-        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
-        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
-        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
-        "tangent": (
-            model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
-            differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n),
-        ),
-        "tangent, v": (
-            model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
-            differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n),
-        ),
-    }
-    if m:
-        rows_q, changes = (
-            differences.jacobian(lambda x: model.phi(t, x), q, m),
-            differences.along(lambda s: model.phi(t + s, q), bounds=model._smooth(t)),
-        )
-        for row in model.velocity_rows:
-            rows_q[row] = differences.jacobian(lambda x: model.phi_rate(t, q, x), v, m)[row]
-            changes[row] = model.phi_rate(t, q, np.zeros(n))[row]
-        pairs |= {
-            "phi_q": (model.phi_q(t, q), rows_q),
-            "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), changes),
-            "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
-        }
     for name in model.parameters:
-        least = np.abs(model.parameter(name)).min() or 1.0
-        blur[f"residual_p {name}"] = force / least
-        state = t, q, v, a, lam
-        slopes: dict[str, tuple] = {
-            "residual_p": (model.residual_p, Model.residual_p, state),
-            "phi_p": (model.phi_p, Model.phi_p, state[:2]),
-        }
-        written = {key: entry for key, entry in slopes.items() if writes(model, key)}
-        pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
-    for part, energy, forces, x, sizes in energies(model, t, q):
-        force, reach = None, np.broadcast_to(sizes, x.shape)
-        with suppress(*RAISED):  # as at times at which forces are not known
-            force = forces(x)
-        if force is None:
-            continue
-        name, force = f"energy of {part.name}" if model.is_scene else "potential", (reach * force).ravel()
-        moved = lambda s, energy=energy, x=x, reach=reach: np.array([energy(x + reach * s.reshape(x.shape))])  # noqa: E731
-        slope, doubt = _slope(moved, force.size)
-        blur[name] = ROUND_OFF * max(np.abs(moved(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
-        pairs[name] = slope, -force
+        blur[f"residual_p {name}"] = force / (np.abs(model.parameter(name)).min() or 1.0)
+    for name, slope, difference, doubt in _of_energies(model, t, q):
+        pairs[name], blur[name] = (slope, difference), doubt
     errors = {}
     for name, (exact, difference) in pairs.items():
         exact = dense(exact)
@@ -363,6 +319,62 @@ def check_derivatives(
         off = max(0.0, np.abs(exact - difference).max(initial=0) - blur.get(name, 0.0))
         errors[name] = float(off / size) if size > 1e-12 else 0.0
     return errors
+
+
+def _of_forces(model, t, q, v, a, lam):
+    """{name: (written, by differences)} of the derivatives of forces."""
+    n, residual = model.n, partial(Model.residual, model)
+    return {
+        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
+        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
+        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
+        "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), differences.jacobian(lambda x: residual(t, x, v, a, lam), q, n)),
+        "tangent, v": (model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0), differences.jacobian(lambda x: residual(t, q, x, a, lam), v, n)),
+    }
+
+
+def _of_phi(model, t, q, v, lam):
+    """{name: (written, by differences)} of the derivatives of phi; in velocity rows those of psi."""
+    n, m = model.n, model.m
+    if not m:
+        return {}
+    rows_q = differences.jacobian(lambda x: model.phi(t, x), q, m)
+    changes = differences.along(lambda s: model.phi(t + s, q), bounds=model._smooth(t))
+    for row in model.velocity_rows:
+        rows_q[row] = differences.jacobian(lambda x: model.phi_rate(t, q, x), v, m)[row]
+        changes[row] = model.phi_rate(t, q, np.zeros(n))[row]
+    return {
+        "phi_q": (model.phi_q(t, q), rows_q),
+        "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
+        "phi_t": (model.phi_t(t, q), changes),
+        "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
+    }
+
+
+def _of_parameters(model, t, q, v, a, lam):
+    """{name: (written, by differences)} of residual_p and phi_p of each parameter, if the class gives them."""
+    slopes = {"residual_p": (t, q, v, a, lam), "phi_p": (t, q)}
+    written = {function: at for function, at in slopes.items() if writes(model, function)}
+    return {
+        f"{function} {name}": (getattr(model, function)(name, *at), getattr(Model, function)(model, name, *at))
+        for name in model.parameters
+        for function, at in written.items()
+    }
+
+
+def _of_energies(model, t, q):
+    """Yield (name, slope by differences, minus the forces, round-off of the slope) of the energies of a scene or a user's model."""
+    for part, energy, forces, x, sizes in energies(model, t, q):
+        force, reach = None, np.broadcast_to(sizes, x.shape)
+        with suppress(*RAISED):  # as at times at which forces are not known
+            force = forces(x)
+        if force is None:
+            continue
+        force = (reach * force).ravel()
+        moved = lambda s, energy=energy, x=x, reach=reach: np.array([energy(x + reach * s.reshape(x.shape))])  # noqa: E731
+        slope, doubt = _slope(moved, force.size)
+        doubt = ROUND_OFF * max(np.abs(moved(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
+        yield f"energy of {part.name}" if model.is_scene else "potential", slope, -force, doubt
 
 
 def _slope(function, size):

@@ -46,12 +46,45 @@ def largest(change, values, first, sizes):
     return size
 
 
+@part
+def fill_slope(function, data, t, places, v, outputs, values, first, sizes, rates, behind, slope):
+    """slope (count, count) = the derivatives of the last rates in the algebraic states, in their sizes, by central differences."""
+    for j in range(sizes.shape[0]):
+        middle, step = values[first + j], STEP * max(sizes[j], abs(values[first + j]))
+        values[first + j] = middle + step
+        evaluate(function, data, t, places, v, values, outputs, rates)
+        values[first + j] = middle - step
+        evaluate(function, data, t, places, v, values, outputs, behind)
+        values[first + j] = middle
+        for i in range(sizes.shape[0]):
+            slope[i, j] = (rates[first + i] - behind[first + i]) / (2.0 * step) * sizes[j]
+
+
+@part
+def factor_rows(slope, left, rows, pivots, change):
+    """Factor the slope, its rows divided by their largest entries `rows`, and set change = -slope^-1 left. False if it is singular."""
+    for i in range(left.shape[0]):
+        rows[i] = 0.0
+        for j in range(left.shape[0]):
+            rows[i] = max(rows[i], abs(slope[i, j]))
+        change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
+        for j in range(left.shape[0]):
+            slope[i, j] /= rows[i]
+    if not factor(slope, pivots):
+        return False
+    for i in range(left.shape[0]):
+        if not abs(slope[i, i]) < 1.0 / SINGULAR:
+            return False
+    solve(slope, pivots, change)
+    return True
+
+
 @shared
 def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, rates):
     """Fill the algebraic states of `values`, from number `first` on, and the rates: Newton's method with shorter steps where corrections do not fall.
 
-    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes: typical sizes of the algebraic
-    states; `values` holds a guess of them. Returns how it ended.
+    function, data, t, places, v, outputs: a C function of the rates, and its arguments beside `values` and rates. sizes: typical sizes of the
+    algebraic states; `values` holds a guess of them. Returns how it ended.
     """
     count, behind = sizes.shape[0], np.zeros_like(rates)
     free, slope, pivots = values[first : first + count], np.empty((count, count)), np.empty(count, np.int64)
@@ -60,32 +93,13 @@ def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, 
     for i in range(count):
         left[i] = rates[first + i]
     for _ in range(MOST):
-        for j in range(count):
-            middle, step = free[j], STEP * max(sizes[j], abs(free[j]))
-            free[j] = middle + step
-            evaluate(function, data, t, places, v, values, outputs, rates)
-            free[j] = middle - step
-            evaluate(function, data, t, places, v, values, outputs, behind)
-            free[j] = middle
-            for i in range(count):
-                slope[i, j] = (rates[first + i] - behind[first + i]) / (2.0 * step) * sizes[j]
-        for i in range(count):
-            rows[i] = 0.0
-            for j in range(count):
-                rows[i] = max(rows[i], abs(slope[i, j]))
-            change[i] = -left[i] / rows[i] if rows[i] > 0.0 else np.nan
-            for j in range(count):
-                slope[i, j] /= rows[i]
-        if not factor(slope, pivots):
+        fill_slope(function, data, t, places, v, outputs, values, first, sizes, rates, behind, slope)
+        if not factor_rows(slope, left, rows, pivots, change):
             return FLAT
-        for i in range(count):
-            if not abs(slope[i, i]) < 1.0 / SINGULAR:
-                return FLAT
-        solve(slope, pivots, change)
         ratio = 0.0
         while ratio <= FAST:
             share, moved, before, size = 1.0, 0.0, 0.0, 0.0
-            while True:
+            while True:  # until the next correction, left, is smaller than this one
                 for i in range(count):
                     free[i] += (share - moved) * change[i] * sizes[i]
                 evaluate(function, data, t, places, v, values, outputs, rates)

@@ -152,8 +152,8 @@ class Cut:
         u, speeds, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
         residual = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, speeds, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
         if self.strains:
-            pull, forces = self.strains_ahead * self.strains.pull_of(v), np.zeros_like(u)
-            relax(self.body.operator.cells(), self.material, u, None, pull, forces, np.empty_like(pull))
+            viscous_strain, forces = self.strains_ahead * self.strains.viscous_strain_of(v), np.zeros_like(u)
+            relax(self.body.operator.cells(), self.material, u, None, viscous_strain, forces, np.empty_like(viscous_strain))
             residual = residual + forces[self.nodes][self.cut]
         x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
