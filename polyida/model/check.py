@@ -353,12 +353,12 @@ def _of_phi(model, t, q, v, lam):
 
 def _of_parameters(model, t, q, v, a, lam):
     """{name: (written, by differences)} of residual_p and phi_p of each parameter, if the class gives them."""
-    slopes = {"residual_p": (t, q, v, a, lam), "phi_p": (t, q)}
-    written = {function: at for function, at in slopes.items() if writes(model, function)}
+    slopes = {"residual_p": (model.residual_p, Model.residual_p, (t, q, v, a, lam)), "phi_p": (model.phi_p, Model.phi_p, (t, q))}
+    written = {function: entry for function, entry in slopes.items() if writes(model, function)}
     return {
-        f"{function} {name}": (getattr(model, function)(name, *at), getattr(Model, function)(model, name, *at))
+        f"{function} {name}": (own(name, *at), default(model, name, *at))
         for name in model.parameters
-        for function, at in written.items()
+        for function, (own, default, at) in written.items()
     }
 
 

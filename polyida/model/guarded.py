@@ -87,11 +87,11 @@ def blame(model, t, state):
     return ""
 
 
-def function_of(model, name):
-    """The CheckedFunction that is a model's function `name`; the method of this name if that does more, as for states or a constant M."""
-    plain = isinstance(model, Equations) and not model.own_states and (name != "mass" or model.needs.mass_varies)
-    function = model.checked_functions.get(name) if plain else None
-    return function or getattr(model, name)
+def direct_functions(model):
+    """{name: CheckedFunction} of a model's functions that are the user's as they are: none with states, and not a constant M."""
+    if not isinstance(model, Equations) or model.own_states:
+        return {}
+    return {name: function for name, function in model.checked_functions.items() if name != "mass" or model.needs.mass_varies}
 
 
 def _view(argument):
