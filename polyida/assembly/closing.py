@@ -270,7 +270,7 @@ class Placed:
 
     @property
     def placement(self):
-        """(origin, angle)."""
+        """(origin, angle) of the body where it was moved."""
         return self.part.origin, self.part.angle
 
     def settle(self, origin, angle):

@@ -159,7 +159,7 @@ def solve_panels(fronts, panels, solution):
 
 @part
 def solve_in_place(factored, team, solution):
-    """The same by a team of threads or None. Its own function: numba drops a branch only if an argument is None."""
+    """Solve by a team of threads, or alone if it is None. Its own function: numba drops a branch only if an argument is None."""
     if team is None:
         solve_panels(factored.fronts, factored.panels, solution)
     else:
@@ -183,7 +183,7 @@ def solve_turned(factored, work, size, residual, solution):
 
 @part
 def solve_turned_columns(factored, work, lanes, sizes, residual, solution, which):
-    """The same for the columns in `which`, at most COLUMNS, of residual and solution (columns, nodes, 2), with one pass through the factor."""
+    """Solve as `solve_turned` for the columns in `which`, at most COLUMNS, of residual and solution (columns, nodes, 2), with one pass through the factor."""
     order, turn, count, parts = factored.fronts.order, work.turn, which.shape[0], np.empty(lanes.shape[1])
     for e in range(count):
         parts[e] = 1.0 / sizes[which[e]]

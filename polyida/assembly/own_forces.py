@@ -194,7 +194,7 @@ class OwnForce:
 
     @property
     def not_finite(self):
-        """As of PythonFunctions."""
+        """The function that last gave numbers that are not finite, in words; empty if none did."""
         return self.functions.not_finite
 
 

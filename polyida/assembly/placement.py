@@ -42,7 +42,7 @@ class PlacedPlate:
 
     @cached_property
     def translation_momentum(self):
-        """M T, (nodes,), kg."""
+        """M T, the momentum of a unit velocity of the body, (nodes,), kg."""
         return np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
 
     @property
@@ -57,7 +57,7 @@ class PlacedPlate:
 
     @property
     def whole_mass(self):
-        """Mass, kg."""
+        """Mass of the whole plate, kg."""
         return float(self.translation_momentum.sum())
 
     @property
@@ -209,11 +209,11 @@ class PlacedStates:
         self.mass = mass * np.eye(len(self.rest), dtype=complex)
 
     def damping(self):
-        """No damping."""
+        """(0, 0): states have no damping."""
         return 0.0, 0.0
 
     def weight(self, gravity):
-        """No weight."""
+        """(pairs, 2) zeros: states have no weight."""
         return np.zeros((len(self.rest), 2))
 
     def pairs_and_weights(self, side, part):
@@ -282,7 +282,7 @@ def gravity_at(gravity, t):
 
 
 def gravity_over(gravity, t):
-    """The same at times t (k,), (k, 2)."""
+    """(gx, gy), m/s^2, of numbers and profiles, at times t (k,), (k, 2)."""
     return np.stack([g.over(t) if isinstance(g, Profile) else np.full(len(t), float(g)) for g in gravity], axis=1)
 
 

@@ -142,7 +142,7 @@ class Callbacks:
         self.addresses[name] = ctypes.c_void_p.from_buffer(callback).value  # `cast` would make a cycle that only gc collects
 
     def of(self, functions):
-        """The same for other functions."""
+        """These callbacks for other PythonFunctions."""
         return Callbacks(functions, self.calls, self.arguments, self.of_energy, self.shape, self.written)
 
 

@@ -159,7 +159,7 @@ def forces(bodies, moved, a, residual, rotation):
 
 @part
 def forces_middle(bodies, h, states, residual, rotation):
-    """The same at the middle of a step of h, with damping. s is that of the mean strain of the ends, which conserves the energy.
+    """Add M a, the damping and the elastic force of all bodies at the middle of a step of h. s is that of the mean strain of the ends, which conserves the energy.
 
     states (5, nodes, 2): displacements at both ends, and those of the middle with their velocities and accelerations.
     """

@@ -99,7 +99,7 @@ def add_real(out, factor, numbers, imaginary):
 
 @fast
 def add_scaled(out, factor, numbers):
-    """out += factor numbers."""
+    """Add factor times the numbers to out."""
     for j in range(out.shape[0]):
         out[j] += factor * numbers[j]
 
@@ -129,7 +129,7 @@ def add_relaxation(scene, moved, half, v, still, residual):
 
 @entry
 def add_relaxation_middle(scene, u0, u1, um, vm, residual):
-    """The same in the middle of a step, with the mean strain of its ends."""
+    """Add the forces of relaxation in the middle of a step, with the mean strain of its ends, to the residual."""
     half = np.empty((scene.relaxation.first, 2))
     for i in range(half.shape[0]):
         half[i, 0], half[i, 1] = 0.5 * (u1[i, 0] - u0[i, 0]), 0.5 * (u1[i, 1] - u0[i, 1])
@@ -340,7 +340,7 @@ def _strain_slopes(model, b, q):
 
 
 def _form_slopes(model, body, q):
-    """The same of a reduced plate."""
+    """The slopes of the strains y of a reduced plate, and its viscous strain, as `_strain_slopes` has them of a full plate."""
     from scipy.sparse import csr_array
 
     placed = model.reduced_bodies[body - len(model.bodies)]

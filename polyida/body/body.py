@@ -284,7 +284,7 @@ class BodyEdges(BodyPoint):
         return body.edges(*self.corners)
 
     def each(self) -> list[Attachment]:
-        """Return its points."""
+        """Return the points at the ends of its edges."""
         return [self.body.at(name) for name in dict.fromkeys(self.corners)]
 
     def edge_ends(self) -> np.ndarray:

@@ -160,11 +160,11 @@ class _InModes(FieldBody, part=False):
         return form_of_fields(self.matrices, self._shapes[:, 1:])
 
     def damping(self) -> tuple[float, float]:
-        """The material's."""
+        """(Rayleigh mass coefficient, 1/s; Kelvin-Voigt time, s) of the plate's material."""
         return self.plate.material.mass_damping, self.plate.material.viscosity
 
     def prony(self) -> tuple[tuple[float, float], ...]:
-        """The material's."""
+        """Terms (g, tau) by which the stress of the plate's material relaxes."""
         return tuple(self.plate.material.prony)  # type: ignore[arg-type]
 
     def truncation_error(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
@@ -321,7 +321,7 @@ class PlateMatrices:
 
     @cached_property
     def mass(self):
-        """M, sparse."""
+        """The mass matrix of the plate's nodes for (x, y) as one complex number, sparse."""
         return self._on_nodes(self.operator.mass * (self.plate.material.rho * self.plate.thickness))
 
     @cached_property

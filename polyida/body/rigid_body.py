@@ -159,7 +159,7 @@ class RigidBody(Body):
         return [complex(*self.origin) + turn * complex(*self.center), self.gyration * turn]
 
     def mass_matrix(self) -> np.ndarray:
-        """diag(mass, mass)."""
+        """The mass matrix diag(mass, mass) of (c, z), kg."""
         return np.diag([self.mass, self.mass])
 
     def attachments(self) -> "dict[str, ArrayLike]":
@@ -167,7 +167,7 @@ class RigidBody(Body):
         return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
     def x_axis(self) -> list[float]:
-        """z / s."""
+        """Weights of the body's x axis, z / s."""
         return [0.0, 1.0 / self.gyration]
 
     def rows(self) -> list[Row | Vector]:
@@ -199,7 +199,7 @@ class FieldBody(Body, part=False):
 
     @property
     def mesh(self) -> PolygonMesh:
-        """The plate's mesh."""
+        """The mesh of the plate, in its own axes."""
         return self.plate.mesh
 
     @property
@@ -282,7 +282,7 @@ class FieldBody(Body, part=False):
         return {"center": np.eye(self.shapes().shape[1])[0]}
 
     def x_axis(self) -> np.ndarray:
-        """z / s."""
+        """Weights of the body's x axis, z / s."""
         return np.eye(self.shapes().shape[1])[1] / self.gyration
 
 

@@ -58,14 +58,14 @@ def symmetric_part(h, d):
 
 
 def times(d, s):
-    """D S."""
+    """The product D S of a matrix and a symmetric one."""
     s11, s12, s22 = s
     return d[0] * s11 + d[1] * s12, d[0] * s12 + d[1] * s22, d[2] * s11 + d[3] * s12, d[2] * s12 + d[3] * s22
 
 
 @traced(3)
 def stress(h, weight, lam_bar, two_mu):
-    """weight S."""
+    """weight times the second Piola-Kirchhoff stress S."""
     return second_piola(strain(h), lam_bar * weight, two_mu * weight)
 
 
@@ -88,13 +88,13 @@ def viscous_change(h, v, d, weight, lam_bar, two_mu, tau):
 
 @traced(4)
 def first_half(change):
-    """The first of two matrices."""
+    """The first of two 2 x 2 matrices."""
     return change[:4]
 
 
 @traced(4)
 def second_half(change):
-    """The second."""
+    """The second of two 2 x 2 matrices."""
     return change[4:]
 
 

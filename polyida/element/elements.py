@@ -146,7 +146,7 @@ def _wachspress(corners, cells, nodes, many=MANY):
 
 
 def wachspress_of_three(corners, cells, nodes):
-    """The same as _wachspress, with three points of the true gradients in each triangle of the fan: for errors of meshes."""
+    """The data of Wachspress cells with three points of the true gradients in each triangle of the fan: for errors of meshes."""
     return _wachspress(corners, cells, nodes, many=0)
 
 
@@ -186,7 +186,7 @@ def virtual(mesh, tau=0.1, kept=None):
 
 
 def _virtual(corners, cells, nodes, tau):
-    """The same as _wachspress, plus the stabilisation (n, n, c)."""
+    """The data of virtual elements: as of _wachspress, with the stabilisation (n, n, c) behind them."""
     n = len(corners)
     corners = corners - corners.mean(axis=0)
     lengths = np.sqrt(((after(corners) - corners) ** 2).sum(axis=1))

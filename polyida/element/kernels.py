@@ -142,7 +142,7 @@ def internal_force(cells, material, moved, nodal_force, rotation):
 
 @entry
 def relaxed_force(cells, material, moved, viscous_strain, kappa, nodal_force, rotation):
-    """The same with the stress D : (kappa E - viscous_strain); viscous_strain as in relaxation.py."""
+    """Add the internal force with the stress D : (kappa E - viscous_strain); viscous_strain as in relaxation.py."""
     return _add_force(cells, material, moved, viscous_strain, kappa, nodal_force, rotation)
 
 
@@ -194,7 +194,7 @@ def tangent(cells, blocks, material, moved, scale):
 
 @entry
 def relaxed_tangent(cells, blocks, material, moved, scale, viscous_strain, change):
-    """The same with the stress -D : viscous_strain, and `change` times D elsewhere: what relaxation adds to K; viscous_strain as in relaxation.py."""
+    """Add what relaxation adds to K: the tangent with the stress -D : viscous_strain, and `change` times D elsewhere; viscous_strain as in relaxation.py."""
     _add_tangent(cells, blocks, material, moved, scale, viscous_strain, change)
 
 

@@ -35,7 +35,7 @@ def add_outer(h, d, g):
 
 @traced(2)
 def add_times(f, p, g):
-    """f + P G."""
+    """The vector f + P G of a matrix P and a vector G."""
     return f[0] + p[0] * g[0] + p[1] * g[1], f[1] + p[2] * g[0] + p[3] * g[1]
 
 
@@ -53,7 +53,7 @@ def strain(h):
 
 
 def second_piola(e, lam_bar, two_mu):
-    """S of the strain E."""
+    """The second Piola-Kirchhoff stress S = lam_bar tr(E) I + two_mu E of a strain E."""
     e11, e12, e22 = e
     mean = lam_bar * (e11 + e22)
     return mean + two_mu * e11, two_mu * e12, mean + two_mu * e22
@@ -61,13 +61,13 @@ def second_piola(e, lam_bar, two_mu):
 
 @traced(4)
 def first_piola(h, weight, lam_bar, two_mu):
-    """weight P = weight F S."""
+    """weight times the first Piola-Kirchhoff stress P = F S."""
     return carried(h, second_piola(strain(h), lam_bar * weight, two_mu * weight))
 
 
 @traced(4)
 def relaxing_piola(h, viscous_strain, kappa, weight, lam_bar, two_mu):
-    """The same with the strain kappa E - viscous_strain in S."""
+    """weight P = weight F S with the strain kappa E - viscous_strain in S."""
     return carried(h, second_piola(tuple(kappa * e - p for e, p in zip(strain(h), viscous_strain)), lam_bar * weight, two_mu * weight))
 
 
@@ -133,13 +133,13 @@ def moduli(h, weight, lam_bar, two_mu):
 
 @traced(10)
 def relaxed_moduli(h, viscous_strain, weight, lam_bar, two_mu, change):
-    """The same with S = -D : viscous_strain, and `change` times D elsewhere."""
+    """weight A of `moduli` with S = -D : viscous_strain, and `change` times D in place of D."""
     lam_bar, two_mu = lam_bar * weight, two_mu * weight
     return moduli_of_stress(h, second_piola(viscous_strain, -1.0 * lam_bar, -1.0 * two_mu), change * lam_bar, change * two_mu)
 
 
 def moduli_of_stress(h, s, lam_bar, two_mu):
-    """The same with the stress S; S, lam_bar and two_mu include the weight."""
+    """A of `moduli` from the stress S; S, lam_bar and two_mu include the weight."""
     half, (s11, s12, s22) = 0.5 * two_mu, s
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     both = lam_bar + half
@@ -206,19 +206,19 @@ def add(a, b):
 
 @traced(4)
 def negative(k):
-    """-K."""
+    """The negative of a 2 x 2 matrix K."""
     return tuple(0.0 - x for x in k)
 
 
 @traced(1, pair)
 def add_product(total, factor, value):
-    """total + factor value."""
+    """The sum total + factor times value."""
     return total + factor * value
 
 
 @traced(1, pair)
 def scaled(factor, value):
-    """factor value."""
+    """The product of factor and value."""
     return factor * value
 
 
@@ -230,7 +230,7 @@ def combination(a, b, p, q):
 
 @traced(4)
 def advanced(h, d, ahead):
-    """H + ahead d."""
+    """The matrix H + ahead D."""
     return tuple(x + ahead * y for x, y in zip(h, d))
 
 

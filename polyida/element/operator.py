@@ -113,7 +113,7 @@ class ReferenceOperator:
 
     @property
     def n_cells(self):
-        """Number of cells."""
+        """The number of cells of the mesh."""
         return len(self.offsets) - 1
 
     def cells(self, first_node=0):

@@ -21,7 +21,7 @@ def relaxed_piola(h, viscous_strain, weight, lam_bar, two_mu):
 
 @traced(3)
 def strain_of(h):
-    """E."""
+    """The Green-Lagrange strain E of a displacement gradient H."""
     return strain(h)
 
 
@@ -55,7 +55,7 @@ def relaxation_change(h, d, viscous_strain, back, weight, lam_bar, two_mu):
 
 @traced(3)
 def last_three(change):
-    """Behind the matrix."""
+    """The last three of seven numbers: those behind a 2 x 2 matrix."""
     return change[4:]
 
 

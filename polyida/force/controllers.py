@@ -252,7 +252,7 @@ class DCMotor(RotationElement):
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the states."""
+        """Names of the states: the current, unless L is zero."""
         return ("current",) if self.L else ()
 
     @property
@@ -312,11 +312,11 @@ class Maxwell(ForceElement):
         check_fields(self, self.label)
 
     def sides(self) -> tuple:
-        """Return its two points."""
+        """Return the points of a and b."""
         return self.a, self.b
 
     def rates(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Return s'."""
+        """Return the rate of the damper, s' = N/c, m/s."""
         return np.array([self.stiffness / self.damping * (elongation(self, x)[0] - s[0])])
 
     def forces(self, t: float, x: np.ndarray, v: np.ndarray, s: np.ndarray) -> np.ndarray:  # type: ignore[override]  # of one with states

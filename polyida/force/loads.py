@@ -90,12 +90,12 @@ class EdgeTraction:
 
 
 def profile_torque(self, t, x, v):
-    """Moment of a profile."""
+    """The forces on the directions of a moment given by a profile."""
     return as_forces(x, self.moment(t))
 
 
 def state_torque(self, t, x, v):
-    """Moment of a function `moment(t, angle, rate)`."""
+    """The forces on the directions of a moment given by a function `moment(t, angle, rate)`."""
     angle, rate = measured(self, x, v)
     return as_forces(x, self.moment(t, angle, rate))
 
@@ -192,12 +192,12 @@ class Torque(RotationElement):
 
 
 def profile_force(self, t, x, v):
-    """Force of two profiles."""
+    """The forces on the sides of a force given by two profiles."""
     return followed(self, x, self.force[0](t), self.force[1](t))
 
 
 def state_force(self, t, x, v):
-    """Force of a function `force(t, x, v)`."""
+    """The forces on the sides of a force given by a function `force(t, x, v)`."""
     fx, fy = self.force(t, x[0], v[0])
     return followed(self, x, fx, fy)
 

@@ -33,7 +33,7 @@ def spring(self, t, x, v):
 
 
 def spring_with_function(self, t, x, v):
-    """The same plus `force(e, e')`."""
+    """`u N` on the first side, `-u N` on the second: `N = k e + c e' + N0 + force(e, e')`."""
     e, ux, uy = elongation(self, x)
     rate = ux * (v[1, 0] - v[0, 0]) + uy * (v[1, 1] - v[0, 1])
     tension = self.force(e, rate) if ux != 0.0 or uy != 0.0 else 0.0
@@ -101,7 +101,7 @@ class SpringDamper(ForceElement):
         return {"forces": spring, "energy": spring_energy}
 
     def sides(self) -> tuple:
-        """Return its two points."""
+        """Return the points of a and b."""
         return self.a, self.b
 
     def forces(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -164,7 +164,7 @@ class TorsionSpring(ForceElement):
         check_fields(self, self.label)
 
     def sides(self) -> tuple:
-        """Return its two directions."""
+        """Return the directions of a and b."""
         a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))
         return a.d, b.d
 

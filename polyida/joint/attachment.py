@@ -46,7 +46,7 @@ class Ground:
 
     @property
     def size(self) -> float:
-        """Largest coordinate, m."""
+        """Largest coordinate of the point, m."""
         return float(np.abs(self.point).max())
 
     @property

@@ -292,7 +292,7 @@ class EdgeRows:
         self.rows, self.points = first + self.step * np.arange(sides.count), len(a)
 
     def at(self, first):
-        """The same with another number of its first row."""
+        """These rows of a contact with another number of the first row."""
         other = copy(self)
         other.first, other.rows = first, self.rows + (first - self.first)
         return other

@@ -400,7 +400,7 @@ def all_rows(part):
 
 
 def along(direction):
-    """Return a constant vector."""
+    """Return a vector (x + i y) that does not move."""
     return Vector((Summand(constant=complex(direction)),))
 
 

@@ -484,7 +484,7 @@ class Skate(Joint):
         self.require_directions(self.b)
 
     def velocity_rows(self) -> list[Row | Vector]:
-        """`Q d x x'`."""
+        """The velocity of the point across the skate's direction, `Q d x x'`."""
         return [cross(self.b.d.turned(self.angle), self.b.x.rate).named("across", "N")]
 
     def facing(self) -> Self:

@@ -199,11 +199,11 @@ class Model:
         raise NotImplementedError
 
     def force_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
-        """Return dg/dq, (n, n)."""
+        """Return the derivative dg/dq of the force, (n, n)."""
         return differences.jacobian(lambda x: self.force(t, x, v), q, self.n)
 
     def force_v(self, t: float, q: NDArray, v: NDArray) -> Matrix:
-        """Return dg/dv, (n, n)."""
+        """Return the derivative dg/dv of the force, (n, n)."""
         return differences.jacobian(lambda x: self.force(t, q, x), v, self.n)
 
     def mass_a_q(self, q: NDArray, a: NDArray) -> Matrix:
@@ -241,7 +241,7 @@ class Model:
         return differences.jacobian(lambda x: self.phi_rate(t, x, v), q, self.m)
 
     def phi_bias_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
-        """Return d(phi_bias)/dq, (m, n)."""
+        """Return the derivative of phi_bias in q, (m, n)."""
         return differences.jacobian(lambda x: self.phi_bias(t, x, v), q, self.m)
 
     def phi_bias_v(self, t: float, q: NDArray, v: NDArray) -> Matrix:

@@ -171,7 +171,7 @@ class WithRows(Model):
         return self.phi_q_of_whole(t, q)[self.kept]
 
     def phi_q_of_whole(self, t, q):
-        """phi_q with all rows."""
+        """phi_q of the whole model, with all rows, dense for a small scene."""
         return (self.whole.small_phi_q if self.small else self.whole.phi_q)(t, q)
 
     def phi_t(self, t, q):
@@ -287,7 +287,7 @@ class Slipping:
 
 
 class Slips(Slipping, WithRows):
-    """The same as WithRows, with rows of friction that slip."""
+    """A model of which only some rows of phi are equations, and in which rows of friction slip."""
 
     def __init__(self, whole, rows, slips):
         super().__init__(whole, rows)
