@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.arrays import starts
+from polyida.assembly.arrays import concatenated, starts
 from polyida.jit import pack, part, shared
 from polyida.linear.dense import magnitude, put, solve_small, zero
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
@@ -80,52 +80,72 @@ class BorderWorkspace(NamedTuple):
     slip_rows: np.ndarray
 
 
+class Entries:
+    """Entries of E and F of a scene, body after body: {unknown: [(component within the body, slot)]} each.
+
+    points: [numbers of the points] of each body with points.
+    """
+
+    def __init__(self, model):
+        bodies = body_of_points(model)
+        numbers, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
+        self.points = [np.flatnonzero(numbers == body) for body in range(numbers.max(initial=-1) + 1)]
+        for group in self.points:
+            local[group] = np.arange(len(group))
+        self._bodies, self._local = numbers.tolist(), local.tolist()
+        self.E, self.F = ([{} for _ in self.points] for _ in range(2))
+
+    def add(self, matrix, unknown, component, slot):
+        """Add an entry to E or F: an unknown, a component of all points, and the slot of the number."""
+        table = matrix[self._bodies[component // 2]]
+        table.setdefault(unknown, []).append((2 * self._local[component // 2] + component % 2, slot))
+
+    def add_active(self, coupling, components, one):
+        """Add the unknowns w of active components: unit vectors in E, from the slot `one`, and rows of C in F, from the slots behind it."""
+        start, other_points = coupling.start.tolist(), coupling.columns.tolist()
+        for unknown, component in enumerate(components.tolist()):
+            point, axis = divmod(component, 2)
+            self.add(self.E, unknown, component, one)
+            for block in range(start[point], start[point + 1]):
+                for other in range(2):
+                    self.add(self.F, unknown, 2 * other_points[block] + other, one + 1 + 4 * block + 2 * axis + other)
+
+    def add_rows(self, links, first):
+        """Add the multipliers of phi, unknowns from `first` on: rows of phi_z, without entries that are always zero."""
+        columns, start, zero_slopes = links.row_columns.tolist(), links.row_start.tolist(), (links.row_slopes == 0.0).tolist()
+        for k, turning in enumerate(turning_points(links)):
+            for e in range(start[k], start[k + 1]):
+                if not zero_slopes[e] or columns[e] // 2 in turning:
+                    self.add(self.E, first + k, columns[e], e)
+                    self.add(self.F, first + k, columns[e], e)
+
+
 def border(model, active=True, rows=True):
     """The Border of a scene. active, rows: True for the unknowns w and lam; without w it is that of the masses alone, without friction."""
-    s, bodies = model.arrays.links, body_of_points(model)
-    number, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
-    points = [np.flatnonzero(number == body) for body in range(number.max(initial=-1) + 1)]
-    for group in points:
-        local[group] = np.arange(len(group))
-    number, local = number.tolist(), local.tolist()
+    s, entries = model.arrays.links, Entries(model)
     coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
     coupled[s.coupling.states] = False  # states are eliminated, see `condense_states`
     components = np.flatnonzero(np.repeat(coupled & active, 2))
-    m, first, slots = len(s.row_constant) if rows else 0, len(components), len(s.row_columns)
-    forces, equations = ([{} for _ in points] for _ in range(2))
-
-    def add(table, unknown, component, slot):
-        table[number[component // 2]].setdefault(unknown, []).append((2 * local[component // 2] + component % 2, slot))
-
-    coupling, of_block = s.coupling.start.tolist(), s.coupling.columns.tolist()
-    for unknown, component in enumerate(components.tolist()):
-        point, axis = divmod(component, 2)
-        add(forces, unknown, component, slots)
-        for block in range(coupling[point], coupling[point + 1]):
-            for other in range(2):
-                add(equations, unknown, 2 * of_block[block] + other, slots + 1 + 4 * block + 2 * axis + other)
-    columns, starts_of_rows, constant = s.row_columns.tolist(), s.row_start.tolist(), (s.row_slopes == 0.0).tolist()
-    turning = turning_points(s)
-    for k in range(m):
-        for e in range(starts_of_rows[k], starts_of_rows[k + 1]):
-            if not constant[e] or columns[e] // 2 in turning[k]:
-                add(forces, first + k, columns[e], e)
-                add(equations, first + k, columns[e], e)
+    first, one = len(components), len(s.row_columns)  # unknown of the first multiplier; slot of the number 1
+    entries.add_active(s.coupling, components, one)
+    if rows:
+        entries.add_rows(s, first)
     slip_row, slip_component = slip_entries(s.slips) if active and rows else np.zeros((2, 0), np.int64)
     for e, (row, component) in enumerate(zip(slip_row.tolist(), slip_component.tolist())):
-        add(forces, first + row, component, slots + 1 + 4 * len(s.coupling.columns) + e)
-    order = elimination(first + m, [sorted({*force, *equation}) for force, equation in zip(forces, equations)])
-    into = [_grid(order, list(equation), list(force)) for force, equation in zip(forces, equations)]
+        entries.add(entries.E, first + row, component, one + 1 + 4 * len(s.coupling.columns) + e)
+    both = list(zip(entries.F, entries.E))
+    order = elimination(first + rows * len(s.row_constant), [sorted({*force, *equation}) for equation, force in both])
+    into = [_grid(order, list(equation), list(force)) for equation, force in both]
     return Border(
         order,
         components,
-        starts(points),
-        np.concatenate([*points, np.zeros(0, np.int64)]).astype(np.int64),
-        np.concatenate([[0], np.cumsum([(2 * len(group)) ** 2 for group in points])]).astype(np.int64),
-        *_listed(equations),
-        *_listed(forces),
+        starts(entries.points),
+        concatenated(entries.points, np.int64),
+        starts([range((2 * len(group)) ** 2) for group in entries.points]),
+        *_listed(entries.F),
+        *_listed(entries.E),
         starts(into),
-        np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
+        concatenated(into, np.int64),
         slip_row,
         slip_component,
     )

@@ -5,7 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.assembly.build import given_rows, of_kind
+from polyida.assembly.build import of_kind
+from polyida.assembly.row_table import given_rows
 from polyida.body.body import Body, BodyPoint, points_of
 from polyida.body.plate import Plate
 from polyida.errors import InputError

@@ -51,8 +51,8 @@ def spread(links, forces, residual):
 
 
 @leaf
-def moved(links, vector, dz):
-    """`sum_j W_j dz_j` of a vector."""
+def vector_change(links, vector, dz):
+    """The change (x, y) of a vector of a row, `sum_j W_j dz_j`, at displacements dz of the points."""
     x = y = 0.0
     for k in range(links.vector_start[vector], links.vector_start[vector + 1]):
         p, c, n = links.vector_points[k], links.vector_weights[k, 0], links.vector_weights[k, 1]
@@ -80,9 +80,9 @@ def turn(links, product, drives):
 def factors(links, product, cos, sin, dz):
     """R E and F of a product."""
     e, f = links.product_first[product], links.product_second[product]
-    x, y = moved(links, e, dz)
+    x, y = vector_change(links, e, dz)
     ex, ey = rotated(cos, sin, links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y)
-    x, y = moved(links, f, dz)
+    x, y = vector_change(links, f, dz)
     return ex, ey, links.vector_rest[f, 0] + x, links.vector_rest[f, 1] + y
 
 
@@ -281,9 +281,9 @@ def joint_rates(links, drives, dz, vz, phi_t, rate, bias):
         k = links.product_row[p]
         c, n, speed, second = turn(links, p, drives)
         ex, ey, fx, fy = factors(links, p, c, n, dz)
-        ux, uy = moved(links, links.product_first[p], vz)
+        ux, uy = vector_change(links, links.product_first[p], vz)
         ux, uy = rotated(c, n, ux, uy)
-        gx, gy = moved(links, links.product_second[p], vz)
+        gx, gy = vector_change(links, links.product_second[p], vz)
         if links.product_rate[p]:
             rate[k] += ex * gx + ey * gy
             bias[k] += (ux - speed * ey) * gx + (uy + speed * ex) * gy
@@ -303,9 +303,9 @@ def joint_rate_jacobian(links, drives, dz, vz, slopes):
         k, e, f = links.product_row[p], links.product_first[p], links.product_second[p]
         c, n, speed, _ = turn(links, p, drives)
         ex, ey, fx, fy = factors(links, p, c, n, dz)
-        ux, uy = moved(links, e, vz)
+        ux, uy = vector_change(links, e, vz)
         ux, uy = rotated(c, n, ux, uy)
-        gx, gy = moved(links, f, vz)
+        gx, gy = vector_change(links, f, vz)
         if links.product_rate[p]:
             slope(links, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
             continue
@@ -346,9 +346,9 @@ def joint_change(links, drives, gains, h, points, phi, rate):
         k, f = links.product_row[p], links.product_second[p]
         c, n, speed, _ = turn(links, p, drives)
         ex, ey, fx, fy = factors(links, p, c, n, dz)
-        gx, gy = moved(links, f, vz)
-        ddfx, ddfy = moved(links, f, dd)
-        dvfx, dvfy = moved(links, f, dv)
+        gx, gy = vector_change(links, f, vz)
+        ddfx, ddfy = vector_change(links, f, dd)
+        dvfx, dvfy = vector_change(links, f, dv)
         ux, uy, ddx, ddy, dvx, dvy = turning_change(links, p, c, n, speed, gains, h, points)
         dex, dey, dfx, dfy = h * ux + ddx, h * uy + ddy, h * gx + ddfx, h * gy + ddfy
         if links.product_rate[p]:
@@ -370,13 +370,13 @@ def turning_change(links, product, cos, sin, speed, gains, h, points):
     `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
     """
     e, dz, vz, dd, dv = links.product_first[product], points[0], points[1], points[2], points[3]
-    ux, uy = moved(links, e, vz)
-    ddx, ddy = moved(links, e, dd)
-    dvx, dvy = moved(links, e, dv)
+    ux, uy = vector_change(links, e, vz)
+    ddx, ddy = vector_change(links, e, dd)
+    dvx, dvy = vector_change(links, e, dv)
     d = links.product_drive[product]
     if d < 0:
         return ux, uy, ddx, ddy, dvx, dvy
-    x, y = moved(links, e, dz)
+    x, y = vector_change(links, e, dz)
     x, y = links.vector_rest[e, 0] + x, links.vector_rest[e, 1] + y
     g, ahead, faster = gains[d, 0], gains[d, 1], gains[d, 2]
     mx, my = h * ux + ddx, h * uy + ddy

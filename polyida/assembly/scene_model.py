@@ -12,25 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.build import CLOSED, assemble, coupling_of, extent_of, of_kind, place_bodies, place_states
-from polyida.assembly.corotated import SceneStepMatrix
+from polyida.assembly.build import assemble, coupling_of, extent_of, of_kind, place_bodies, place_states
 from polyida.assembly.equilibrium import add_damping, blocks_at
 from polyida.assembly.factors import OF_FACTORS, given_factors, scaled
 from polyida.assembly.increments import Increments
-from polyida.assembly.independence import Redundant
 from polyida.assembly.kept_rows import kept_rows
 from polyida.assembly.motion import velocity_at
 from polyida.assembly.own_forces import NEAR, Elastic, OwnForce, slope_entries, slopes_of, take_from
 from polyida.assembly.own_laws import add_own_forces, energies_and_powers
-from polyida.assembly.placement import dead_loads
+from polyida.assembly.powers import Powers
 from polyida.assembly.projection import MassSystem, point_columns
+from polyida.assembly.redundant import Redundant
 from polyida.assembly.relaxation import add_relaxation, relaxation_energies, stiffness_changes
 from polyida.assembly.relaxation import slope_entries as relaxation_entries
+from polyida.assembly.row_table import CLOSED
 from polyida.assembly.scene_bodies import SceneBodies, deepest
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.joint.formula import all_rows
 from polyida.joint.joint import Joint, held_at
 from polyida.linear.lu import dense, summed
 from polyida.linear.saddle import StepMatrix
@@ -578,54 +578,3 @@ def _uneven(masses, n):
         place = eye_array(n, format="csr")[2 * body.pairs.start : 2 * body.pairs.stop]
         result = result + place.T @ csc_array(factor * body.uneven) @ place
     return result.tocsc()
-
-
-class Powers:
-    """{name: W} at an instant, of loads, of driven joints, of friction, of force elements beyond their energy, and of damping.
-
-    A load has the power `f . v`, also gravity that follows a profile; a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and
-    `phi_q v = -phi_t`); an element `sum f . v + dE/dt`; damping of a plate a negative power. dissipating: names of those that only take energy.
-    """
-
-    def __init__(self, model):
-        """Find the loads, driven rows, elements and damped bodies of a model that do work."""
-        self.model = model
-        self._loads, self._driven = dead_loads(model.parts, model.gravity, model.places), {}
-        for name, part in model.joints.items():
-            if any(row.driven for row in all_rows(part)):
-                self._driven[name] = model.rows[name]
-        self._elements = [own for own in model.own_forces if not own.strain]
-        self._damped = [placed for placed in model.all_bodies if placed.damped]
-        of_bodies = dict.fromkeys([*(body.name for body in self._damped), *model.strains])
-        self._rubbing = {law.row: law.name for law in model.row_laws if not law.is_contact}
-        elements = [own.name for own in self._elements if own.element.dissipates]
-        self.dissipating = (*elements, *of_bodies, *dict.fromkeys(self._rubbing.values()))
-
-    def __call__(self, t, q, v, lam):
-        """{name: power, W} at a state, of loads, motors, friction, force elements and damping."""
-        powers = {}
-        for load in self._loads:
-            powers[load.name] = powers.get(load.name, 0.0) + load.power(t, v)
-        if self._driven:
-            power = lam * self.model.phi_t(t, q)
-            powers |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}
-        rates = self.model.phi_rate(t, q, v) if self._rubbing else ()
-        for row, name in self._rubbing.items():
-            powers[name] = powers.get(name, 0.0) - float(lam[row] * rates[row])
-        known = self.model.compiled_energies(t, q, v) if self._elements else None
-        for k, own in enumerate(self._elements):  # `sum f . v + dE/dt`, which is zero if its forces derive from its energy E
-            powers[own.name] = own.power(t, q, v) if known is None else float(known[k, 1])
-        if self.model.strains:
-            at = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
-            lost = relaxation_energies(self.model.arrays, *at)[1]
-            powers |= {body.name: -power for body, power in zip(self.model.all_bodies, lost) if body.name in self.model.strains}
-        if not self._damped:
-            return powers
-        u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
-        force = np.zeros_like(u)
-        add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
-        if self.model.uneven_drag is not None:
-            force += (self.model.uneven_drag @ v).reshape(force.shape)
-        for body in self._damped:
-            powers[body.name] = powers.get(body.name, 0.0) - float(np.vdot(force[body.pairs], speeds[body.pairs]))
-        return powers

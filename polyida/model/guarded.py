@@ -8,6 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.model import Model, Needs
+from polyida.model.checked_function import CheckedFunction, read_only_view, require_array
 from polyida.model.compiled import MOST, Compiled, shape_of
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.model.functions import CHECKED, OF_CONSTRAINTS, arguments_of, require_arguments, require_counted, writes
@@ -16,7 +17,6 @@ from polyida.model.states import OwnStates
 from polyida.model.velocity_rows import WITHOUT_ROWS, VelocityRows
 from polyida.validation import floats, instance_of, is_number, is_real, is_whole, read_only
 
-FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of a change of M, over that of M: above it M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, range of a second derivative in time by differences of differences
 ANSWERS = {  # {function: (check of its value, description)}
@@ -92,67 +92,6 @@ def direct_functions(model):
     if not isinstance(model, Equations) or model.own_states:
         return {}
     return {name: function for name, function in model.checked_functions.items() if name != "mass" or model.needs.mass_varies}
-
-
-def _view(argument):
-    """A read-only view of an array; anything else as it is."""
-    if isinstance(argument, np.ndarray):
-        argument = argument.view()
-        argument.setflags(False)
-    return argument
-
-
-class CheckedFunction:
-    """A function of a user with read-only arguments, and a result that is checked and copied: it may return one array again and again.
-
-    label: its name in messages. function: the user's. shape: of its results. seen: [arguments, result] of the last call, for messages.
-    """
-
-    def __init__(self, label, function, shape):
-        self.label, self.function, self.shape = label, function, shape
-        self.seen = [(), np.zeros(0)]
-
-    def __call__(self, *values):
-        """A copy of the function's result. Raises InputError for a wrong one, and if the function writes into its arguments."""
-        self.seen[0] = arguments = tuple(map(_view, values))
-        try:
-            result = self.function(*arguments)
-        except ValueError as error:
-            raise self.explained(error)  # noqa: B904 with its cause
-        if not (type(result) is np.ndarray and result.dtype is FLOAT and result.shape == self.shape):
-            result = self.array(result)
-        self.seen[1] = result
-        return result.copy()
-
-    def array(self, result):
-        """A result as an array of floats, dense or sparse in rows or columns. Raises InputError for other types and shapes."""
-        require_array(self.label, result, self.shape)
-        sparse = getattr(result, "format", "csr") not in ("csr", "csc")  # other formats lack operations
-        return (result.tocsr() if sparse else result).astype(float)
-
-    def explained(self, error):
-        """The InputError of a function that wrote into its arguments; any other error as it is."""
-        if not (isinstance(error, ValueError) and "read-only" in str(error)):
-            return error
-        refused = InputError(f"{self.label} writes into its arguments, which belong to the integrator: take a copy first")
-        refused.__cause__ = error
-        return refused
-
-    @property
-    def is_finite(self):
-        """False if the last call gave numbers that are not finite for finite arguments."""
-        arguments, result = self.seen
-        entries = result if isinstance(result, np.ndarray) else result.tocsr().data
-        return np.isfinite(entries).all() or not all(np.isfinite(x).all() for x in arguments)
-
-
-def require_array(label, result, shape):
-    """Raise InputError unless a result is an array of real numbers of a shape."""
-    part = f"{label} must return an array of shape {shape}"
-    if getattr(result, "shape", None) != shape:
-        raise InputError(f"{part}, not {getattr(result, 'shape', None) or f'another type, {type(result).__name__}'}")
-    if getattr(result.dtype, "kind", "O") not in "fiu":
-        raise InputError(f"{part} of real numbers, not of {result.dtype}")
 
 
 class Equations(Model):
@@ -350,7 +289,7 @@ class Equations(Model):
         if name not in self.written_names:
             return getattr(super(), name)(*at)
         right, expected = ANSWERS[name]
-        result = self._of_user(name, *map(_view, at))
+        result = self._of_user(name, *map(read_only_view, at))
         if not right(result):
             raise InputError(f"{self.name}.{name} must return {expected}, not {result!r:.100}")
         return result

@@ -13,9 +13,10 @@ from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFail
 from polyida.jit.user_functions import CALLBACK, table_address
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import StepMatrix
+from polyida.model.checked_function import FLOAT, CheckedFunction
 from polyida.model.compiled import MOST, Compiled
 from polyida.model.functions import OF_STEPS, writes
-from polyida.model.guarded import FLOAT, CheckedFunction, direct_functions
+from polyida.model.guarded import direct_functions
 from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, dense_slots
 from polyida.system import dense as small
 

@@ -5,8 +5,8 @@ import pytest
 
 import polyida as pi
 from polyida.assembly.border import solve_border, solve_in_order
-from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.rate_multipliers import rate_multipliers
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.jit import entry
 from polyida.problems.literature import n_four_bar
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from polyida.assembly import corotated
-from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.rate_multipliers import add_rate_forces, factor_rates, rate_multipliers, rate_values, slowing, solve_rates
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.jit import entry
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.corotated import SceneStepMatrix
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import eigh
 
 import polyida as pi
-from polyida.body.reduced import rows_of
+from polyida.body.plate_modes import rows_of
 
 G = 9.81
 MESHES = {"wachspress": lambda: pi.mesh.rectangle(1.0, 0.1, cells=16, seed=2), "virtual": lambda: pi.mesh.quads(1.0, 0.1, 8, 2)}

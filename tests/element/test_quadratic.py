@@ -6,7 +6,7 @@ from scipy.sparse import eye_array, kron
 from scipy.sparse.linalg import eigsh, spsolve
 
 import polyida as pi
-from polyida.body.reduced import PlateMatrices
+from polyida.body.plate_modes import PlateMatrices
 
 E, NU, THICKNESS = 5e6, 0.3, 0.01
 SOFT = pi.Material(E, NU, 1100.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.corotated import SceneStepMatrix
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 import numpy as np
 
 from polyida import system as of
-from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.increments import stage_tables
 from polyida.assembly.optional import DAMPING, LAW_DAMPING, LAW_FORCES, RELAXING
 from polyida.assembly.rate_multipliers import rate_multipliers
+from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.errors import DONE, HALF_TURN, INVERTED, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
