@@ -87,6 +87,7 @@ class Entries:
     """
 
     def __init__(self, model):
+        """Number the bodies of a scene that have points, and the points of each."""
         bodies = body_of_points(model)
         numbers, local = np.unique(bodies, return_inverse=True)[1], np.zeros(len(bodies), np.int64)
         self.points = [np.flatnonzero(numbers == body) for body in range(numbers.max(initial=-1) + 1)]

@@ -126,7 +126,7 @@ def assemble(bodies, states, strains, places, parts, gravity, size, left_out=(),
     """(SceneArrays, Points, RowTable, Drives, Laws, [Callbacks of each law]) of the parts, without the rows of phi with the numbers `left_out`.
 
     bodies, states, strains: as of `place_bodies` and `place_states`; places: {id of a body: its place}. gravity: two numbers or profiles,
-    m/s^2. held: {name: joint} of joints that need not hold at rest, in the form in which they hold.
+    m/s^2. held: {name: joint} of joints that need not hold in the reference configuration, in the form in which they hold.
     """
     plates, reduced = [placed for placed in bodies if placed.is_full], [placed for placed in bodies if not placed.is_full]
     points, drives = Points(places), Drives()

@@ -80,7 +80,7 @@ class PlacedPlate:
 
 
 class PlacedBody:
-    """A body of few coordinates. pairs: its slice of the pairs of q; rest (pairs,): complex coordinates at rest.
+    """A body of few coordinates. pairs: its slice of the pairs of q; rest (pairs,): complex coordinates in the reference configuration.
 
     user: the body as the user made it, which attachments refer to; body: as `prepared` by what the scene's parts hold on to. mass: Hermitian
     matrix of the pairs, or None if x and y have different masses; then `uneven`, (2 pairs, 2 pairs). elastic: True if the user wrote its
@@ -117,7 +117,7 @@ class PlacedBody:
 
     @property
     def strain_size(self):
-        """Size of y at rest, m^2 of a reduced plate."""
+        """Size of y in the reference configuration, m^2 of a reduced plate."""
         return float(np.vdot(self.rest[1:], self.rest[1:]).real) or 1.0
 
     @property

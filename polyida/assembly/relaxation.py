@@ -292,7 +292,7 @@ def stiffness_changes(model, c):
 
 
 def relaxed_velocities(model, q):
-    """The velocities (n,) of a model at rest whose strains have relaxed, x = E."""
+    """The velocities (n,) of a model in the reference configuration whose strains have relaxed, x = E."""
     x, r = model.arrays.relaxation, np.zeros((model.n_nodes, 2))
     add_relaxation(model.arrays, q.reshape(-1, 2), None, np.zeros_like(r), 1.0, r)
     v, residuals, at = np.zeros(model.n), r.ravel(), 2 * x.first

@@ -35,7 +35,7 @@ class RowTable:
         self.labels, self.units, self.rows, self.joints, self._velocity_rows, self.laws, self.edges = [], [], {}, {}, [], [], []
 
     def add(self, name, part, held=False):
-        """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold at rest and need to (held: False)."""
+        """Append the rows of a joint or body. Raises InputError if they are no rows, or do not hold in the reference configuration and need to (held: False)."""
         first, rows = len(self.labels), given_rows(name, part)
         if isinstance(part, Joint):
             rows = rows + given_rows(name, part, "velocity_rows")
@@ -67,7 +67,7 @@ class RowTable:
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
 
     def _append(self, name, row, held):
-        """Append a row. Round-off at rest is subtracted, so that phi starts at exactly zero, unless it begins elsewhere (held: True)."""
+        """Append a row. Round-off in the reference configuration is subtracted, so that phi starts at exactly zero, unless it begins elsewhere (held: True)."""
         round_off = abs(_at_rest(row)) <= ROUND * self._size
         linear = [product for product in row.products if product.linear]
         slopes = {}
@@ -213,7 +213,7 @@ def _line(error):
 
 
 def _how_to_close(part, apart=True):
-    """Advice about a part whose rows do not hold at rest; apart: True if the distance of its places says by how much."""
+    """Advice about a part whose rows do not hold in the reference configuration; apart: True if the distance of its places says by how much."""
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
     sides = []

@@ -200,7 +200,7 @@ def nodal_stress(model, q, v=None):
 
 
 def deepest(bodies, u):
-    """ "cell 3 of 'upper' at (x, y)": the cell of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
+    """ "cell 3 of 'upper' at (x, y)": the cell of the least mean det F at displacements u (nodes, 2), and its centre in the reference configuration, m."""
     cells = []
     for body in bodies:
         operator = body.operator

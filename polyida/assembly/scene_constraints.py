@@ -310,7 +310,7 @@ class Constraints(Model):
         return complex_of_pairs(self._moved(*place, v))
 
     def turn(self, name, q):
-        """Angle by which side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
+        """Angle by which side b of a joint has turned against side a since the reference configuration, over frames q (frames, n): (frames,), rad in [-pi, pi].
 
         Raises InputError if a side has no direction.
         """

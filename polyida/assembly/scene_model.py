@@ -128,7 +128,7 @@ class SceneModel(SceneBodies):
         """The model of the same coordinates without the parts named in `absent`, of a model that has the rows of all parts.
 
         Its `columns` are the numbers of its rows of phi among all. since: {name: (1 + n,), t and q} of joints that were added there; their rows
-        take from this position what other joints take from the drawing. Rows that depend on others at the last one are left out.
+        take from this position what other joints take from the reference configuration. Rows that depend on others at the last one are left out.
         """
         key = absent, tuple((name, at.tobytes()) for name, at in since.items())
         if not (absent or since or self.treats_redundant == "least-norm"):
@@ -210,7 +210,7 @@ class SceneModel(SceneBodies):
     def _assemble(self, held, left_out=()):
         """Take arrays and rows of phi from the parts, without the rows with the numbers `left_out`.
 
-        held: {name: joint} of joints that need not hold in the drawing, in the form in which they hold.
+        held: {name: joint} of joints that need not hold in the reference configuration, in the form in which they hold.
         """
         self._assembled = held, list(left_out)
         assembled = assemble(self.all_bodies, self.states, self.strains, self.places, self.parts, self.gravity, self.extent, left_out, held)

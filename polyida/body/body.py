@@ -73,7 +73,7 @@ class Body(OwnPart, part=False):
     spin: Any = 0.0
 
     def coordinates(self) -> "ArrayLike":
-        """Return z at rest, (pairs,), complex: positions in m, or numbers without unit such as a direction."""
+        """Return z in the reference configuration, (pairs,), complex: positions in m, or numbers without unit such as a direction."""
         raise NotImplementedError
 
     def mass_matrix(self) -> "ArrayLike":
@@ -101,7 +101,7 @@ class Body(OwnPart, part=False):
         return None
 
     def energy(self, z: np.ndarray) -> float:
-        """Return the elastic energy W, J, zero at rest."""
+        """Return the elastic energy W, J, zero in the reference configuration."""
         raise NotImplementedError
 
     def compiled_functions(self) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class Body(OwnPart, part=False):
     def form(self) -> "tuple[ArrayLike, ArrayLike] | None":
         """Return (form (K^2, K^2), shift (K^2,)) of the elastic energy `d^T form d / 2 + shift^T d`, J, or None.
 
-        d is the change of y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j) since rest; z_1 ... z_K are the pairs without the first.
+        d is the change of y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j) since the reference configuration; z_1 ... z_K are the pairs without the first.
         Compiled kernels use the form instead of `elastic`.
         """
         return None
@@ -166,7 +166,7 @@ class Body(OwnPart, part=False):
     def at(self, name: str, direction: "ArrayLike | None" = None) -> "BodyPoint":
         """Return a point by name.
 
-        direction: of any length, in the body's axes at rest; by default its x axis. Raises InputError for an unknown name, and for a
+        direction: of any length, in the body's axes in the reference configuration; by default its x axis. Raises InputError for an unknown name, and for a
         direction if the body has no x axis.
         """
         known = self.attachments()
@@ -227,7 +227,7 @@ class Body(OwnPart, part=False):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyPoint(Attachment):
-    """A point of a Body: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 at rest."""
+    """A point of a Body: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 in the reference configuration."""
 
     turns_only = True
     has_edges = False
@@ -245,7 +245,7 @@ class BodyPoint(Attachment):
 
     @property
     def size(self) -> float:
-        """Largest coordinate of its body at rest, m."""
+        """Largest coordinate of its body in the reference configuration, m."""
         return float(np.abs(coordinates_of(self.body)).max())
 
     def on(self, body: Any) -> "Attachment":
@@ -311,7 +311,7 @@ def _finite(value):
 
 
 def coordinates_of(body):
-    """Return the coordinates of a body at rest, (pairs,) complex. Raise InputError naming it."""
+    """Return the coordinates of a body in the reference configuration, (pairs,) complex. Raise InputError naming it."""
     coordinates = body.coordinates()
     z = _finite(coordinates)
     if z is None or z.ndim != 1 or not z.size:

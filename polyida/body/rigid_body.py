@@ -154,7 +154,7 @@ class RigidBody(Body):
         return float(np.sqrt(self.inertia / self.mass))
 
     def coordinates(self) -> list[complex]:
-        """(c, z) at rest, m."""
+        """(c, z) in the reference configuration, m."""
         turn = np.exp(1j * self.angle)
         return [complex(*self.origin) + turn * complex(*self.center), self.gyration * turn]
 

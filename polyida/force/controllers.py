@@ -75,7 +75,7 @@ class PID(RotationElement):
     Parameters
     ----------
     at : Attachment
-        With a direction; the angle is its rotation since rest, between -pi and pi.
+        With a direction; the angle is its rotation since the reference configuration, between -pi and pi.
     kp : float, N m/rad
     ki : float, N m/(rad s)
     kd : float, N m s/rad
@@ -135,7 +135,7 @@ class LinearController(RotationElement):
     Parameters
     ----------
     at : Attachment
-        With a direction; the angle is its rotation since rest, between -pi and pi.
+        With a direction; the angle is its rotation since the reference configuration, between -pi and pi.
     A : (k, k) float, 1/s, or a state space in continuous time
         A StateSpace of scipy.signal or python-control; without B, C and D.
     B : (k, 1) float
@@ -285,7 +285,7 @@ class Maxwell(ForceElement):
     damping : float, N s/m, c > 0
         The relaxation time is c/k.
     length : float, m, l0 >= 0
-        Length without tension at the start. Default: the distance in the drawing.
+        Length without tension at the start. Default: the distance in the reference configuration.
     name : str, optional
 
     Raises

@@ -101,7 +101,7 @@ def state_torque(self, t, x, v):
 
 
 def measured(self, x, v):
-    """(angle, rate) of the rotation since rest of the first direction, relative to the second if there is one, rad, in (-pi, pi]."""
+    """(angle, rate) of the rotation since the reference configuration of the first direction, relative to the second if there is one, rad, in (-pi, pi]."""
     cosine, sine, rate, sign = 1.0, 0.0, 0.0, 1.0
     for i in range(x.shape[0]):
         c, s, dx, dy = self.rest_directions[i, 0], self.rest_directions[i, 1], x[i, 0], x[i, 1]
@@ -135,7 +135,7 @@ class RotationElement(ForceElement, part=False):
 
     @property
     def rest_directions(self) -> np.ndarray:
-        """The directions at rest, (sides, 2)."""
+        """The directions in the reference configuration, (sides, 2)."""
         return np.array([[side.rest.real, side.rest.imag] for side in self.sides()])
 
     def sides(self) -> tuple:
@@ -156,7 +156,7 @@ class Torque(RotationElement):
     at : Attachment
         With a direction.
     moment : float, Profile, function of time or of state, N m
-        A function of state is `moment(t, angle, rate)`: the angle by which d has turned since rest, relative to `against` if given,
+        A function of state is `moment(t, angle, rate)`: the angle by which d has turned since the reference configuration, relative to `against` if given,
         rad, between -pi and pi, and its rate, rad/s. Files do not store it; it is called in Python unless it is compiled
         (`polyida.compiled`).
     against : Attachment, optional
@@ -227,7 +227,7 @@ class Force(ForceElement):
         A function of state is `force(t, x, v)` of position, m, and velocity, m/s, (2,) each; it returns (fx, fy). Files do not store it; it
         is called in Python unless it is compiled (`polyida.compiled`).
     follower : bool, default False
-        True if the force rotates with the direction of the attachment; its components are then those in the drawing, along x and y of the
+        True if the force rotates with the direction of the attachment; its components are then those in the reference configuration, along x and y of the
         scene.
     name : str, optional
 
@@ -261,7 +261,7 @@ class Force(ForceElement):
 
     @property
     def rest_direction(self) -> np.ndarray:
-        """The direction at rest that it follows, (2,)."""
+        """The direction in the reference configuration that it follows, (2,)."""
         return np.array([self.at.d.rest.real, self.at.d.rest.imag]) if self.follower else np.zeros(2)
 
     def sides(self) -> tuple:

@@ -60,7 +60,7 @@ class SpringDamper(ForceElement):
     stiffness : float, N/m, k >= 0
     damping : float, N s/m, c >= 0
     length : float, m, l0 >= 0
-        Length without tension. Default: the distance in the drawing.
+        Length without tension. Default: the distance in the reference configuration.
     preload : float, N
         N0.
     force : function of (e, e'), m and m/s, optional
@@ -119,7 +119,7 @@ class SpringDamper(ForceElement):
 
 
 def rotation(self, x):
-    """The relative rotation of the second direction since rest, rad."""
+    """The relative rotation of the second direction since the reference configuration, rad."""
     c, s = self.rest_angle[0], self.rest_angle[1]
     ex, ey = c * x[0, 0] - s * x[0, 1], s * x[0, 0] + c * x[0, 1]
     return np.arctan2(ex * x[1, 1] - ey * x[1, 0], ex * x[1, 0] + ey * x[1, 1])
@@ -170,7 +170,7 @@ class TorsionSpring(ForceElement):
 
     @property
     def rest_angle(self) -> np.ndarray:
-        """Cosine and sine of the angle from a to b at rest."""
+        """Cosine and sine of the angle from a to b in the reference configuration."""
         a, b = (side.rest for side in self.sides())
         turn = b / a / abs(b / a)
         return np.array([turn.real, turn.imag])

@@ -19,7 +19,7 @@ ROUND = 1e-6  # second moments count as equal if their relative difference is le
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The fixed frame. `ground` alone stands for the place of the joint's other side at rest; `ground.at(point)` is a fixed place.
+    """The fixed frame. `ground` alone stands for the place of the joint's other side in the reference configuration; `ground.at(point)` is a fixed place.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ ground = Ground()
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """A weighted set of nodes of a body: its point is `x = sum w_i x_i`, its direction `d = sum w'_i x_i`, |d| = 1 at rest.
+    """A weighted set of nodes of a body: its point is `x = sum w_i x_i`, its direction `d = sum w'_i x_i`, |d| = 1 in the reference configuration.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Attachment:
 
     @property
     def size(self) -> float:
-        """Largest coordinate of its body at rest, m."""
+        """Largest coordinate of its body in the reference configuration, m."""
         return float(np.abs(self.body.points).max())
 
     def on(self, body: Any) -> "Attachment":

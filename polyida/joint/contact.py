@@ -116,7 +116,7 @@ class Contact(Joint):
         return FacingEdges(self.label, self.a, self.b) if self.radius is None and self.b.has_edges else None
 
     def rows(self) -> list[Row | Vector]:
-        """The gap of each point of a, and with friction its slip. With edges, gaps are those at rest; the model finds them at each position."""
+        """The gap of each point of a, and with friction its slip. With edges, gaps are those in the reference configuration; the model finds them at each position."""
         a, b, R, edges = self.a, self.b, self.radius, self.edges
         rows: list[Row | Vector] = []
         r, points = self.disc or 0.0, edges.count * [a] if edges else a.each() if a.has_edges else [a]

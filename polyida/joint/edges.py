@@ -42,7 +42,7 @@ class Pieces(NamedTuple):
 class FacingEdges:
     """Two sides: edges (k, 2) of numbers among the points of the first side, (0, 0) if that is a point; others: of the second side.
 
-    first, second: nodes of the sides, attachments. count: rows. reach: deepest penetration that counts, m; at rest all that is within the rim of
+    first, second: nodes of the sides, attachments. count: rows. reach: deepest penetration that counts, m; in the reference configuration all that is within the rim of
     the second body counts.
     """
 
@@ -62,7 +62,7 @@ class FacingEdges:
 
     @property
     def rest(self):
-        """Places of the nodes of both sides at rest, (k, 2) each, m."""
+        """Places of the nodes of both sides in the reference configuration, (k, 2) each, m."""
         return tuple(np.array([node.point for node in side]) for side in (self.first, self.second))
 
     def pieces(self, x, y, reach=None):
@@ -73,7 +73,7 @@ class FacingEdges:
         return Pieces(*(values[:count] for values in found))
 
     def gaps(self, far):
-        """Gaps at rest, (rows,), `far` where nothing faces."""
+        """Gaps in the reference configuration, (rows,), `far` where nothing faces."""
         (x, y), result, rows = self.rest, np.full(self.count, far), np.ones(self.count, bool)
         for reach in (self.reach, np.inf):
             pieces = self.pieces(x, y, reach)
@@ -91,7 +91,7 @@ class FacingEdges:
 
 
 def _rim(side, edges):
-    """Edges at rest, (k, 2, 2), around the body of a side that has these edges; none if they are not known."""
+    """Edges in the reference configuration, (k, 2, 2), around the body of a side that has these edges; none if they are not known."""
     mesh, ends = getattr(side.body, "mesh", None), edges.reshape(-1, 4)
     if mesh is not None:
         return side.body.points[mesh.boundary_edges]
@@ -298,7 +298,7 @@ class EdgeRows:
         return other
 
     def products(self, dz):
-        """(numbers of the rows of gaps, [(points (k, j), complex weights (k, j), values at rest (k,)) of three vectors of each product]).
+        """(numbers of the rows of gaps, [(points (k, j), complex weights (k, j), values in the reference configuration (k,)) of three vectors of each product]).
 
         The vectors are the direction of the edge, the same turned by a right angle, and the mean vector from the edge to the first side.
         """

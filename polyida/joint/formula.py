@@ -43,7 +43,7 @@ class Summand:
         return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
     def at(self, place):
-        """Return the value without the rotation theta; `place(attachment, "point" or "direction")` returns z_j. A rate is zero at rest."""
+        """Return the value without the rotation theta; `place(attachment, "point" or "direction")` returns z_j. A rate is zero in the reference configuration."""
         return 0j if self.rate else self.constant + sum(w * place(side, part) for side, part, w in self.terms)
 
     @property

@@ -129,7 +129,7 @@ class Reaction:
         known: dict = {}
 
         def place(side, part):
-            """The place of a side, computed once; of the ground at rest."""
+            """The place of a side, computed once; of the ground in the reference configuration."""
             key = (id(side), part)
             if key not in known:
                 known[key] = rest_of(side, part) if side.body is None else at((side, part))
@@ -179,7 +179,7 @@ def _same(side, other):
 
 
 def held_at(joint, place):
-    """The joint as added where its sides are now, with the sides of the drawing; place((side, "point" or "direction")): complex, of now.
+    """The joint as added where its sides are now, with the sides in the reference configuration; place((side, "point" or "direction")): complex, of now.
 
     Plain `ground` is the present place of the other side. Rows of directions alone hold at their present value, rows of places as they are
     written.
@@ -197,7 +197,7 @@ def held_at(joint, place):
 
 
 def _moved(side, place):
-    """An attachment whose place at rest is the present one; drawn: the attachment itself."""
+    """An attachment whose place in the reference configuration is the present one; drawn: the attachment itself."""
     here = {"point": pairs_of(place((side, "point")))}
     if side.has_direction:
         here["direction"] = pairs_of(place((side, "direction")))
@@ -208,7 +208,7 @@ def _moved(side, place):
 
 
 def _held(row, place):
-    """The row on the attachments of the drawing."""
+    """The row on the attachments in the reference configuration."""
 
     def drawn(summand):
         return replace(summand, terms=tuple((getattr(side, "drawn", side), part, w) for side, part, w in summand.terms))

@@ -24,7 +24,7 @@ def across(a, b):
 
 
 def fixed_angle(a, b, angle=0.0, offset=None):
-    """`R(angle + offset) d_A x d_B`: the angle from a to b is angle + offset, rad; offset None: the angle at rest."""
+    """`R(angle + offset) d_A x d_B`: the angle from a to b is angle + offset, rad; offset None: the angle in the reference configuration."""
     reference = a.d.onto(b.d) if offset is None else a.d.turned(offset)
     return cross(reference.turned(angle), b.d).one_way().named("angle", "N m")
 
@@ -94,7 +94,7 @@ class Slot(Joint):
     a : Attachment or Ground
         With a direction; `ground.at(point, direction)` for a slot in the ground.
     b : Attachment or Ground
-        Anywhere on the line at rest.
+        Anywhere on the line in the reference configuration.
     friction : float
         Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it.
     name : str, optional
@@ -121,14 +121,14 @@ class Slot(Joint):
 class Prismatic(Joint):
     """Let b slide along the line through a in its direction, without relative rotation.
 
-    `phi = (d_A x (x_B - x_A), Q d_A x d_B)` (2 rows, m and no unit) with the constant rotation Q that makes the second row vanish at rest.
+    `phi = (d_A x (x_B - x_A), Q d_A x d_B)` (2 rows, m and no unit) with the constant rotation Q that makes the second row vanish in the reference configuration.
     The second row also vanishes after half a turn: a step that ends there is rejected.
     Reaction on b, (3,): force, N, across the line, and along it with friction, and moment about the point of b, N m, counter-clockwise.
 
     Parameters
     ----------
     a, b : Attachment or Ground
-        With directions; `ground.at(point, direction)` is a guide. b is anywhere on the line at rest.
+        With directions; `ground.at(point, direction)` is a guide. b is anywhere on the line in the reference configuration.
     friction : float
         Coefficient mu of dry friction: the force along the line is at most `mu |N|`, N the force across it. The moment adds none: a guide
         of length L, which a load along the line jams at distances above L/(2 mu) from it, is a `Slot` with friction at each end.
@@ -156,7 +156,7 @@ class Prismatic(Joint):
 class Weld(Joint):
     """Move point and direction of two sides together; all other deformation of the sections stays free.
 
-    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and no unit), Q the rotation between the directions at rest. If a side belongs to a body
+    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and no unit), Q the rotation between the directions in the reference configuration. If a side belongs to a body
     that keeps its directions of constant length, such as a rigid body, `phi = (x_A - x_B, Q d_A x d_B)` (3 rows).
     Reaction on b, (3,): force, N, and moment about the point of b, N m, counter-clockwise.
 
@@ -239,7 +239,7 @@ class Distance(Joint):
     a, b : Attachment or Ground
         One of them may be a place of the ground, `ground.at(point)`.
     length : float, m, optional
-        l > 0. Default: the distance in the drawing.
+        l > 0. Default: the distance in the reference configuration.
     name : str, optional
 
     Raises
