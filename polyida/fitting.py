@@ -241,6 +241,7 @@ class _Calls:
         return residuals
 
     def _values(self, x):
+        """The residuals over sigma of one call of the function, or None for values of another shape or not finite."""
         self.runs += 1
         values = floats(self.function(**dict(zip(self.names, x.tolist()))))
         return None if values is None or values.shape != self.target.shape else (values - self.target).ravel() / self.sigma

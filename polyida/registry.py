@@ -140,6 +140,7 @@ def attributes(package: str, book: dict[str, Any]) -> tuple[Callable[[str], Any]
     """`__getattr__` and `__dir__` of a package whose names are those of a dictionary: they are imported when they are first used."""
 
     def attribute(name):
+        """The value of a name, which becomes an attribute of the package. Raises AttributeError for others."""
         if name not in book:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = find(book, name)

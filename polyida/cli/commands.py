@@ -60,6 +60,7 @@ def main(args=None):
 
 @app.callback(invoke_without_command=True)
 def _start(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False):
+    """Print the version and end, or go on to a command."""
     if version:
         from polyida import __version__
 
@@ -101,6 +102,7 @@ def _load_scene(context, scene, **settings):
 
 
 def _make_folder(folder):
+    """Create a folder and those above it. Raises InputError with the reason of the system."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -329,6 +331,7 @@ def _studies():
 
 
 def _print_lists(lists):
+    """Print {kind: entries with name and description} as a table each."""
     for kind, entries in lists.items():
         rows = []
         for entry in entries:

@@ -79,6 +79,7 @@ def main(study, arguments=None, command=None):
 
 
 def _parser(program, title, quick, out):
+    """The parser of --quick, --out and --json with help texts, to which others are added."""
     parser = argparse.ArgumentParser(prog=program, description=title)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, help=out)

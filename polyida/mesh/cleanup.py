@@ -179,6 +179,7 @@ def _cut(points, cell, smallest_turn):
         return ring[: k + 1], np.r_[ring[0], ring[k:]]
 
     def merit(k):
+        """The smallest turn of both pieces of a cut to corner k; -10 if a piece is no simple polygon."""
         corners = [points[piece] for piece in pieces(k)]
         turns = [topology.ring_turns(c) for c in corners]
         smallest = min(topology.areas(c, np.arange(len(c)), np.array([0, len(c)]))[0] for c in corners)

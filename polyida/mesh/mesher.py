@@ -274,6 +274,7 @@ def voronoi_polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None
     corners = domain.corners()
 
     def attempt(shift):
+        """The polygons from new random seeds, or from given ones shifted by a share of the size. Raises Unresolved."""
         fixed = cleanup.corner_seeds(domain, corners, size(corners))[: cells - 1]
         if start is None:
             free = _random_seeds(domain, cells - len(fixed), rng, fixed, size)

@@ -139,6 +139,7 @@ class Problem:
         )
 
     def _error(self, name, value):
+        """Largest absolute deviation of one value from the reference. Raises InputError for an unknown name or another shape."""
         if name not in self.reference:
             known = ", ".join(self.reference) or "nothing for these options"
             raise InputError(f"problem {self.name!r}: {name!r} is not in the reference, which knows {known}")

@@ -86,6 +86,7 @@ def animation(
     picture = FramePicture(run, indices, width)
 
     def images():
+        """Yield the image of each frame and tell the progress."""
         for done, k in enumerate(indices, start=1):
             yield picture.image(k)
             if progress:
@@ -114,6 +115,7 @@ class Animation:
     """
 
     def __init__(self, run: Any, seconds: float | None = None) -> None:
+        """Check that the run has frames and bodies that can be drawn."""
         plates.require_run("animate", run, False)
         plates.bodies(run.model)
         self.run = run
@@ -169,6 +171,7 @@ class FramePicture:
     """
 
     def __init__(self, run, frames, width):
+        """Draw axes, colorbar and empty artists once, and keep the background that each frame restores."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection, PathCollection
         from matplotlib.path import Path as Outline

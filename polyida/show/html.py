@@ -99,6 +99,7 @@ class Table:
 
 
 def _cell(value, form, numeric):
+    """A cell of the page: text, CSS classes, whether it is code, and the value by which the page sorts."""
     missing, code = is_missing(value), form == "code" and not is_missing(value)
     text = format_value(value, "{}" if form == "code" else form)
     css = " ".join(["number"] * numeric + ["empty"] * missing + ["long"] * (len(text) > LONG_TEXT and not code))

@@ -68,6 +68,7 @@ class Comparison(Result):
     }
 
     def __init__(self, ivp, runs, distances, rows, notes, estimates=()):
+        """Take the parts of the class's description; compute title, lead and `gap`, the largest distance between two runs at the end."""
         super().__init__(rows, notes)
         self.estimates = list(estimates)
         self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
@@ -94,6 +95,7 @@ class Comparison(Result):
         return {key: value for key, value in (numbers | {"gap_end": self.gap}).items() if is_number(value)}
 
     def shown_columns(self):
+        """{name: (heading, format)} of the columns that a row has; errors are headed by the compared quantity and its unit."""
         unit = f", {self.unit}" if self.unit else ""
         return {
             key: (f"{self.quantity} {heading}{unit}" if "error" in key else heading, form)
@@ -123,6 +125,7 @@ class Comparison(Result):
         return super().write(folder, command, writer)
 
     def page(self):
+        """The blocks of the report: results, settings, events, the movie of the first run that can be drawn, and figures."""
         run = _drawable(self.runs)
         label = next((label for label, other in self.runs.items() if other is run), "")
         movie = [html.Heading("Motion"), html.Movie(run, f"The motion by {label}.")] if run else []
@@ -132,6 +135,7 @@ class Comparison(Result):
         return [*blocks, *event_tables(self.runs), *movie, html.Heading("Figures"), *self.report_pictures()]
 
     def report_pictures(self):
+        """The figures of the runs as blocks of the page; those that a FigureWriter already has are not drawn again."""
         figures = run_figures(self.ivp, self.runs, self, self.pictured or with_frames_between(self.ivp, self.runs))
         return [html.Picture(name, caption, self._drawn.get(name) or draw()) for name, (draw, caption) in figures.items()]
 

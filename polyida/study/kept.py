@@ -52,6 +52,7 @@ class KeptEnds:
     """
 
     def __init__(self, ivp, folder=None):
+        """Find the ends of this problem in memory, by a fingerprint of model, start, time and quantity, and add those of the file."""
         self.path, self.ends = None, {}
         try:
             compared = (ivp.quantity.of, ivp.quantity.times) if ivp.quantity else ()

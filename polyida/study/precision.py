@@ -112,6 +112,7 @@ class Precision(Result):
     """
 
     def __init__(self, rows, notes, reference):
+        """Take rows, notes and reference; head the columns by parts and add notes on errors below the accuracy and on missing orders."""
         super().__init__(rows, notes)
         self.reference = reference
         self.parts = tuple(dict.fromkeys(name.removeprefix("error_") for row in self.rows for name in row if name.startswith("error_")))
@@ -575,6 +576,7 @@ def step_sizes(
 
 
 def _with_step(label, make, h):
+    """The integrator that a class or function of the user makes of a step h, s. Raises InputError if it makes none."""
     if not callable(make):
         raise InputError(f"step_sizes: integrators[{label!r}] = {make!r} must be a class or a function of h")
     message = f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h"

@@ -47,6 +47,7 @@ class Sweep(Result):
     """
 
     def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
+        """Take the parts of the class's description, and give each column a heading and a format of its values."""
         super().__init__(rows, notes)
         self.title, self.ran, self.varied = title, ran, varied
         names = dict.fromkeys(name for row in self.rows for name in row if name != "traceback")
@@ -170,6 +171,7 @@ def sweep(
     executor, sweep_id = executor or SerialExecutor(), uuid4().hex
 
     def submit(arguments):
+        """The Future of the row of one case. Raises InputError if the function cannot be sent to a process."""
         try:
             return executor.submit(run_measured_case, function=function, arguments=arguments, sweep_id=sweep_id)
         except (TypeError, AttributeError, pickle.PickleError) as error:
@@ -219,6 +221,7 @@ def _checked_cases(function, cases):
 
 
 def _require_executor(function, executor):
+    """Raise InputError unless this is an executor of concurrent.futures, or None, and the function can be sent to its processes."""
     if executor is None:
         return
     if not isinstance(executor, Executor):

@@ -130,6 +130,7 @@ def _finished_rows(submit, waiting):
     """(key, row) of each task as it finishes."""
 
     def row_of(future):
+        """The row of a finished Future; an exception of the executor becomes a row with an error."""
         try:
             return future.result()
         except Exception as error:  # noqa: BLE001, an executor whose process is lost may raise anything
