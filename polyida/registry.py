@@ -8,6 +8,7 @@ their arguments are its options. studies: a `Study` each.
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from polyida.errors import InputError
@@ -129,6 +130,13 @@ def find(book: dict[str, Any], name: str) -> Any:
         known = import_module(module)
         known = getattr(known, attribute) if attribute else known
     return known
+
+
+def study_folder() -> Path:
+    """The folder of the study scripts: within an installed package, or beside the package in a clone."""
+    package = Path(__file__).resolve().parent
+    installed = package / "studies"
+    return installed if installed.is_dir() else package.parent / "studies"
 
 
 def places(package: str, modules: Mapping[str, Iterable[str]]) -> dict[str, Any]:

@@ -317,6 +317,7 @@ class Pair(Domain):
     """Base class of combinations of two domains."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
+        """Check that both are domains, and collect their walls."""
         for part in (first, second):
             if not isinstance(part, Domain):
                 raise InputError(f"{type(self).__name__.lower()} of {part!r}; both parts must be domains such as Rectangle or Circle")

@@ -17,7 +17,7 @@ from polyida.validation import is_one_of, named_keywords, reals
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
-
+__path__.append(str(registry.study_folder() / "problems"))  # modules of problems of the literature, beside the studies that use them
 __all__ = ["Problem", "get", "names"]
 
 # What each problem compares, with units, and the source of its reference: one line, details after a semicolon.
