@@ -19,9 +19,10 @@ from polyida.progress import teller
 from polyida.show.axes import finish
 from polyida.show.styles import FAILED, literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
+from polyida.study.kept import require_folder
 from polyida.study.result import Result
 from polyida.study.tasks import RowFolder, collect_rows, package_hash
-from polyida.validation import is_number, named_keywords, one_of, path_of
+from polyida.validation import is_number, named_keywords, one_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -247,11 +248,7 @@ def _row_folder(function, folder):
     """The RowFolder of a sweep with the identity of its code."""
     if folder is None:
         return RowFolder()
-    folder = path_of("sweep", "folder", folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"sweep: folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
+    folder = require_folder("sweep", folder, "folder")
     try:
         code = fingerprint_of(function)
     except NoFingerprint as error:
