@@ -79,7 +79,9 @@ def slopes_at(objective: Objective, of: Callable[[slice], Slopes], run: Any, par
     """The Slopes of a slice of frames, by the function `of` that `objective.slopes(run)` returned; InputError for wrong types and shapes."""
     name = type(objective).__name__
     if not callable(of):
-        raise InputError(f"{name}: slopes(run) must return a function of a slice of the frames, which returns Slopes, not {type(of).__name__}")
+        raise InputError(
+            f"{name}: slopes(run) must return a function of a slice of the frames, which returns Slopes, not {type(of).__name__}"
+        )
     result, label = of(part), f"{name}: slopes(run)(part)"
     if not isinstance(result, Slopes):
         raise InputError(f"{label} must return polyida.objective.Slopes, not {result!r:.100}")
