@@ -69,7 +69,7 @@ class FacingEdges:
         """The Pieces of points x (k, 2) of the first side and y of the second side. reach: deepest penetration that counts, by default its own."""
         most = 4 * len(self.edges) * len(self.others)
         found = Pieces(*(np.empty(most, np.int64) for _ in range(2)), np.empty((most, 2), np.int64), np.empty((most, 4)))
-        count = find_pieces(x, self.edges, y, self.others, self.reach if reach is None else reach, *found)
+        count = find_pieces(x, self.edges, y, self.others, self.reach if reach is None else reach, found)
         return Pieces(*(values[:count] for values in found))
 
     def gaps(self, far):
@@ -190,27 +190,28 @@ def in_wedge(px, py, nodes, others, edge, place):
 
 
 @part
-def add_point(node, px, py, second, others, reach, row, edge, points, weights, total, count):
+def add_point(first, node, second, others, reach, found, total, count):
     """Add a product for each edge that a point faces, of the row of that edge. Returns the number of all products."""
+    px, py = first[node, 0], first[node, 1]
     for f in range(others.shape[0]):
         gap, eta = gap_at(px, py, second, others, f), place_on(px, py, second, others, f)
         at, inside = min(max(eta, 0.0), 1.0), False
         if gap <= 0.0 and eta != at:
             inside = in_wedge(px, py, second, others, f, eta)
         if gap >= -reach and (inside or (abs(eta - at) <= BESIDE and not nearer_beside(px, py, second, others, f, gap))):
-            row[count], edge[count], points[count, :], weights[count, :] = f, f, node, 0.0
-            add(weights, count, 1.0, 0.0, at)
+            found.row[count], found.edge[count], found.points[count, :], found.weights[count, :] = f, f, node, 0.0
+            add(found.weights, count, 1.0, 0.0, at)
             total[f], count = 1.0, count + 1
     return count
 
 
 @part
-def find_overlaps(px, py, tx, ty, length, second, others, low, high, cuts):
+def find_overlaps(line, second, others, low, high, cuts):
     """Fill the part of an edge, low to high in [0, 1], that faces each other edge, -1 for high if none does, and all ends. Returns their number.
 
-    px, py: first end of the edge; tx, ty: unit vector along it.
+    line: first end (px, py) of the edge, unit vector (tx, ty) along it, and its length.
     """
-    ends = 0
+    (px, py, tx, ty, length), ends = line, 0
     for f in range(others.shape[0]):
         bx, by = second[others[f, 0], 0], second[others[f, 0], 1]
         dx, dy = second[others[f, 1], 0] - bx, second[others[f, 1], 1] - by
@@ -237,7 +238,7 @@ def nearest_edge(x, y, place, second, others, reach, low, high):
 
 
 @entry
-def find_pieces(first, edges, second, others, reach, row, edge, points, weights):
+def find_pieces(first, edges, second, others, reach, found):
     """Fill the products of all rows: those of points, or of the pieces of edges at two Gauss points each. Returns their number."""
     count, others_count = 0, others.shape[0]
     total = np.zeros(max(first.shape[0], others_count))
@@ -246,12 +247,12 @@ def find_pieces(first, edges, second, others, reach, row, edge, points, weights)
         i, j = edges[e, 0], edges[e, 1]
         px, py = first[i, 0], first[i, 1]
         if i == j:
-            count = add_point(i, px, py, second, others, reach, row, edge, points, weights, total, count)
+            count = add_point(first, i, second, others, reach, found, total, count)
             continue
         tx, ty = first[j, 0] - px, first[j, 1] - py
         length = np.sqrt(tx * tx + ty * ty)
         tx, ty = tx / length, ty / length
-        ends = find_overlaps(px, py, tx, ty, length, second, others, low, high, cuts)
+        ends = find_overlaps((px, py, tx, ty, length), second, others, low, high, cuts)
         cuts[:ends].sort()
         for k in range(ends - 1):
             if cuts[k + 1] - cuts[k] <= SHORT:
@@ -263,19 +264,20 @@ def find_pieces(first, edges, second, others, reach, row, edge, points, weights)
             bx, by = second[others[best, 0], 0], second[others[best, 0], 1]
             dx, dy = second[others[best, 1], 0] - bx, second[others[best, 1], 1] - by
             for one, node in ((count, i), (count + 1, j)):
-                row[one], edge[one], points[one, 0], points[one, 1], weights[one, :] = node, best, i, j, 0.0
+                found.row[one], found.edge[one], found.weights[one, :] = node, best, 0.0
+                found.points[one, 0], found.points[one, 1] = i, j
             w = 0.5 * (cuts[k + 1] - cuts[k]) * length
             for sign in (-1.0, 1.0):
                 xi = middle + sign * GAUSS * (cuts[k + 1] - cuts[k])
                 eta = ((px - bx) * tx + (py - by) * ty + xi * length) / (dx * tx + dy * ty)
-                add(weights, count, w * (1.0 - xi), xi, eta)
-                add(weights, count + 1, w * xi, xi, eta)
+                add(found.weights, count, w * (1.0 - xi), xi, eta)
+                add(found.weights, count + 1, w * xi, xi, eta)
                 total[i] += w * (1.0 - xi)
                 total[j] += w * xi
             count += 2
     for k in range(count):
         for c in range(4):
-            weights[k, c] /= total[row[k]]
+            found.weights[k, c] /= total[found.row[k]]
     return count
 
 

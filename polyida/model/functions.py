@@ -32,6 +32,7 @@ SHAPES = {  # of the returned arrays, in n, m and k
 }
 OF_STEPS = tuple(name for name in SHAPES if name not in ("potential", "tangent", "phi_rate", "phi_rate_q", "phi_bias_q"))  # for tables
 CHECKED = tuple(name for name in SHAPES if name != "potential")
+FUNCTIONS = tuple(name for name, default in vars(Model).items() if callable(default) and name[0] != "_")  # all that a user may write
 ASKED = (  # with arguments that are checked
     *SHAPES, "momenta", "powers", "psi", "psi_v", "gaps", "kinks", "rejection_reason", "initial_velocity", "potentials", "residual_p", "phi_p",
 )  # fmt: skip

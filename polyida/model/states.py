@@ -47,8 +47,12 @@ def largest(change, values, first, sizes):
 
 
 @part
-def fill_slope(function, data, t, places, v, outputs, values, first, sizes, rates, behind, slope):
-    """slope (count, count) = the derivatives of the last rates in the algebraic states, in their sizes, by central differences."""
+def fill_slope(asked, values, first, sizes, rates, behind, slope):
+    """slope (count, count) = the derivatives of the last rates in the algebraic states, in their sizes, by central differences.
+
+    asked: the C function and its arguments before `values`, as of `fill_algebraic`.
+    """
+    function, data, t, places, v, outputs = asked
     for j in range(sizes.shape[0]):
         middle, step = values[first + j], STEP * max(sizes[j], abs(values[first + j]))
         values[first + j] = middle + step
@@ -93,7 +97,7 @@ def fill_algebraic(function, data, t, places, v, outputs, values, first, sizes, 
     for i in range(count):
         left[i] = rates[first + i]
     for _ in range(MOST):
-        fill_slope(function, data, t, places, v, outputs, values, first, sizes, rates, behind, slope)
+        fill_slope((function, data, t, places, v, outputs), values, first, sizes, rates, behind, slope)
         if not factor_rows(slope, left, rows, pivots, change):
             return FLAT
         ratio = 0.0

@@ -16,7 +16,6 @@ from polyida.linear.saddle import StepMatrix
 from polyida.model.checked_function import FLOAT, CheckedFunction
 from polyida.model.compiled import MOST, Compiled
 from polyida.model.functions import OF_STEPS, writes
-from polyida.model.guarded import direct_functions
 from polyida.system import ACCEPT, BEGIN, CONSTRAINTS, ENTRIES, FACTOR, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, dense_slots
 from polyida.system import dense as small
 
@@ -237,7 +236,7 @@ class DenseTable(PythonTable):
 
     def _functions(self, w):
         """{name of small.FUNCTIONS: callback that reads its arguments from w and writes its result to w, or None}."""
-        model, callback, direct = self.model, self._callback, direct_functions(self.model)
+        model, callback = self.model, self._callback
         inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
@@ -246,16 +245,16 @@ class DenseTable(PythonTable):
                 raise StepFailure("objection", objection, end())
 
         return {
-            "mass": callback(w.M, direct.get("mass", model.mass), None, q),
-            "force": callback(w.g, direct.get("force", model.force), inner, q, v),
-            "phi": callback(w.phi, direct.get("phi", model.phi), end, q),
-            "phi_q": callback(w.B, direct.get("phi_q", model.phi_q), inner, q),
-            "phi_t": callback(w.phi_t, direct.get("phi_t", model.phi_t), inner, q),
-            "phi_bias": callback(w.phi_bias, direct.get("phi_bias", model.phi_bias), inner, q, v),
-            "residual": callback(w.g, direct.get("residual", model.residual), inner, q, v, a, lam) if writes(model, "residual") else None,
+            "mass": callback(w.M, model.mass, None, q),
+            "force": callback(w.g, model.force, inner, q, v),
+            "phi": callback(w.phi, model.phi, end, q),
+            "phi_q": callback(w.B, model.phi_q, inner, q),
+            "phi_t": callback(w.phi_t, model.phi_t, inner, q),
+            "phi_bias": callback(w.phi_bias, model.phi_bias, inner, q, v),
+            "residual": callback(w.g, model.residual, inner, q, v, a, lam) if writes(model, "residual") else None,
             "rejection_reason": self._protected(accepted) if writes(model, "rejection_reason") else None,
             "tangent": callback(w.S, lambda *state: model.tangent(*state, *w.coefficients.tolist(), 1.0), inner, q, v, a, lam),
-            "force_v": callback(w.slope, direct.get("force_v", model.force_v), inner, q, v),
+            "force_v": callback(w.slope, model.force_v, inner, q, v),
         }
 
     def _callback(self, out, function, t, *vectors):

@@ -170,9 +170,9 @@ def test_a_file_keeps_the_modes_that_its_run_had(tmp_path, monkeypatch):
     bar = scene.add(pi.Reduced(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=30, seed=1), pi.Material(5e6, 0.3, 1100.0), 0.01), modes=4))
     scene.add(pi.Revolute(pi.ground, bar.section("left")))
     scene.add(pi.PointMass(bar.section("right"), 0.1, name="tip"))
-    run, made = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=1e-3)), reduced._modes
+    run, made = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=1e-3)), reduced.modes_of
     run.save(tmp_path / "run.h5")
-    monkeypatch.setattr(reduced, "_modes", lambda *given: -made(*given)[:, ::-1])
+    monkeypatch.setattr(reduced, "modes_of", lambda *given: -made(*given)[:, ::-1])
     loaded = pi.load(tmp_path / "run.h5")
     assert np.array_equal(loaded.position("tip"), run.position("tip"))
     assert np.array_equal(loaded.stress(-1), run.stress(-1))
