@@ -50,7 +50,9 @@ class Sweep(Result):
     def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
         """Take the parts of the class's description, and give each column a heading and a format of its values."""
         super().__init__(rows, notes)
-        self.title, self.ran, self.varied = title, ran, varied
+        self.title = title
+        self.ran = ran
+        self.varied = varied
         names = dict.fromkeys(name for row in self.rows for name in row if name != "traceback")
         numeric = {name: all(is_number(row.get(name, 0.0)) for row in self.rows) for name in names}
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
