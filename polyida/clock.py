@@ -13,7 +13,9 @@ class Loading(ContextDecorator):
     """A context, or a decorator, of what a process does once. seconds (2,): CPU and wall time within it so far. A context within another one is part of it."""
 
     def __init__(self):
-        self.spent, self.depth, self.lock = (0.0, 0.0), 0, threading.Lock()
+        self.spent = 0.0, 0.0  # CPU and wall seconds of the contexts that have ended
+        self.depth = 0  # contexts within each other, 0 outside of all
+        self.lock = threading.Lock()
 
     def __enter__(self):
         self.begin()
@@ -72,7 +74,9 @@ class Teller:
     """
 
     def __init__(self, where):
-        self.compiling, self.where, self.told = Loading(), where, os.environ.get("POLYIDA_QUIET", "0") not in ("", "0")
+        self.compiling = Loading()
+        self.where = where
+        self.told = os.environ.get("POLYIDA_QUIET", "0") not in ("", "0")
 
     def begin(self, module, name):
         """A function of a module begins to be compiled."""

@@ -80,6 +80,9 @@ class StepFailure(Exception):
     """
 
     def __init__(self, status: str, reason: str, t: float = float("nan"), **seen: object) -> None:
-        self.status, self.reason, self.t, self.seen = status, reason, t, seen
+        self.status = status
+        self.reason = reason
+        self.t = t
+        self.seen = seen
         detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
         super().__init__(f"{printable(reason)} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

@@ -223,7 +223,7 @@ class _Calls:
         self.largest = float(np.linalg.norm(values)) or float(np.linalg.norm(self.target) / self.sigma) or 1.0
 
     def residuals(self, x):
-        """Those at parameters x; large ones where the function fails."""
+        """The residuals over sigma at parameters x (p,); large ones where the function fails."""
         if self.known[0] == x.tobytes():
             return self.known[1]
         try:

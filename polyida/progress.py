@@ -39,7 +39,7 @@ def over_time(progress, begin, t_end):
 
 @contextmanager
 def backward(progress, run):
-    """The same for a backward sweep over a run, whose bar begins at the end of the run."""
+    """The function to call with t at every step of a backward sweep over a run; a bar begins at the end of the run."""
     begin, end = float(run.t[0]), float(run.t[-1])
     with over_time(progress, begin, end) as tell:
         yield (lambda t: tell(begin + end - t)) if progress is True else tell or (lambda t: None)

@@ -37,7 +37,7 @@ def complete_integrator(incomplete: str) -> list[str]:
 
 
 def complete_integrators(incomplete: str) -> list[str]:
-    """The same for the last of several names with commas."""
+    """Completions of the last of several names of integrators with commas between them."""
     before, comma, last = incomplete.rpartition(",")
     return [before + comma + name for name in complete_integrator(last)]
 

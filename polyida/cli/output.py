@@ -127,7 +127,10 @@ class ProgressDisplay:
     """Progress of stages: a bar for each in a terminal, otherwise a line from time to time. bars: a Progress of rich."""
 
     def __init__(self, bars=None):
-        self.bars, self.tasks, self.begun, self.shown = bars, {}, {}, time.monotonic()
+        self.bars = bars
+        self.tasks = {}  # {label: its bar}
+        self.begun = {}  # {label: time of its beginning}
+        self.shown = time.monotonic()  # time of the last drawing or line
 
     def __call__(self, label, fraction, detail="", left=None):
         """Report the fraction of a stage, None if unknown. left: remaining time, s; None: estimated from the fraction."""
@@ -157,7 +160,10 @@ class TaskProgress:
     """Progress of a study's tasks, with the remaining time from the mean of the tasks that ran."""
 
     def __init__(self, name, display):
-        self.name, self.display, self.last, self.times = name, display, time.monotonic(), []
+        self.name = name
+        self.display = display
+        self.last = time.monotonic()  # time of the last call
+        self.times = []  # s, of the tasks that ran
 
     def __call__(self, done, total, task):
         """Show how many tasks are done, the task that runs, and the time left by the mean of the tasks that ran."""

@@ -91,7 +91,7 @@ def compiled():
 
 
 def compiled_text(found):
-    """The same as a text."""
+    """What `compiled` found, as a text of one line."""
     if not found["folder"]:
         return "in no folder, because none can be written: each process compiles anew; set NUMBA_CACHE_DIR"
     of = ", ".join(f"{name} {count}" for name, count in found["of"].items())

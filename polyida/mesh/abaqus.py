@@ -108,7 +108,8 @@ class _File:
     def __init__(self):
         """An empty file; what stands outside of parts is read into `main`."""
         self.main = Part("")  # what stands outside of parts
-        self.parts, self.assembly = {}, None
+        self.parts = {}
+        self.assembly = None
         self.scope = self.main  # takes the keywords of nodes, elements and sets
         self.rows_of_instance = []
         self.applied = []  # (step, line, keyword, rows) of supports and loads

@@ -154,7 +154,7 @@ class Chain:
         return EdgeTree(self.vertices[:-1], np.diff(self.vertices, axis=0))
 
     def _nearest_of_many(self, points):
-        """The same as of few edges, by a tree of them; both continuations are compared afterwards."""
+        """(edge, share) of the nearest position, by a tree of the edges; both continuations are compared afterwards."""
         piece = self._edges.nearest(points)
         share = self._edges.shares(points, piece)
         if self.closed:
@@ -321,7 +321,9 @@ class Pair(Domain):
         for part in (first, second):
             if not isinstance(part, Domain):
                 raise InputError(f"{type(self).__name__.lower()} of {part!r}; both parts must be domains such as Rectangle or Circle")
-        self.first, self.second, self.walls = first, second, first.walls + second.walls
+        self.first = first
+        self.second = second
+        self.walls = first.walls + second.walls
 
 
 @named_keywords
@@ -401,7 +403,9 @@ class Moved(Domain):
     """A domain translated by an offset (2,), m."""
 
     def __init__(self, domain, offset):
-        self.domain, self.offset, self.convex = domain, offset, domain.convex
+        self.domain = domain
+        self.offset = offset
+        self.convex = domain.convex
         self.lower, self.upper = domain.lower + offset, domain.upper + offset
         self.walls = [wall.moved(offset) for wall in domain.walls]
 

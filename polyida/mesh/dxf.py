@@ -101,7 +101,8 @@ class _Shown:
     """
 
     def __init__(self, document, part):
-        self.document, self.part = document, part
+        self.document = document
+        self.part = part
         self.entities, self.hidden, self.skipped = [], Counter(), Counter()
         self._take(document.modelspace(), None)
 

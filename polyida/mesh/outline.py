@@ -94,7 +94,9 @@ class _Ring:
         middle = centre(points)
         radii = np.hypot(*(points - middle).T)
         self.circle = not bend.any() and np.ptp(radii) <= ROUND * radii.mean()
-        self.points, self.edges, self.corners = points, edges, points[bend]
+        self.points = points
+        self.edges = edges
+        self.corners = points[bend]
         self.box = points.min(axis=0), points.max(axis=0)
         if self.circle:
             self.walls, self.box = [Capsule(middle, middle, radii.mean(), sign)], (middle - radii.mean(), middle + radii.mean())

@@ -46,13 +46,13 @@ def select(mesh, selector):
     """Return the Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
     nodes, name = _selected(mesh, selector)
     nodes = of_whole_sides(mesh, nodes)
-    chains = _chains(nodes, edges_within(mesh, nodes))
-    order = _ordered(mesh.points, nodes, chains)
+    parts = chains(nodes, edges_within(mesh, nodes))
+    order = _ordered(mesh.points, nodes, parts)
     lengths = _tributary_lengths(mesh, nodes)[order]
     if not lengths.sum() > 0.0:
         return Section(order, lengths, name, np.full(len(order), 1.0 / len(order)))
     weights = lengths / lengths.sum()
-    if len(chains) == 1 and _is_rim(mesh.points, *chains[0]):
+    if len(parts) == 1 and _is_rim(mesh.points, *parts[0]):
         arms = mesh.points[order] - mesh.points[order[0]]
         arms = arms - weights @ arms
         weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms, mesh.middle_nodes[order])))
@@ -87,10 +87,10 @@ def _selected(mesh, selector):
     return checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
 
 
-def _ordered(points, nodes, chains):
+def _ordered(points, nodes, parts):
     """The nodes chain by chain: each chain in its direction, and chains by their least x or y, whichever the nodes span more."""
     axis, ordered = int(np.argmax(np.ptp(points[nodes], axis=0))), []
-    for chain, closed in chains:
+    for chain, closed in parts:
         span = points[chain[-1]] - points[chain[0]]
         reverse = signed_area(points[chain]) < 0 if closed else span[np.argmax(np.abs(span))] < 0
         ordered.append(chain[::-1] if reverse else chain)
@@ -145,14 +145,14 @@ def edges_within(mesh, nodes):
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
 
 
-def _chains(nodes, edges):
+def chains(nodes, edges):
     """[(nodes connected by the directed edges, True if closed)] of open and closed chains and single nodes."""
     ahead = {}
     for a, b in edges.tolist():
         ahead.setdefault(a, []).append(b)
     targets = set(edges[:, 1].tolist())
     starts = [node for node in nodes.tolist() if node not in targets] + nodes.tolist()
-    seen, chains = set(), []
+    seen, found = set(), []
     for node in starts:
         chain = []
         while node is not None and node not in seen:
@@ -160,8 +160,8 @@ def _chains(nodes, edges):
             chain.append(node)
             node = next((to for to in ahead.get(node, ()) if to not in seen), None)
         if chain:
-            chains.append((chain, len(chain) > 2 and chain[0] in ahead.get(chain[-1], ())))
-    return chains
+            found.append((chain, len(chain) > 2 and chain[0] in ahead.get(chain[-1], ())))
+    return found
 
 
 def signed_area(corner):
@@ -200,7 +200,7 @@ def automatic(points, boundary):
         edges = boundary[on_side[boundary].all(axis=1)]
         if len(edges):
             named[name] = np.unique(edges)
-    rims = [np.array(chain) for chain, closed in _chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
+    rims = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
     rims.sort(key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))
     return named | {f"hole {i}": rim for i, rim in enumerate(rims)}
 

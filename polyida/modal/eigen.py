@@ -334,7 +334,7 @@ def _dense_damped(system, count, N, slow):
 
 
 def _arnoldi(system, count, N, slow):
-    """Those nearest to a small positive number, which is no root of a stable system."""
+    """The roots nearest to a small positive number, which is no root of a stable system, and their shapes, by Arnoldi's method."""
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     n, shift = system.n, NEAR * np.sqrt(slow if np.isfinite(slow) else 1.0)

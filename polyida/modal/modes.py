@@ -115,7 +115,7 @@ class Modes:
 
     @named_keywords
     def plot(self, number: int | list[int] | None = None, scale: float = 1.0, axes: Any = None) -> Any:
-        """Return a matplotlib Figure of the bodies at rest and in a mode; of a complex shape its real part, of models without bodies bars.
+        """Return a matplotlib Figure of the bodies in the state and in a mode; of a complex shape its real part, of models without bodies bars.
 
         Parameters
         ----------
@@ -239,7 +239,10 @@ def _turning(found, state, count, damped):
 
 
 def _warn_off_balance(system, values, X):
-    """Warn if the forces move the drawing far, or load a mechanism: values s^2 with -, of columns X. Springs and plates bear small loads."""
+    """Warn if the loads move the reference configuration far, or act on a mechanism; springs and plates bear small loads.
+
+    values: omega^2 of the shapes, columns of X, negative of growing ones.
+    """
     model, still = system.model, np.zeros(system.n)
     force = model.force(0.0, still, still)
     shares, stiff = X.T @ force, values > 0.0

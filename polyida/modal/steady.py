@@ -50,7 +50,7 @@ class Steady:
     about : (2,) float, m
         The centre.
     q : (n,) float
-        Displacements in the turning frame, from the drawing.
+        Displacements in the turning frame, from the reference configuration.
     lam : (m,) float
         Multipliers of the constraints.
     """
@@ -65,7 +65,7 @@ class Steady:
 
     @property
     def v(self) -> NDArray:
-        """Velocities in the drawing's axes at the time at which the frame has the drawing's axes, (n,), m/s: a start for `pi.solve(..., q0=, v0=)`."""
+        """Velocities at the time at which the turning frame has the axes of the scene, (n,), m/s: a start for `pi.solve(..., q0=, v0=)`."""
         return self.spin * (_turn(len(self.q)) @ _places(self.model, self.q, self.about))
 
     def campbell(self, speeds: ArrayLike, count: int = 3) -> Campbell:

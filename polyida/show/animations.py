@@ -181,7 +181,8 @@ class FramePicture:
         from matplotlib.collections import LineCollection, PathCollection
         from matplotlib.path import Path as Outline
 
-        self.run, self.lines = run, plates.curves(run.model)
+        self.run = run
+        self.lines = plates.curves(run.model)
         self.nodes, offsets = plates.closed(self.lines.nodes, self.lines.offsets)
         self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.lines.edges), 2, 2))
         self.drawn, low, high = plates.symbols_of(run, frames)

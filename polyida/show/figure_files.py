@@ -28,7 +28,9 @@ class FigureWriter:
     """
 
     def __init__(self):
-        self.figures, self.futures, self.pool = {}, {}, None
+        self.figures = {}  # by their names
+        self.futures = {}  # {name: Future of its files} of figures that the second process renders
+        self.pool = None  # of the second process, None without one
 
     def __enter__(self):
         """Start the second process and let it draw an empty figure, so that it has loaded matplotlib."""

@@ -59,8 +59,11 @@ class _Pen:
     """Collects the lines of parts. lines: {"joints" or "forces": [(frames, corners) complex]}; pins: [(frames,) complex]."""
 
     def __init__(self, place, size, frames):
-        self.place, self.size, self.frames = place, size, frames
-        self.lines, self.pins = {"joints": [], "forces": []}, []
+        self.place = place  # function (side, "point" or "direction") -> (frames,) complex
+        self.size = size  # of a symbol, m
+        self.frames = frames
+        self.lines = {"joints": [], "forces": []}
+        self.pins = []
 
     def finished(self):
         """The Symbols of all lines and pins that were collected, each line as segments of two points."""

@@ -166,7 +166,7 @@ def _names_by_place(places, near):
 
 
 def _as_drawn(side, part):
-    """Place or direction of an attachment, or of the ground, in the drawing of its body."""
+    """Place or direction of an attachment, or of the ground, in the reference configuration."""
     return np.array([complex(*getattr(side, part))])
 
 
@@ -274,7 +274,7 @@ def shapes(model, q, modes, scale=1.0):
 
 
 def draw(axes, model, q, x, title, scale=1.0, box=None):
-    """Draw the shape x: grey outlines at rest, and the moved bodies. Models without bodies are shown as bars, one for each entry.
+    """Draw the shape x: grey outlines in the state q, and the moved bodies. Models without bodies are shown as bars, one for each entry.
 
     The largest displacement is scale * AMPLITUDE of the scene's size. Complex shapes are drawn at the phase of their first large entry.
     box: two corners of what is shown, m.
@@ -334,7 +334,7 @@ def _points(positions):
 
 
 def _rest_and_moved(model, q, x, scale):
-    """Positions at rest, and moved by a visible multiple of the shape x."""
+    """Positions in the state q, and moved by a visible multiple of the shape x."""
     rest = _positions(model, q)
     x = np.real(x) * (PROBE * model.extent / np.abs(x).max())
     largest = np.hypot(*(_points(_positions(model, q + x)) - _points(rest)).T).max() or 1.0

@@ -71,7 +71,10 @@ class Comparison(Result):
         """Take the parts of the class's description; compute title, lead and `gap`, the largest distance between two runs at the end."""
         super().__init__(rows, notes)
         self.estimates = list(estimates)
-        self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
+        self.ivp = ivp
+        self.runs = runs
+        self.distances = distances
+        self._drawn = {}
         self.pictured: dict = {}  # {label: Trajectory} that the pictures show, with frames between few steps
         self.quantity, self.unit = (ivp.point, "m") if ivp.point else ("coordinates", "")
         *others, last = runs

@@ -137,7 +137,9 @@ class Isolated(SerialExecutor):
     """
 
     def __init__(self, limit: float = 600.0, fresh: bool = False) -> None:
-        self._worker, self._limit, self._fresh = Worker(), limit, fresh
+        self._worker = Worker()
+        self._limit = limit
+        self._fresh = fresh
 
     def submit(self, function: Callable, /, **named: Any) -> Future:  # type: ignore[override]
         """Run `function(**named)` in the process.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,7 +80,7 @@ class Invariants(Result):
         """A picture of the history of each quantity that some run has."""
         least = f", {FLOOR:g} if it is less"
         return {
-            name.replace("_", "-"): (f"{label} against time{least if logarithmic else ''}.", lambda axes, name=name: self.plot(name, axes))
+            name.replace("_", "-"): (f"{label} against time{least if logarithmic else ''}.", partial(self.plot, name))
             for name, (label, logarithmic) in self.quantities.items()
             if name in self._known()
         }

@@ -53,7 +53,8 @@ class KeptEnds:
 
     def __init__(self, ivp, folder=None):
         """Find the ends of this problem in memory, by a fingerprint of model, start, time and quantity, and add those of the file."""
-        self.path, self.ends = None, {}
+        self.path = None  # of the file, None for none
+        self.ends = {}  # {name of a run: End}
         try:
             compared = (ivp.quantity.of, ivp.quantity.times) if ivp.quantity else ()
             motion = unguarded(ivp.model), ivp.q0, ivp.v0, float(ivp.t_end), *compared

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from statistics import median
@@ -223,6 +224,35 @@ class Precision(Result):
             look = marker_style(i) | {"marker": "x", "linestyle": "none", "transform": axis.get_xaxis_transform(), "clip_on": False}
             axis.plot(failed, np.ones(len(failed)), label=literal(f"{label}: failed"), **look)
 
+    def _plot(self, part, axes, x_of, xlabel, title, labels, orders=False):
+        """Draw the errors in a part over x_of(row), a line for each integrator; orders: also a thin line for each rounded order."""
+        part = self.parts[0] if part is None else one_of("plot", "part", part, self.parts)
+        with on_axes(axes) as axis:
+            for i, label in enumerate(self.labels):
+                self._draw(axis, part, label, i, x_of)
+            if orders:
+                self._draw_orders(axis, part)
+            return self._finish(axis, part, xlabel, title, labels)
+
+    def _error_pictures(self, against):
+        """{name: (caption, function of axes)} of the default plots of all parts."""
+        where = WORDS[self.norm]
+        return {f"error-{part}": (f"Error in {part}, {where}, against {against}.", partial(self.plot, part)) for part in self.parts}
+
+    def _draw_orders(self, axis, part):
+        """Draw a thin line for each rounded order below the errors that it was fitted to, of all integrators of that order."""
+        found: dict[int, list] = {}
+        for label in self.labels:
+            order = self.orders[label][part]
+            if np.isfinite(order):
+                found.setdefault(round(order), []).extend(self._fitted(label, part))
+        if axis.lines:
+            axis.margins(y=0.15)  # space for the orders
+        for order, rows in found.items():
+            steps = [self._step(row) for row in rows]
+            coarsest = min(row[f"error_{part}"] / self._step(row) ** order for row in rows) * max(steps) ** order
+            slope_line(axis, order, [max(steps), min(steps)], 0.5 * coarsest, f"order {order}", offset=(3, -3))
+
     def _finish(self, axis, part, xlabel, title, labels):
         """Logarithmic axes, a grey area below the reference's accuracy, names and legend."""
         axis.set(xscale="log", yscale="log")
@@ -365,22 +395,13 @@ class WorkPrecision(Precision):
         InputError
             For another part or work.
         """
-        part = self.parts[0] if part is None else one_of("plot", "part", part, self.parts)
         one_of("plot", "work", work, WORK)
-        with on_axes(axes) as axis:
-            for i, label in enumerate(self.labels):
-                self._draw(axis, part, label, i, lambda row: row[work])
-            return self._finish(axis, part, WORK[work], title, labels)
+        return self._plot(part, axes, lambda row: row[work], WORK[work], title, labels)
 
     def pictures(self) -> dict:
         """The errors of all parts against CPU time, and that in the first one against residuals."""
-        first, where = self.parts[0], WORDS[self.norm]
-        pictures = {f"error-{part}": (f"Error in {part}, {where}, against CPU time.", part, "cpu_s") for part in self.parts}
-        pictures["residuals"] = (f"Error in {first}, {where}, against evaluations of the residual.", first, "residuals")
-        return {
-            name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work))
-            for name, (caption, part, work) in pictures.items()
-        }
+        caption = f"Error in {self.parts[0]}, {WORDS[self.norm]}, against evaluations of the residual."
+        return self._error_pictures("CPU time") | {"residuals": (caption, lambda axes: self.plot(axes=axes, work="residuals"))}
 
 
 @named_keywords
@@ -495,33 +516,11 @@ class StepSizes(Precision):
         InputError
             For another part.
         """
-        part = self.parts[0] if part is None else one_of("plot", "part", part, self.parts)
-        with on_axes(axes) as axis:
-            for i, label in enumerate(self.labels):
-                self._draw(axis, part, label, i, self._step)
-            if axis.lines:
-                axis.margins(y=0.15)  # space for the orders
-            for order, rows in self._by_order(part).items():
-                steps = [self._step(row) for row in rows]
-                coarsest = min(row[f"error_{part}"] / self._step(row) ** order for row in rows) * max(steps) ** order
-                slope_line(axis, order, [max(steps), min(steps)], 0.5 * coarsest, f"order {order}", offset=(3, -3))
-            return self._finish(axis, part, "mean step, s", title, labels)
-
-    def _by_order(self, part):
-        """{rounded order: rows that it was fitted to, of all integrators of that order}."""
-        found: dict[int, list] = {}
-        for label in self.labels:
-            order = self.orders[label][part]
-            if np.isfinite(order):
-                found.setdefault(round(order), []).extend(self._fitted(label, part))
-        return found
+        return self._plot(part, axes, self._step, "mean step, s", title, labels, orders=True)
 
     def pictures(self) -> dict:
         """The errors of all parts against the step."""
-        return {
-            f"error-{part}": (f"Error in {part}, {WORDS[self.norm]}, against the step.", lambda axes, part=part: self.plot(part, axes))
-            for part in self.parts
-        }
+        return self._error_pictures("the step")
 
 
 @named_keywords

@@ -51,7 +51,12 @@ class WorkLimit:
     """Counts steps or evaluations at increasing t and raises TooStiff if the projected total exceeds `limit`."""
 
     def __init__(self, name, what, limit, t_end, t0=0.0):
-        self.name, self.what, self.limit, self.t_end, self.t0, self.count = name, what, limit, t_end, t0, 0
+        self.name = name
+        self.what = what
+        self.limit = limit
+        self.t_end = t_end
+        self.t0 = t0
+        self.count = 0  # steps or evaluations so far
 
     def __call__(self, t):
         """Count a step or evaluation at t. Raises TooStiff if the total, projected from the time covered so far, is too large."""
@@ -196,7 +201,9 @@ class _StepForces:
     """The forces of step k of a run as a function of s in [0, 1], on the quintic through q, v and a of both ends."""
 
     def __init__(self, model, run, k):
-        self.model, self.t, self.h = model, float(run.t[k]), float(run.t[k + 1] - run.t[k])
+        self.model = model
+        self.t = float(run.t[k])
+        self.h = float(run.t[k + 1] - run.t[k])
         self.ends = np.array([[x[i] for x in (run.q, run.v, run.a)] for i in (k, k + 1)], float)  # q, v and a at both ends
         self.seed = k
 
@@ -308,8 +315,11 @@ class Ends:
     """
 
     def __init__(self, ivp, kept=None, progress=lambda text: None):
-        self.ivp, self.kept, self.progress = ivp, {} if kept is None else kept, progress
-        self.spent, self.failed = 0.0, []
+        self.ivp = ivp
+        self.kept = {} if kept is None else kept
+        self.progress = progress
+        self.spent = 0.0
+        self.failed = []  # messages of runs that failed
 
     def radau(self, level):
         """The End of Radau IIA at a level; values is empty if it failed."""

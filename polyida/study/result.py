@@ -57,7 +57,8 @@ class Result:
     minor_columns: tuple = ()  # that a narrow terminal leaves out first
 
     def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
-        self.rows, self.notes = listed("Result", "rows", rows), listed("Result", "notes", notes)
+        self.rows = listed("Result", "rows", rows)
+        self.notes = listed("Result", "notes", notes)
         self.histories = {} if histories is None else instance("Result", "histories", histories, dict)
 
     @property
@@ -274,7 +275,9 @@ class StudyResult(Result):
 
     def __init__(self, study, rows, quick=False):
         """Call the functions of the study with all rows, and note what failed and, if quick, what the small selection leaves out."""
-        self.study, self.title, self.lead = study, study.name.replace("_", " "), study.title
+        self.study = study
+        self.title = study.name.replace("_", " ")
+        self.lead = study.title
         self._figures, self._pictures, failures = dict.fromkeys(study.headline, math.nan), None, []
         for figures in self._call(study.figures, rows, failures):
             self._figures |= {name: float(value) for name, value in figures.items()}

@@ -50,7 +50,9 @@ class Sweep(Result):
     def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
         """Take the parts of the class's description, and give each column a heading and a format of its values."""
         super().__init__(rows, notes)
-        self.title, self.ran, self.varied = title, ran, varied
+        self.title = title
+        self.ran = ran
+        self.varied = varied
         names = dict.fromkeys(name for row in self.rows for name in row if name != "traceback")
         numeric = {name: all(is_number(row.get(name, 0.0)) for row in self.rows) for name in names}
         self.columns = {name: HEADINGS.get(name, (name, "{:.6g}" if numeric[name] else "{}")) for name in names}
@@ -165,10 +167,7 @@ def sweep(
     cases = _checked_cases(function, cases)
     _require_executor(function, executor)
     rows_in_folder = _row_folder(function, folder)
-    keys = []
-    for case in cases:
-        text = json.dumps(to_plain_value("case", case), sort_keys=True)
-        keys.append(hashlib.sha256(f"{rows_in_folder.code} {text}".encode()).hexdigest()[:32])
+    keys = [_key(rows_in_folder.code, case) for case in cases]
     executor, sweep_id = executor or SerialExecutor(), uuid4().hex
 
     def submit(arguments):
@@ -179,19 +178,31 @@ def sweep(
             raise InputError(_cannot_send(function, error)) from error
 
     with teller("sweep", progress) as report:
-        describe = lambda case: ", ".join(f"{name} {value}" for name, value in case.items())  # noqa: E731
-        rows, ran = collect_rows(submit, cases, keys, rows_in_folder, lambda done, total, case: report(done, total, describe(case)))
-    failed = [row for row in rows if row["error"]]
-    lost = [row for row in failed if row["error"].startswith("BrokenProcessPool")]
-    notes = [f"{len(failed)} of {len(rows)} cases failed; the first: {failed[0]['error']}"] if failed else []
-    if lost:
-        notes.append(
-            f"{len(lost)} of them were lost with the pool of processes; executor=pi.study.Isolated() shows which case ends its process"
-        )
-    if repeated := len(keys) - len(set(keys)):
-        notes.append(f"{repeated} cases were given more than once; each case ran once")
+
+        def tell(done, total, case):
+            report(done, total, ", ".join(f"{name} {value}" for name, value in case.items()))
+
+        rows, ran = collect_rows(submit, cases, keys, rows_in_folder, tell)
     varied = list(dict.fromkeys(name for case in cases for name in case))
-    return Sweep(f"sweep of {_name_of(function)}", [row | {cost: row.get(cost) for cost in COSTS} for row in rows], ran, varied, notes)
+    rows_with_costs = [row | {cost: row.get(cost) for cost in COSTS} for row in rows]
+    return Sweep(f"sweep of {_name_of(function)}", rows_with_costs, ran, varied, _notes(rows, len(keys) - len(set(keys))))
+
+
+def _key(code, case):
+    """The identity of a row: a hash of the code that computes it and of its case."""
+    text = json.dumps(to_plain_value("case", case), sort_keys=True)
+    return hashlib.sha256(f"{code} {text}".encode()).hexdigest()[:32]
+
+
+def _notes(rows, repeated):
+    """Lines on cases that failed, that were lost with their process, and on the number of repeated ones."""
+    failed = [row for row in rows if row["error"]]
+    notes = [f"{len(failed)} of {len(rows)} cases failed; the first: {failed[0]['error']}"] if failed else []
+    if lost := sum(row["error"].startswith("BrokenProcessPool") for row in failed):
+        notes.append(f"{lost} of them were lost with the pool of processes; executor=pi.study.Isolated() shows which case ends its process")
+    if repeated:
+        notes.append(f"{repeated} cases were given more than once; each case ran once")
+    return notes
 
 
 def _checked_cases(function, cases):

@@ -14,7 +14,8 @@ class Derivative:
     """
 
     def __init__(self, rates, contained=None):
-        self._known, self._moving = dict(rates), frozenset(rates)
+        self._known = dict(rates)
+        self._moving = frozenset(rates)
         self._contained = {} if contained is None else contained
 
     def __call__(self, expression):
@@ -69,7 +70,7 @@ def jacobian(expressions, symbols):
 
 
 def symmetric_jacobian(expressions, symbols):
-    """The same of a gradient: half of it is derived."""
+    """The derivatives of a gradient (n,) in symbols (n,), a symmetric matrix, of which half is derived."""
     contained: dict = {}
     columns = [Derivative({symbol: sp.S.One}, contained) for symbol in symbols]
     return [[columns[max(i, j)](expressions[min(i, j)]) for j in range(len(symbols))] for i in range(len(symbols))]

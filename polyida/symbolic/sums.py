@@ -46,7 +46,7 @@ def _terms(expression):
 
 
 def _without_squares(sums):
-    """The same with 1 for sin^2 + cos^2."""
+    """{product: coefficient} of a sum with sin^2 + cos^2 replaced by 1."""
     result = dict(sums)
     for product in sums:
         for factor in sp.Mul.make_args(product):

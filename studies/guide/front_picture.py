@@ -32,7 +32,7 @@ def drawn(points, problem):
             cpu, error, _ = zip(*found)
             axes.loglog(cpu, error, color=colour, marker=mark, markersize=4.5, label=label)
         axes.set(xlabel="CPU time of the run, s (one core)", ylabel="error of the tip after 1 s, m")
-        axes.set_title(f"Two swinging plates, {problem.model.n} coordinates: what a digit costs", color=INK)
+        axes.set_title(f"Two swinging plates, {problem.model.n} coordinates: CPU time against error", color=INK)
         axes.legend(loc="upper right", labelcolor=INK)
         return made
 
