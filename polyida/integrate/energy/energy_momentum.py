@@ -10,13 +10,14 @@ a free scene as a whole, whose momenta stay.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.sparse import csc_array
 
 from polyida.assembly.motion import motions_as_a_whole, moves_as_a_whole
 from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, InputError, StepFailure
+from polyida.fields import above_zero, check_fields, must_be
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.energy import loop
 from polyida.integrate.energy.tables import OF_ENERGY, table_of
@@ -76,17 +77,13 @@ class EnergyMomentum(Integrator):
     discrete derivative.
     """
 
-    h: float
-    tolerance: float = 1e-10
-    max_iterations: int = 40
+    h: float = field(metadata=must_be("a positive step in s", above_zero))
+    tolerance: float = field(default=1e-10, metadata=must_be("between 0 and 1", lambda x: is_number(x) and 0 < x < 1))
+    max_iterations: int = field(default=40, metadata=must_be("a positive whole number", is_whole))
     trusted, order = True, 2
 
     def __post_init__(self):
-        self._require_settings(
-            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
-            ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
-            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
-        )
+        check_fields(self, self.class_name())
 
     def require(self, model: Model) -> None:
         """Raise InputError unless the method takes the model: any scene; a user's with a potential, constant mass, phi at most quadratic.

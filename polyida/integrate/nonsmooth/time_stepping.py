@@ -18,12 +18,13 @@ closed at a predicted position. It is of first order, and positions drift.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from polyida.errors import StepFailure
+from polyida.fields import above_zero, check_fields, must_be, none_or
 from polyida.integrate.alpha.generalized_alpha import Coefficients, GeneralizedAlpha
 from polyida.integrate.discontinuities import Grid, at_kink, inner_side, number_of_steps, pieces
 from polyida.integrate.nonsmooth.contacts import FIXED, TOUCH, Contacts, Problem
@@ -40,6 +41,15 @@ PRICE = 5  # solves that an iteration costs
 TURNED = 0.05  # change of the rows with laws beyond which their columns are made again
 JUMPED = 1e-2  # of the force of friction in the step before: a larger change is that of an impact
 EXACT = 1e-13  # of |q| and the model's extent: change of q that is round-off
+
+
+def _is_tolerance(value):
+    """True for a number in [1e-14, 1)."""
+    return is_number(value) and 1e-14 <= value < 1.0
+
+
+STEP = must_be("a positive step in s", above_zero)  # checks of settings that both methods have
+ITERATIONS = must_be("a positive whole number", is_whole)
 
 
 class TimeStepping(Integrator):
@@ -65,15 +75,8 @@ class TimeStepping(Integrator):
                 counts.steps += 1
                 yield state
 
-    def _require(self, own, good, limits):
-        """Raise InputError unless the settings are good; own: the name of the method's own one, limits: of it in words."""
-        tolerance, default = self.tolerance, type(self).tolerance
-        self._require_settings(
-            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
-            ("tolerance", tolerance is default or (is_number(tolerance) and 1e-14 <= tolerance < 1.0), "in [1e-14, 1)"),
-            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
-            (own, good, limits),
-        )
+    def __post_init__(self):
+        check_fields(self, self.class_name())
 
 
 @named_keywords
@@ -107,14 +110,11 @@ class NonsmoothAlpha(TimeStepping):
     Syst. Dyn. 48 (2020) 127-157.
     """
 
-    h: float
-    rho_inf: float = 0.8
-    tolerance: float | None = None
-    max_iterations: int = 40
+    h: float = field(metadata=STEP)
+    rho_inf: float = field(default=0.8, metadata=must_be("in [0, 1)", lambda rho: is_number(rho) and 0.0 <= rho < 1.0))
+    tolerance: float | None = field(default=None, metadata=must_be("in [1e-14, 1)", none_or(_is_tolerance)))
+    max_iterations: int = field(default=40, metadata=ITERATIONS)
     order = 2
-
-    def __post_init__(self):
-        self._require("rho_inf", is_number(self.rho_inf) and 0.0 <= self.rho_inf < 1.0, "in [0, 1)")
 
     @property
     def coefficients(self) -> Coefficients:
@@ -155,14 +155,11 @@ class MoreauJean(TimeStepping):
     Moreau, in Nonsmooth Mechanics and Applications (1988) 1-82; Jean, Comput. Methods Appl. Mech. Eng. 177 (1999) 235-257.
     """
 
-    h: float
-    theta: float = 0.5
-    tolerance: float = 1e-10
-    max_iterations: int = 40
+    h: float = field(metadata=STEP)
+    theta: float = field(default=0.5, metadata=must_be("in [0.5, 1]", lambda theta: is_number(theta) and 0.5 <= theta <= 1.0))
+    tolerance: float = field(default=1e-10, metadata=must_be("in [1e-14, 1)", _is_tolerance))
+    max_iterations: int = field(default=40, metadata=ITERATIONS)
     order = 1
-
-    def __post_init__(self):
-        self._require("theta", is_number(self.theta) and 0.5 <= self.theta <= 1.0, "in [0.5, 1]")
 
     def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
         """(least, most, share) as NonsmoothAlpha has them: Newton may leave the tolerance times the change of q in a step."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.radau.loop import EXTRA, LEAST, USED, H, Record
-from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, MISSES
+from polyida.integrate.radau.step_arrays import AGE, CONTRACTION, ERROR, LAST, MISSES
 from polyida.integrate.radau.tableau import through
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, Stretch

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
-from polyida.integrate.radau import step
+from polyida.integrate.radau import step, step_end
+from polyida.integrate.radau.step_arrays import AGE, CONTRACTION, ERROR, FACTORS, LAST, MARKS, UNKNOWN
 from polyida.jit import entry, pack, part, shared
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import FACTORS as SLOTS
@@ -29,7 +30,7 @@ ROUND_OFF = 2.0**-53  # of v, which is e over h
 MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(100, 105)
 H, EXTRA, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
 LEVEL, TIME, FAILED, STEP, TARGET, REMAINING = range(6)  # of Control.now
-REJECTED = 4  # of the counts, after those of step.py
+REJECTED = 4  # of the counts, after those of step_arrays.py
 COUNTS = 5
 # adaptive steps are `first` 2^(k/2), k any whole number, so that steps recur and their factors are used again
 SAFETY = 0.65
@@ -100,7 +101,7 @@ def record(count, stages, n, m, tied):
     motion = (count,), (count, n), (count, n), (count, n), (count, m)
     each, closing = (count, stages, n), (count, stages, m)
     inner = each, each, each, closing, each, closing, (count, stages, m if tied else 0), (count, 2, m)
-    sizes = (*motion, *inner, (count, step.MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
+    sizes = (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
     return Record(*map(np.empty, sizes), np.full((MADE, 3 + 3 * n + m), np.inf))
 
 
@@ -172,7 +173,7 @@ def mark_used(slots, slot, marks):
         most = max(most, slots.table[USED, other])
     if slots.table[USED, slot] < most or most == 0.0:
         slots.table[USED, slot] = most + 1.0
-        marks[step.CONTRACTION], marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
+        marks[CONTRACTION], marks[AGE] = UNKNOWN[0], UNKNOWN[1]
 
 
 @entry
@@ -196,7 +197,7 @@ def reserve_slot(slots, h, begin, memory):
     put(1.0, memory.v, state[1 + n :])
     put(1.0, memory.a, state[1 + 2 * n :])
     put(1.0, memory.lam, state[1 + 3 * n :])
-    memory.marks[step.CONTRACTION], memory.marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
+    memory.marks[CONTRACTION], memory.marks[AGE] = UNKNOWN[0], UNKNOWN[1]
     return slot
 
 
@@ -219,7 +220,7 @@ def newton_tolerance(method, h, memory):
         return method.tolerance
     if method.share > 0.0:
         return method.share * allowed_error(method, memory)
-    error = memory.marks[step.ERROR]
+    error = memory.marks[ERROR]
     if error < 0.0:
         return EXACT * method.length
     round_off = max(NOTHING * method.length, ROUND_OFF * h * np.sqrt(step.mean_square(memory.shares, memory.v)))
@@ -266,9 +267,9 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
     slots.table[EXTRA, slot] += max(0.0, iterations - slots.table[LEAST, slot])
-    status, error = step.project_end(model, first, method, arrays, h), 0.0
+    status, error = step_end.project_end(model, first, method, arrays, h), 0.0
     if status == DONE and method.estimates_error:
-        status, error = step.local_error(model, first, method, arrays, h)
+        status, error = step_end.local_error(model, first, method, arrays, h)
     return status, error
 
 
@@ -310,7 +311,7 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
         if control.adaptive:
             now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
             h = step_of_level(control.first, now[LEVEL])
-            h, target = next_step(begin, control.end, h, memory.marks[step.LAST] if memory.marks[step.LAST] > 0.0 else h)
+            h, target = next_step(begin, control.end, h, memory.marks[LAST] if memory.marks[LAST] > 0.0 else h)
             if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
                 now[STEP] = h
                 return taken, STEP_TOO_SHORT
@@ -327,7 +328,7 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
             log.made[made, 0], log.made[made, 1] = taken, slot
             put(1.0, slots.states[slot], log.made[made, 2:])
             made += 1
-            status, counts[step.FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[step.FACTORS] + 1
+            status, counts[FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[FACTORS] + 1
             fresh = status == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
                 status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
@@ -338,7 +339,7 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
         allowed = allowed_error(method, memory) if control.adaptive else np.inf
         rejected = status == DONE and not error <= allowed  # so is one that is not a number
         if status == DONE and not rejected:
-            status = step.end_state(model, at, h, memory, trial, work)
+            status = step_end.end_state(model, at, h, memory, trial, work)
         if status != DONE:
             return taken, status
         if control.adaptive and (rejected or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
@@ -348,7 +349,7 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
             now[FAILED] += 1.0
             fresh = False
             continue
-        step.advance(h, error, memory, trial, work)
+        step_end.advance(h, error, memory, trial, work)
         fresh, now[TIME], now[FAILED] = False, target, 0.0
         record_step(log, taken, target, now[LEVEL], arrays)
         taken += 1

@@ -17,7 +17,7 @@ import numpy as np
 from polyida.clock import loading
 from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
-from polyida.integrate.radau import loop, step
+from polyida.integrate.radau import loop, step_arrays
 from polyida.integrate.radau.accepted import StretchData, StretchStates
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
 from polyida.integrate.radau.tableau import radau
@@ -53,12 +53,12 @@ class Steps:
         self.moves_v = (settings.form == "ggl" or settings.project) and (rows_vary or (model.compiled and model.m > 0))
         self.estimates_error = settings.adaptive or settings.tolerance is None
         self.table = _table(settings, model, self.tableau, self.tied)
-        self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
+        self.memory, self.trial, self.scratch = step_arrays.empty(settings.stages, model.n, model.m, self.tied)
         self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
         self.state = None
         self.done = np.zeros(loop.COUNTS, np.int64)
-        tableau = step.compiled_tableau(self.tableau)
-        self.arrays = step.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
+        tableau = step_arrays.compiled_tableau(self.tableau)
+        self.arrays = step_arrays.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
         self.most = max(1, min(STEPS, most, 1 if model.switching else STEPS))
 
@@ -83,7 +83,7 @@ class Steps:
         self.table.evaluate_constants(state.t, state.q)
         table[:], self.state, self.factor_states = 0.0, None, None
         measured = "newton" in memory and "switched" not in memory  # behind a switch the equations are others
-        self.memory.marks[[step.CONTRACTION, step.AGE]] = memory["newton"] if measured else step.UNKNOWN
+        self.memory.marks[[step_arrays.CONTRACTION, step_arrays.AGE]] = memory["newton"] if measured else step_arrays.UNKNOWN
         if "newton" in memory:
             for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
                 table[[loop.H, loop.EXTRA, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
@@ -105,9 +105,9 @@ class Steps:
         start.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
         if known:
             start.stages_v[:], start.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
-        start.marks[step.LAST], start.marks[step.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
-        start.marks[step.MISSES :] = memory.get("misses", 0.0) if known else 0.0
-        if start.marks[step.MISSES]:
+        start.marks[step_arrays.LAST], start.marks[step_arrays.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        start.marks[step_arrays.MISSES :] = memory.get("misses", 0.0) if known else 0.0
+        if start.marks[step_arrays.MISSES]:
             start.miss_e[:], start.miss_lam[:], start.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.has_constraint_increments:
             start.phi_start[:] = start_values(model, state, self.clamp(state.t))
@@ -122,7 +122,7 @@ class Steps:
         newton = {"tolerance": float(settings.tolerance or 0.0), "max_iterations": settings.max_iterations, "renewal": self.table.renewal}
         newton["share"] = min(loop.SHARE, rtol**loop.ERROR_POWER) if settings.adaptive else 0.0
         of_model = {"extent": float(model.extent or 1.0), "least": ROUND_OFF * float(sizes[0]), "velocity_rows": model.velocity_rows}
-        return step.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
+        return step_arrays.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
 
     def step(self, state, h, t):
         """The State at t after one step of h. Raises StepFailure."""
@@ -178,7 +178,7 @@ class Steps:
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
             self.state = self.state or state
-            if self.done[step.FACTORS]:
+            if self.done[step_arrays.FACTORS]:
                 self.factor_states = None
             taken, count = taken + accepted, count - accepted
             first += accepted * (self.settings.stages + 1) * table.prepared
@@ -244,7 +244,10 @@ class Steps:
         if ended in (loop.STEP_TOO_SHORT, loop.TOO_MANY_STEPS):
             return StepFailure("stuck" if ended == loop.STEP_TOO_SHORT else "too many steps", "", float(control.now[loop.TIME]))
         if ended == REFACTOR:
-            seen = {"last |dq|": float(self.scratch.progress[step.MOVED]), "contraction": float(self.scratch.progress[step.SPEED])}
+            seen = {
+                "last |dq|": float(self.scratch.progress[step_arrays.MOVED]),
+                "contraction": float(self.scratch.progress[step_arrays.SPEED]),
+            }
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
 
 

@@ -13,7 +13,7 @@ from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.errors import DONE, HALF_TURN, INVERTED, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
-from polyida.integrate.radau.step import compiled_tableau
+from polyida.integrate.radau.step_arrays import compiled_tableau
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem
 from polyida.system.scene import FUNCTIONS, Scene, entries, entry_address
