@@ -30,7 +30,8 @@ from polyida.model.functions import OF_STEPS
 from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system.dense import INNER
 from polyida.system.own import DenseTable, PythonTable, small_own
-from polyida.system.scene import DV, DX, START, VX, OneFactorScene, entries, idle, pairs, renew_slopes, rows
+from polyida.system.scene import OneFactorScene, entries
+from polyida.system.scene_functions import DV, DX, START, VX, idle, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
 AT_MIDDLE, AT_END = range(2)  # stages of a step: numbers of work.dz and work.rotation

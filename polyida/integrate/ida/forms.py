@@ -136,6 +136,7 @@ class AcceptedStates(Stretch):
     """
 
     def __init__(self, system, memory, work, t, y, yp, within=None):
+        """Split y and y' into q, v, a, lam and mu."""
         *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
         super().__init__(t, *state)
         self._memory, self._mu, self._work, self._within = memory, mu, work, within

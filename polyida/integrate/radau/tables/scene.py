@@ -16,8 +16,9 @@ from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step_arrays import compiled_tableau
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem
-from polyida.system.scene import FUNCTIONS, Scene, entries, entry_address
+from polyida.system.scene import Scene, entries, entry_address
 from polyida.system.scene_factors import empty_factor, factors_of_modes, makes_factors, matrices, scene_factors
+from polyida.system.scene_functions import FUNCTIONS
 
 RENEWAL = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 PYTHON_RENEWAL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
