@@ -193,7 +193,7 @@ def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
 
 @part
 def sweep(delassus, free_rates, cone, forces, slope):
-    """One projected Gauss-Seidel sweep."""
+    """Solve the rows one after the other, each with the others fixed and projected onto its bounds: one projected Gauss-Seidel sweep."""
     k = forces.shape[0]
     for i in range(k):
         u, _ = row_rate(delassus, free_rates, forces, i)

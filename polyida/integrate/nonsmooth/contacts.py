@@ -77,6 +77,7 @@ class Contacts:
     """
 
     def __init__(self, model):
+        """Split the rows of a model by its laws."""
         laws = model.row_laws
         self.model = model
         self.rows = np.array([law.row for law in laws], np.int64)
