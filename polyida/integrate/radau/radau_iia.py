@@ -116,6 +116,7 @@ class RadauIIA(Integrator):
     def __post_init__(self):
         check_fields(self, self.class_name())
 
+    @property
     def adaptive(self) -> bool:
         """True if the step follows the local error."""
         return self.h is None
