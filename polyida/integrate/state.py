@@ -93,7 +93,7 @@ class Stretch:
 
     @property
     def last(self):
-        """The last State."""
+        """The last State, with its memory if it has one."""
         if self._last is None:
             self._last = self._state(len(self) - 1)
         return self._last

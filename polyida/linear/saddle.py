@@ -290,6 +290,7 @@ class StepMatrix:
     caution = 0.5
 
     def __init__(self, model: Any) -> None:
+        """Take the model; `factor` makes S."""
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
         self.S: Any = None
         self.lu: Any = None

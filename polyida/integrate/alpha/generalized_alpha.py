@@ -189,6 +189,7 @@ class GeneralizedAlpha(Integrator):
         return cls(h, member=(0.0, 0.0, beta, gamma), **settings)
 
     def __post_init__(self):
+        """Check the settings, and those that depend on each other; set what follows from them."""
         check_fields(self, self.class_name())
         tolerances_given = self.rtol is not None or self.atol is not None
         if tolerances_given and not (self.rtol or self.atol):
@@ -278,6 +279,7 @@ class GeneralizedAlpha(Integrator):
                 yield stretch
 
     def _engine(self, model, counts, control):
+        """The Steps that take the steps; subclasses have others."""
         return Steps(self, model, counts, control)
 
     def step_matrix(self, model: Model) -> Any:

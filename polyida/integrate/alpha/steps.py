@@ -23,6 +23,7 @@ from polyida.integrate.alpha import step
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step_size import CUT, LAST_LEVEL, StepSizeController
 from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
+from polyida.integrate.engine import end_of_stretch, step_in_parts, steps_at_rest, too_many_steps
 from polyida.integrate.sizes import extent, states_at_rest, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, States, Stretch, first_of
@@ -39,27 +40,32 @@ DIVERGED = 0.03  # of the model's extent: distance of the runs with h and h/2 be
 class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
-    factored_for: h of the factor. control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every
-    beginning and `stepped(state)` for every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer"
-    if adaptive steps should be, else None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam
-    (count, m)], or None. first, count: prepared steps taken, and all. ended: how the last step ended, (status, True if its factor was new, t,
-    |dq|), to be handled before the next stretch, or None. waiting: stretches of one state that the recorder has not seen, last first. last: the
-    last State of the last stretch.
+    recorder: its `begun(state, h)` is called at every beginning and `stepped(state)` for every state, of attempts that fail too; stretches then
+    have one state. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam (count, m)], or None.
     """
 
     chunk_bytes = 16_000_000  # of frames that one compiled stretch fills
 
     def __init__(self, settings, model, counts, control=None):
+        """Make the arrays and the table of a model; control: the ErrorControl of adaptive steps, or None."""
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.start, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
         self.incremental = settings.incremental_phi and model.has_constraint_increments
         self.table = table_of(settings, model, self.incremental, True)
-        self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
-        self.system = self.spare = self.factored_for = None  # the factor in use, and one that the next factor may overwrite
-        self.method = self.resize = self.recorder = None
-        self.weighed, self.factors, self.rows = False, FactorCache(), _no_rows
-        self.longest, self.pause = INSTANTS, 0
+        self.caution = self.table.system(settings).caution
+        self.unknowns = self.table.unknowns
+        self.system = None  # the factor in use
+        self.factored_for = None  # its h
+        self.spare = None  # a factor that the next one may overwrite
+        self.factors = FactorCache()  # of adaptive steps
+        self.method = None  # numbers of the method for the present h
+        self.weighed = False  # True if the weights of norms are set
+        self.resize = None  # "shorter" or "longer" if adaptive steps should be
+        self.recorder = None
+        self.rows = _no_rows
+        self.longest = INSTANTS  # steps of the next stretch of a model with switches
+        self.pause = 0  # number of counted steps after which a stretch ends
 
     def begin(self, state, h, same_factor=False):
         """Go on with steps of h from a state that `started` returned, with the present factor or one for this h.
@@ -82,9 +88,11 @@ class Steps:
         if model.needs.mass_varies or not self.weighed:
             self._weigh(weights(model, state.q))
         start.marks[:] = 0.0
-        self.resize = self.ended = self.last = None
-        self.first = self.count = 0
-        self.waiting = []
+        self.resize = None
+        self.ended = None  # how the last step ended, (status, True if its factor was new, t, |dq|), to be handled before the next stretch
+        self.last = None  # the last State of the last stretch
+        self.first = self.count = 0  # prepared steps taken, and all
+        self.waiting = []  # stretches of one state that the recorder has not seen, last first
         if not same_factor:
             self._set_system(self.factors.get(h))
         if self.recorder is not None:
@@ -176,7 +184,7 @@ class Steps:
         most = int(max(1, min(most, self.longest, self.table.longest, self.model.longest_stretch)))
         to_pause = self.pause - self.counts.steps
         h, n, m = self.method.h, self.model.n, self.model.m
-        self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))
+        self.times = times = grid.times(done, end_of_stretch(grid, done, most, to_pause))
         self.first, self.count = 0, len(times) - 1
         self.frames = self.rows(self.count) or allocate([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
         self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
@@ -340,10 +348,8 @@ def fixed_steps(engine, state, begin, end, count):
     """Yield stretches of the states at the ends of `count` equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
     settings, model, counts = engine.settings, engine.model, engine.counts
     grid = grid_of(state, begin, end, count)
-    for state in states_at_rest(model, state, grid, counts):
-        grid = grid._replace(done=grid.done + 1)
+    for state, grid in steps_at_rest(model, state, grid, counts):
         state.memory["grid"] = grid.after(grid.done)
-        counts.steps += 1
         yield Stretch.of(state)
     level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
@@ -360,7 +366,7 @@ def fixed_steps(engine, state, begin, end, count):
             except StepFailure as failure:
                 failures.append(failure)
                 counts.rejected += 1
-        state, level = _step_in_parts(engine, state, grid, done, level, failures)
+        state, level = _step_in_parts(engine, state, grid._replace(done=done), level, failures)
         done, level = done + 1, level - 1
         counts.steps += 1
         state = _cut(state, level, grid=grid.after(done))
@@ -380,21 +386,16 @@ def _begin_grid(engine, state, grid):
         engine.recall(memory)
 
 
-def _step_in_parts(engine, state, grid, done, level, failures):
-    """(the State after the next step of a grid, taken in 2^level parts, the level), the first level that succeeds. Raises StepFailure.
-
-    level: that of the step before, from which the levels begin; failures: of this step so far.
-    """
+def _step_in_parts(engine, state, grid, level, failures):
+    """(the State after the next step of a grid, taken in 2^level parts, the level); the levels begin with that of the step before."""
     settings = engine.settings
-    for level in range(max(1, level), settings.max_halvings + 1):
-        parts = Grid(grid.time(done), grid.time(done + 1), 2**level)
-        try:
-            engine.begin(started(settings, engine.model, _cut(state, level), parts.h), parts.h)
-            return engine.last_of(parts), level
-        except StepFailure as failure:
-            failures.append(failure)
-            engine.counts.rejected += 1
-    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
+
+    def take(parts, level):
+        """The State at the end of the parts of one level."""
+        engine.begin(started(settings, engine.model, _cut(state, level), parts.h), parts.h)
+        return engine.last_of(parts)
+
+    return step_in_parts(take, grid, max(1, level), settings.max_halvings, failures, engine.counts)
 
 
 def _cut(state, level, **memory):
@@ -412,8 +413,9 @@ def adaptive_steps(engine, state, begin, end, longest, most_steps):
     controller = StepSizeController(control, float(state.memory.get("h", control.first)) or np.inf, most, longest)
 
     def require_progress(h):
+        """Raise StepFailure if there are too many steps, or if h is round-off of t."""
         if counts.steps + counts.rejected >= most_steps:
-            raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
+            raise too_many_steps(settings, t, h)
         if h < 16 * np.spacing(abs(t)):
             raise StepFailure("step too small", "the step has shrunk to the round-off of t", t, step=h)
 
@@ -465,6 +467,7 @@ def _change_level(engine, controller, failures, t):
 
 
 def _require_level(controller, down, failures):
+    """Raise the first of the failures if the level may not go down by so much."""
     if controller.level + down > LAST_LEVEL:
         raise first_of(failures, f"down to steps of {controller.h:.3g} s")
 

@@ -89,6 +89,7 @@ class PythonOwn(MiddleTable, PythonTable):
     """The table of a user's model in Python that is large or solves its systems itself."""
 
     def _middle(self, instant, states, lam, r, phi, *_):
+        """Write r in the middle of a step, with the discrete derivative of the potential, and phi at its end."""
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
         residual, constraints = self._array(r, model.n), self._array(phi, model.m)
@@ -103,6 +104,7 @@ class DenseOwn(MiddleTable, DenseTable):
     names, entries = OF_ENERGY, (MIDDLE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT)
 
     def __init__(self, model):
+        """Choose the entries; compiled models without drives have consistent accelerations too."""
         super().__init__(model)
         self.complete = model.by_numba and not model.needs.driven
         if self.complete:
@@ -110,6 +112,8 @@ class DenseOwn(MiddleTable, DenseTable):
         self.serve()
 
     def _functions(self, work):
+        """The functions of a small model, and its potential at work.q."""
+
         def potential(*_):
             work.x[0] = self.model.potential(work.q.copy())
 
@@ -204,6 +208,7 @@ class EnergyTable(OneFactorScene):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     def __init__(self, model):
+        """Choose the kernels and entries that the scene needs."""
         reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.complete, options = not (model.bodies or model.strains or model.slipping), {}
         if self.complete:
@@ -236,11 +241,13 @@ class PythonScene(MiddleTable, PythonTable):
     """The table of a scene whose bodies have masses that differ in x and y, or lack some. Each force is that of the compiled table."""
 
     def __init__(self, model):
+        """Make the arrays of the middle of a step."""
         super().__init__(model)
         reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
 
     def _middle(self, instant, states, lam, r, phi, *_):
+        """Write r of the scene in the middle of a step and phi at its end, by the compiled functions of its parts."""
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         vectors, constraints = self._array(states, 5 * model.n).copy().reshape(5, -1), self._array(phi, model.m)
         out, lam = self._array(r, model.n).copy().reshape(-1, 2), self._array(lam, model.m).copy()

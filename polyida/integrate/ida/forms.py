@@ -64,6 +64,7 @@ class System:
     exact = False
 
     def __init__(self, model, form, baumgarte_rate=0.0):
+        """Set the weights of phi, phi' and phi'' in the rows of a form, by its name in FORMS."""
         self.model, self.form, self.limits = model, FORMS[form], (-np.inf, np.inf)
         weights = [[baumgarte_rate**2, 2.0 * baumgarte_rate, 1.0]]
         self.levels = np.array(weights) if self.form.combined else np.eye(3)[list(self.form.rows)]

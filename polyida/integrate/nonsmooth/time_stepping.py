@@ -241,6 +241,7 @@ class _Steps:
     """Steps of one method on one model. S is factored again if h changes or Newton's method is slow."""
 
     def __init__(self, settings, model, counts):
+        """Split the rows of a model by its laws; the first step factors."""
         self.settings, self.model, self.counts = settings, model, counts
         self.contacts = Contacts(model)
         self.base = self.contacts.base

@@ -160,9 +160,12 @@ class RadauIIA(Integrator):
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
+        """Stretches of accepted states, one piece between kinks after the other. Raises StepFailure."""
         sizes, run = sizes_of_run(model, state, t_end), run_interval(state, t_end)
-        engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
-        controller, longest = stored_controller(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
+        engine = Steps(self, model, counts, sizes, run)
+        most_steps = counts.steps + counts.rejected + self.max_num_steps
+        controller = stored_controller(state, self._first(sizes, t_end - state.t))
+        longest = self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
         h, fine = (self.h, PARTS) if self.h else sampling(longest, np.ptp(run))

@@ -36,7 +36,7 @@ NOISE = 1e-15  # of the size: smaller later corrections are round-off of phi if 
 
 @fast
 def mean_square(shares, values):
-    """Sum of shares values^2."""
+    """The mean square of values (n,) with weights, `sum shares_i values_i^2`."""
     total = 0.0
     for i in range(values.shape[0]):
         total += shares[i] * values[i] * values[i]

@@ -18,7 +18,7 @@ AGAIN = 1e-9  # of the model's size: if |phi| was larger, the rows are computed 
 
 @part
 def largest(values):
-    """max |values|."""
+    """The largest magnitude of the values."""
     size = 0.0
     for i in range(values.shape[0]):
         size = max(size, abs(values[i]))

@@ -17,12 +17,13 @@ import numpy as np
 from polyida.clock import loading
 from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
+from polyida.integrate.engine import step_in_parts, steps_at_rest, too_many_steps
 from polyida.integrate.radau import loop, step_arrays
 from polyida.integrate.radau.accepted import StretchData, StretchStates
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
-from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
+from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import Stretch, first_of
 from polyida.linear.lu import SingularSystem
@@ -40,22 +41,23 @@ def new_control(t, level=0.0):
 class Steps:
     """The method on one model. `begin` starts from a state; `step`, `take_fixed` and `take_adaptive` continue.
 
-    limits: bounds of the model's times, beside kinks. sizes: the model's (length, speed) for tolerances; run: stored in the memory of states.
-    estimates_error: True if the local error is computed. state: the State that `memory` holds, None while it may hold another. factor_states: copy
-    of slots.states that the States of a stretch share; None if it must be copied again.
+    sizes: the model's (length, speed) for tolerances; run: [begin, end] of the run, stored in the memory of states.
     """
 
     def __init__(self, settings, model, counts, sizes, run=None):
+        """Make the arrays and the table of a model."""
         self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
-        self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
+        self.tableau = radau(settings.stages)
+        self.limits = -np.inf, np.inf  # bounds of the model's times, beside kinks
         rows_vary = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.tied = settings.form == "ggl" and rows_vary
         self.moves_v = (settings.form == "ggl" or settings.project) and (rows_vary or (model.compiled and model.m > 0))
-        self.estimates_error = settings.adaptive or settings.tolerance is None
+        self.estimates_error = settings.adaptive or settings.tolerance is None  # the local error is computed
         self.table = _table(settings, model, self.tableau, self.tied)
         self.memory, self.trial, self.scratch = step_arrays.empty(settings.stages, model.n, model.m, self.tied)
         self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
-        self.state = None
+        self.state = None  # the State that `memory` holds, None while it may hold another
+        self.factor_states = None  # copy of slots.states that the States of a stretch share; None if it must be copied again
         self.done = np.zeros(loop.COUNTS, np.int64)
         tableau = step_arrays.compiled_tableau(self.tableau)
         self.arrays = step_arrays.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
@@ -81,7 +83,8 @@ class Steps:
         if self.tied and self.table.lifts:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
-        table[:], self.state, self.factor_states = 0.0, None, None
+        table[:] = 0.0
+        self.state = self.factor_states = None
         measured = "newton" in memory and "switched" not in memory  # behind a switch the equations are others
         self.memory.marks[[step_arrays.CONTRACTION, step_arrays.AGE]] = memory["newton"] if measured else step_arrays.UNKNOWN
         if "newton" in memory:
@@ -265,10 +268,8 @@ def _table(settings, model, tableau, tied):
 def fixed_steps(engine, settings, model, state, begin, end, most, counts):
     """Yield stretches of the states at the ends of equal steps; a step that fails is repeated in 2, 4, ... parts. Raises StepFailure."""
     grid = _grid(model, state, begin, end, most)
-    for state in states_at_rest(model, state, grid, counts):
-        grid = grid._replace(done=grid.done + 1)
+    for state, grid in steps_at_rest(model, state, grid, counts):
         state.memory.update(radau_grid=grid.after(grid.done), **engine.run_memory)
-        counts.steps += 1
         yield Stretch.of(state)
     if "rest" in state.memory:  # what is known of steps before is not in it
         engine.begin(state)
@@ -296,19 +297,17 @@ def _grid(model, state, begin, end, most):
     return Grid(begin, end, number_of_steps(model, state, begin, end, most))
 
 
-def _step_in_parts(engine, settings, state, grid, first, counts):
-    """The state after the next step of the grid, taken in parts. Raises StepFailure."""
-    failures = [first]
-    for level in range(1, settings.max_halvings + 1):
-        parts, reached = Grid(grid.time(grid.done), grid.time(grid.done + 1), 2**level), state
-        try:
-            for k in range(parts.count):
-                reached = engine.step(reached, parts.h, parts.time(k + 1))
-            return reached
-        except StepFailure as failure:
-            counts.rejected += 1
-            failures.append(failure)
-    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
+def _step_in_parts(engine, settings, state, grid, failure, counts):
+    """The State after the next step of the grid, taken in parts because it failed. Raises StepFailure."""
+
+    def take(parts, level):
+        """The State at the end of the parts."""
+        reached = state
+        for k in range(parts.count):
+            reached = engine.step(reached, parts.h, parts.time(k + 1))
+        return reached
+
+    return step_in_parts(take, grid, 1, settings.max_halvings, [failure], counts)[0]
 
 
 def adaptive_steps(engine, settings, model, state, begin, end, most, counts, controller, most_steps):
@@ -331,8 +330,7 @@ def adaptive_steps(engine, settings, model, state, begin, end, most, counts, con
             if failure.status == "stuck":
                 raise first_of(failures, f"down to steps of {now[loop.STEP]:.3g} s") from None
             if failure.status == "too many steps":
-                reason = f"more than {settings.max_num_steps} steps (max_num_steps)"
-                raise StepFailure(failure.status, reason, state.t, step=float(now[loop.STEP])) from None
+                raise too_many_steps(settings, state.t, float(now[loop.STEP])) from None
             failures.append(failure)
             counts.rejected += 1
             now[loop.FAILED] += 1
