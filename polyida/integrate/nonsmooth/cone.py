@@ -39,19 +39,15 @@ CHANGES = 20  # for each row, of the sets of the problem with given bounds
 
 @pack
 class Cone(NamedTuple):
-    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries.
+    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries."""
 
-    kind (k,): CONTACT or FRICTION. c, mu (k,): of friction. sign (k,): 0, or the sign of the rate of a row that slips. start (k + 1,): first
-    pressing entry of each row. l (entries,), L (entries, k): of the pressing entries.
-    """
-
-    kind: np.ndarray
-    c: np.ndarray
-    mu: np.ndarray
-    sign: np.ndarray
-    start: np.ndarray
-    l: np.ndarray  # noqa: E741
-    L: np.ndarray
+    kind: np.ndarray  # (k,) CONTACT or FRICTION
+    c: np.ndarray  # (k,) constant of friction
+    mu: np.ndarray  # (k,) its coefficient
+    sign: np.ndarray  # (k,) 0, or the sign of the rate of a row that slips
+    start: np.ndarray  # (k + 1,) first pressing entry of each row
+    l: np.ndarray  # noqa: E741 (entries,) of the pressing entries
+    L: np.ndarray  # (entries, k)
 
 
 @part

@@ -278,6 +278,9 @@ class _Steps:
     def _newton(self, t, h, start, active, step, size):
         """The Unknowns with r = 0 and the laws at the rates of the end, p of all rows with laws, by the StepEquations. Raises StepFailure.
 
+        It ends if the error left by a correction, |dq| k/(1 - k) with the contraction k, is below the tolerance of q'', or if dq is round-off; S
+        is factored again after MANY iterations.
+
         start: the first guess, with a of the step's start. active: rows with laws that can carry a force. size: of the model, m.
         """
         contacts, model = self.contacts, self.model.facing(start.q)

@@ -41,59 +41,51 @@ CUT = 4.0  # levels down after a failed step
 
 @pack
 class Control(NamedTuple):
-    """Settings and state of the step size controller.
+    """Settings and state of the step size controller."""
 
-    adaptive: True if steps follow the local error; h: the step of equal steps; first: the step at level 0; most, end: the largest step and the
-    end of the piece; most_steps: limit of the number of steps, rejected ones included. now: LEVEL of the step size; TIME reached; FAILED,
-    attempts since the last accepted step; STEP and TARGET, length and end of the attempt; REMAINING, steps until the limit.
-    """
-
-    adaptive: bool
-    h: float
-    first: float
-    most: float
-    end: float
-    most_steps: float
-    now: np.ndarray
+    adaptive: bool  # True if steps follow the local error
+    h: float  # s: of equal steps
+    first: float  # s: the step at level 0
+    most: float  # s: the largest step
+    end: float  # s: the end of the piece
+    most_steps: float  # limit of the number of steps, rejected ones included
+    now: np.ndarray  # (6,) LEVEL of the step; TIME reached; FAILED attempts since the last step; STEP, TARGET: length, end of the attempt; REMAINING steps
 
 
 @pack
 class FactorSlots(NamedTuple):
     """Factors of the few steps h that were used last, for adaptive steps that return to them.
 
-    table (5, slots): H, the step, 0 if the slot is free; EXTRA, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
-    number of the last use; READY, 1 if the factor exists. states (slots, 1 + 3 n + m): t, q, v, a and lam at which the factor was made.
+    Rows of the table: H, the step, 0 if the slot is free; EXTRA, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
+    number of the last use; READY, 1 if the factor exists.
     """
 
-    table: np.ndarray
-    states: np.ndarray
+    table: np.ndarray  # (5, slots)
+    states: np.ndarray  # (slots, 1 + 3 n + m) t, q, v, a and lam at which the factors were made
 
 
 @pack
 class Record(NamedTuple):
-    """Results of the steps of a stretch, each array (steps, ...): states, stages, and what Memory and Control hold after each step.
+    """Results of the steps of a stretch: states, stages, and what Memory and Control hold after each step."""
 
-    t: with equal steps, their ends when the stretch begins. made (MADE, .): number of the step for which the driver made a factor, its slot, and the state as in FactorSlots; infinite without one.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
+    t: np.ndarray  # (steps,) with equal steps, their ends when the stretch begins
+    q: np.ndarray  # (steps, n) q, v, a at the ends
     v: np.ndarray
     a: np.ndarray
-    lam: np.ndarray
-    e: np.ndarray
+    lam: np.ndarray  # (steps, m)
+    e: np.ndarray  # (steps, s, n) e, v - v_0 and v' of the stages
     dv: np.ndarray
     stages_a: np.ndarray
-    stages_lam: np.ndarray
-    miss_e: np.ndarray
-    miss_lam: np.ndarray
-    mu: np.ndarray
-    phi_start: np.ndarray
-    marks: np.ndarray
-    level: np.ndarray
-    slots: np.ndarray
-    counts: np.ndarray
-    made: np.ndarray
+    stages_lam: np.ndarray  # (steps, s, m)
+    miss_e: np.ndarray  # (steps, s, n) the newest prediction errors, as miss_lam and mu
+    miss_lam: np.ndarray  # (steps, s, m)
+    mu: np.ndarray  # (steps, s, m), or (steps, s, 0) without mu
+    phi_start: np.ndarray  # (steps, 2, m)
+    marks: np.ndarray  # (steps, MARKS)
+    level: np.ndarray  # (steps,) of the step size
+    slots: np.ndarray  # (steps, 4, slots) of FactorSlots.table, without READY
+    counts: np.ndarray  # (steps, COUNTS)
+    made: np.ndarray  # (MADE, 3 + 3 n + m) number of the step for which a factor was made, its slot, and its state; infinite without one
 
 
 def record(count, stages, n, m, tied):

@@ -194,7 +194,11 @@ def iterate(model, first, method, arrays, h):
 
 @part
 def newton(model, first, method, arrays, h, allowed):
-    """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in `trial`."""
+    """Newton's method until the estimated error of q is at most `allowed`: (status, iterations). The stages are in `trial`.
+
+    The error left by a correction is estimated by its contraction, |dq| k/(1 - k). It ends too where corrections are round-off, and fails (REFACTOR)
+    where the contraction says that the iterations which are left do not suffice.
+    """
     tableau, memory, trial, work, counts = arrays.tableau, arrays.memory, arrays.trial, arrays.work, arrays.counts
     size = np.sqrt(mean_square(memory.shares, memory.q)) + h * np.sqrt(mean_square(memory.shares, memory.v))
     contraction = min(2.0 * memory.marks[CONTRACTION], 1.0) if memory.marks[AGE] < MAX_AGE else 1.0

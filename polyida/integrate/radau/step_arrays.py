@@ -21,60 +21,45 @@ PHI, PHI_RATE = range(2)  # of rows
 
 @pack
 class Method(NamedTuple):
-    """Numbers of the method.
+    """Numbers of the method."""
 
-    tied: True if there is mu; by_increments: True if phi is updated by increments; moves_v: True if v at the end of the step is projected onto
-    phi' = 0; estimates_error: True if the local error is computed; has_guess: True if the trial stages hold initial values. low, high: limits
-    of the model's times. renewal: iterations that cost as much as a new factor: a factor is made anew when its excess iterations exceed
-    this. extent: size of the model, m; least: round-off of q = 0. tolerance: Newton's tolerance; 0: `share` times (atol + rtol |q|), or if share
-    is 0 by the error of the step before and the model's length. velocity_rows: their numbers among the rows.
-    """
-
-    tied: bool
-    by_increments: bool
-    moves_v: bool
-    estimates_error: bool
-    has_guess: bool
-    max_iterations: int
-    low: float
+    tied: bool  # there is mu
+    by_increments: bool  # phi is updated by increments
+    moves_v: bool  # v at the end of the step is projected onto phi' = 0
+    estimates_error: bool  # the local error is computed
+    has_guess: bool  # the trial stages hold initial values
+    max_iterations: int  # of Newton's method
+    low: float  # s: limits of the model's times, low and high
     high: float
-    renewal: float
-    extent: float
-    least: float
-    tolerance: float
-    share: float
-    rtol: float
-    atol: float
-    length: float
-    velocity_rows: np.ndarray
+    renewal: float  # iterations that cost as much as a new factor: one is made if its excess iterations exceed this
+    extent: float  # size of the model, m
+    least: float  # round-off of q = 0
+    tolerance: float  # of Newton's method; 0: by share
+    share: float  # of atol + rtol |q| that Newton may leave; 0: by the error of the step before and the length
+    rtol: float  # of the local error of q
+    atol: float  # of the same
+    length: float  # of the model
+    velocity_rows: np.ndarray  # their numbers among the rows
 
 
 @pack
 class CompiledTableau(NamedTuple):
-    """A Tableau for compiled code: c, A, W, `start`, row and column of the real mode, (s,) or (0,) without one, and of the complex mode.
+    """A Tableau for compiled code, with s stages."""
 
-    values: eigenvalue of the real mode, real and imaginary part of that of the complex one.
-    """
-
-    c: np.ndarray
-    A: np.ndarray
-    W: np.ndarray
-    start: np.ndarray
-    real_row: np.ndarray
-    real_column: np.ndarray
-    pair_row: np.ndarray
-    pair_column: np.ndarray
-    values: np.ndarray
+    c: np.ndarray  # (s,) nodes
+    A: np.ndarray  # (s, s)
+    W: np.ndarray  # (s, s) A^-1
+    start: np.ndarray  # (s,) of Tableau
+    real_row: np.ndarray  # (s,) of the real mode, or (0,) without one
+    real_column: np.ndarray  # (s,) or (0,)
+    pair_row: np.ndarray  # (s,) complex, of the complex mode
+    pair_column: np.ndarray  # (s,) complex
+    values: np.ndarray  # (3,) eigenvalue of the real mode, real and imaginary part of that of the complex one
 
 
 @pack
 class Memory(NamedTuple):
-    """Quantities that a step takes from the step before.
-
-    q, v, a (n,) and lam (m,): of the last stage, a = v'. shares, places (n,): shares of the coordinates in the mass, and in |q|, without the
-    integrals of states. stages_v (s, n), stages_lam (s, m): of the last step. miss_e (TERMS, s, n), miss_lam, mu (TERMS, s, m): prediction errors of the last equal steps, newest first: e and lam
-    of a step minus the extrapolation from the step before, and its mu, which is extrapolated as zero. phi_start (2, m): phi and phi' at the
-    start of the step, for increments. marks:
+    """Quantities that a step takes from the step before, of s stages. Marks:
 
     | mark | meaning | unknown |
     |---|---|---|
@@ -88,61 +73,56 @@ class Memory(NamedTuple):
     | EXCESS | squared distance of a prediction with each from recent steps, minus that without | 0 |
     """
 
-    q: np.ndarray
+    q: np.ndarray  # (n,) q, v and a of the last stage, a = v'
     v: np.ndarray
     a: np.ndarray
-    shares: np.ndarray
-    places: np.ndarray
-    lam: np.ndarray
-    stages_v: np.ndarray
-    stages_lam: np.ndarray
-    miss_e: np.ndarray
-    miss_lam: np.ndarray
-    mu: np.ndarray
-    phi_start: np.ndarray
-    marks: np.ndarray
+    shares: np.ndarray  # (n,) of the coordinates in the mass
+    places: np.ndarray  # (n,) in |q|: shares without the integrals of states
+    lam: np.ndarray  # (m,) of the last stage
+    stages_v: np.ndarray  # (s, n) of the last step
+    stages_lam: np.ndarray  # (s, m)
+    miss_e: np.ndarray  # (TERMS, s, n) prediction errors of the last equal steps, newest first: e minus its extrapolation
+    miss_lam: np.ndarray  # (TERMS, s, m) the same of lam
+    mu: np.ndarray  # (TERMS, s, m) the same of mu, which is extrapolated as zero
+    phi_start: np.ndarray  # (2, m) phi and phi' at the start of the step, for increments
+    marks: np.ndarray  # (MARKS,)
 
 
 @pack
 class Trial(NamedTuple):
-    """Unknowns of Newton's method: e, v - v_0 and v' of the stages (s, n), multipliers lam (s, m) and mu (s, m), or (s, 0) without mu.
+    """Unknowns of Newton's method at the s stages."""
 
-    start_e (s, n), start_lam (s, m): e and lam extrapolated from the last step.
-    """
-
-    e: np.ndarray
-    dv: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    mu: np.ndarray
-    start_e: np.ndarray
-    start_lam: np.ndarray
+    e: np.ndarray  # (s, n) q - q_0 - c h v_0
+    dv: np.ndarray  # (s, n) v - v_0
+    a: np.ndarray  # (s, n) v'
+    lam: np.ndarray  # (s, m)
+    mu: np.ndarray  # (s, m), or (s, 0) without mu
+    start_e: np.ndarray  # (s, n) e extrapolated from the last step
+    start_lam: np.ndarray  # (s, m) lam extrapolated
 
 
 @pack
 class Scratch(NamedTuple):
-    """Workspace of a step: times (s + 6,), h, t, times of the instants and the argument of SELECT; q, v, a, lam of one state; r (s, n); rows
-    (2, s, m), phi and phi'; psi (s, m), phi' for v = q'; rates (2, 2, m); and of each mode right-hand sides, rows, dq and multipliers.
-    """
+    """Workspace of a step."""
 
-    times: np.ndarray
-    q: np.ndarray
+    times: np.ndarray  # (s + 6,) h, t, times of the instants and the argument of SELECT
+    q: np.ndarray  # (n,) q, v, a and lam of one state
     v: np.ndarray
     a: np.ndarray
-    lam: np.ndarray
-    spare: np.ndarray
-    inertia: np.ndarray
-    r: np.ndarray
-    rows: np.ndarray
-    psi: np.ndarray
-    rates: np.ndarray
-    weights: np.ndarray
-    progress: np.ndarray
-    right: np.ndarray
-    dq: np.ndarray
-    closing: np.ndarray
-    multipliers: np.ndarray
-    right_pair: np.ndarray
+    lam: np.ndarray  # (m,)
+    spare: np.ndarray  # (m,)
+    inertia: np.ndarray  # (4, n)
+    r: np.ndarray  # (s, n) residuals, then corrections
+    rows: np.ndarray  # (2, s, m) phi and phi'
+    psi: np.ndarray  # (s, m) phi' for v = q'
+    rates: np.ndarray  # (2, 2, m)
+    weights: np.ndarray  # (2, s, s)
+    progress: np.ndarray  # (3,) MOVED, SPEED, EXTENDED
+    right: np.ndarray  # (n,) right-hand side of the real mode
+    dq: np.ndarray  # (n,) its solution
+    closing: np.ndarray  # (2, m) its rows
+    multipliers: np.ndarray  # (2, m) its multipliers
+    right_pair: np.ndarray  # complex: the same of the complex mode
     dq_pair: np.ndarray
     closing_pair: np.ndarray
     multipliers_pair: np.ndarray
@@ -150,14 +130,14 @@ class Scratch(NamedTuple):
 
 @pack
 class Arrays(NamedTuple):
-    """All that the steps of a run read and write: slots: FactorSlots of loop.py; counts: what the steps cost."""
+    """All that the steps of a run read and write."""
 
     tableau: CompiledTableau
     memory: Memory
     trial: Trial
-    work: Scratch
-    slots: tuple
-    counts: np.ndarray
+    work: Scratch  # workspace
+    slots: tuple  # FactorSlots of loop.py
+    counts: np.ndarray  # (COUNTS,) what the steps cost
 
 
 def compiled_tableau(tableau):
