@@ -127,24 +127,24 @@ def states_of(work, at):
 
 
 @part
-def middle(work, instant, states, lam, r, phi):
-    """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
+def middle(work, instant, states, lam, residual, phi):
+    """Fill the residual of a scene at the middle of a step, whose instant is the one before that of its end, and phi at the end."""
     links, points, drives, h = work.scene.links, work.points, work.drives[instant - 1], work.h[0]
     dz, rotation = work.dz[AT_END], work.rotation[AT_END]
-    least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, r, rotation)
+    least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, residual, rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
     if work.optional[RELAXING_MIDDLE] != 0:
-        call(work.optional[RELAXING_MIDDLE], (work.optional[PARTS], states[0], states[1], states[2], states[3], r))
+        call(work.optional[RELAXING_MIDDLE], (work.optional[PARTS], states[0], states[1], states[2], states[3], residual))
     joints.point_values(links, states[1], dz)
-    status = add_elements(work, drives, h, states, dz, r)
+    status = add_elements(work, drives, h, states, dz, residual)
     work.cosine[0] = joints.joint_forces(links, work.drives[instant], dz, work.level, phi, points[DV])
     return status
 
 
 @part
-def add_elements(work, drives, h, states, dz, r):
-    """Add force elements to r, and renew their slopes. Returns a status.
+def add_elements(work, drives, h, states, dz, residual):
+    """Add force elements to the residual, and renew their slopes. Returns a status.
 
     points[DX] first holds h/2 times the accelerations, then the places of the middle; dz holds those of the end.
     """
@@ -159,45 +159,47 @@ def add_elements(work, drives, h, states, dz, r):
                 half[p, k] *= 0.5 * h
         clear(work.forces)
         status = call(optional[LAW_MIDDLE], (optional[PARTS], drives, points[START], dz, points[VX], half, work.forces))
-        joints.spread(links, work.forces, r)
+        joints.spread(links, work.forces, residual)
         joints.point_values(links, states[2], points[DX])
         renew_slopes(work, drives, points[DX], points[VX])
     return status
 
 
 @entry
-def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
-    """Fill r (nodes, 2) except for force elements and relaxation. Returns the least det F at the end.
+def equilibrium(scene, drives, h, states, lam, phi, dz, forces, residual, rotation):
+    """Fill the residual (nodes, 2) except for force elements and relaxation. Returns the least det F at the end.
 
     states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
     (points, 2) are workspace; rotation (nodes, 2) as of the equilibrium of a state.
     """
     plates, um, a = scene.plates, states[2], states[4]
-    for i in range(r.shape[0]):
-        r[i, 0], r[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
+    for i in range(residual.shape[0]):
+        residual[i, 0], residual[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
     clear(rotation)
-    few = reduced_kernels.forces_middle(scene.reduced, h, states, r, rotation)
-    kernels.hold_strains(scene.relaxation, a, r, rotation)
-    least = reduced_kernels.lesser(plates_middle(plates, h, states, r, rotation), few)
-    kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, r)
+    least_of_reduced = reduced_kernels.forces_middle(scene.reduced, h, states, residual, rotation)
+    kernels.hold_strains(scene.relaxation, a, residual, rotation)
+    least = reduced_kernels.lesser(plates_middle(plates, h, states, residual, rotation), least_of_reduced)
+    kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, residual)
     return least
 
 
 @part
-def plates_middle(plates, h, states, r, rotation):
-    """Add inner, inertia and damping forces of all plates to r. Returns the least det F. states: as of `equilibrium`."""
+def plates_middle(plates, h, states, residual, rotation):
+    """Add inner, inertia and damping forces of all plates to the residual. Returns the least det F. states: as of `equilibrium`."""
     u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(plates.body_operator.shape[0]):
         o, n0, density = plates.body_operator[b], plates.body_node[b], plates.body_density[b]
         material = Material(plates.membrane_stiffness[b], plates.body_nu[b], plates.body_viscosity[b] / h)
         least = reduced_kernels.lesser(
-            least, viscous_midpoint.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, r, rotation)
+            least, viscous_midpoint.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, residual, rotation)
         )
-        elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, r)
+        elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, residual)
         if plates.body_drag[b] != 0.0:
-            elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, r)
+            elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, residual)
         if plates.body_stabilisation[b] != 0.0:
-            elements.stabilisation_force(*kernels.on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, um, r)
+            elements.stabilisation_force(
+                *kernels.on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, um, residual
+            )
     return least
 
 

@@ -51,11 +51,11 @@ class Cone(NamedTuple):
 
 
 @part
-def friction_bound(cone, forces, i, slope):
-    """The bound c(p) of friction row i at the forces p; fills its slope dc/dp (k,)."""
+def friction_bound(cone, forces, row, slope):
+    """The bound c(p) of a row of friction at the forces p; fills its slope dc/dp (k,)."""
     slope[:] = 0.0
     square = 0.0
-    for e in range(cone.start[i], cone.start[i + 1]):
+    for e in range(cone.start[row], cone.start[row + 1]):
         value = cone.l[e]
         for j in range(forces.shape[0]):
             value += cone.L[e, j] * forces[j]
@@ -64,28 +64,28 @@ def friction_bound(cone, forces, i, slope):
             slope[j] += value * cone.L[e, j]
     norm = np.sqrt(square)
     for j in range(forces.shape[0]):
-        slope[j] *= cone.mu[i] / norm if norm > 0.0 else 0.0
-    return cone.c[i] + cone.mu[i] * norm
+        slope[j] *= cone.mu[row] / norm if norm > 0.0 else 0.0
+    return cone.c[row] + cone.mu[row] * norm
 
 
 @part
-def row_status(cone, forces, u, rho, i, limit):
-    """The status of row i with the rate u; limit: its bound of friction."""
-    trial = forces[i] - rho * u
-    if cone.kind[i] == CONTACT:
+def row_status(cone, forces, rate, rho, row, limit):
+    """The status of a row by its force and rate; limit: its bound of friction."""
+    trial = forces[row] - rho * rate
+    if cone.kind[row] == CONTACT:
         return CLOSED if trial > 0.0 else OPEN
-    if cone.sign[i] != 0.0:
-        return SLIPS_UP if cone.sign[i] > 0.0 else SLIPS_DOWN
+    if cone.sign[row] != 0.0:
+        return SLIPS_UP if cone.sign[row] > 0.0 else SLIPS_DOWN
     return SLIPS_DOWN if trial > limit else SLIPS_UP if trial < -limit else STICKS
 
 
 @part
-def row_rate(delassus, free_rates, forces, i):
-    """(rate of row i, the largest of its terms)."""
-    u, scale = free_rates[i], abs(free_rates[i])
+def row_rate(delassus, free_rates, forces, row):
+    """(the rate of a row, G p + b, the largest of its terms)."""
+    u, scale = free_rates[row], abs(free_rates[row])
     for j in range(forces.shape[0]):
-        u += delassus[i, j] * forces[j]
-        scale = max(scale, abs(delassus[i, j] * forces[j]))
+        u += delassus[row, j] * forces[j]
+        scale = max(scale, abs(delassus[row, j] * forces[j]))
     return u, scale
 
 

@@ -287,6 +287,39 @@ def record_step(log, number, target, level, arrays):
     put(1.0, arrays.counts, log.counts[number])
 
 
+@part
+def choose_step(control, memory, log, taken, counts):
+    """Set STEP and TARGET of the next attempt. Returns DONE, or STEP_TOO_SHORT or TOO_MANY_STEPS of adaptive steps.
+
+    taken: steps of the stretch so far.
+    """
+    now, begin = control.now, control.now[TIME]
+    if not control.adaptive:
+        now[STEP], now[TARGET] = control.h, log.t[taken]
+        return DONE
+    now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
+    h = step_of_level(control.first, now[LEVEL])
+    h, now[TARGET] = next_step(begin, control.end, h, memory.marks[LAST] if memory.marks[LAST] > 0.0 else h)
+    now[STEP] = h
+    if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
+        return STEP_TOO_SHORT
+    return TOO_MANY_STEPS if taken + counts[REJECTED] >= now[REMAINING] else DONE
+
+
+@part
+def new_factors(model, at, method, arrays, now, made, taken):
+    """Make the factors of the attempted step, and write its number, the slot and the state to a row of Record.made. Returns a status."""
+    slots, memory = arrays.slots, arrays.memory
+    slot = reserve_slot(slots, now[STEP], clamp(method, now[TIME]), memory)
+    made[0], made[1] = taken, slot
+    put(1.0, slots.states[slot], made[2:])
+    arrays.counts[FACTORS] += 1
+    status = make_factors(model, at, arrays.tableau, memory, arrays.work, slot)
+    if status != DONE:
+        slots.table[H, slot] = slots.table[USED, slot] = 0.0
+    return status
+
+
 @entry
 def take_steps(functions, workspace, first, method, arrays, control, fresh, log):
     """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status). PAUSE: `made` is full.
@@ -295,55 +328,38 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
     if the factor of the first step was made for it.
     """
     model, now = (functions, workspace), control.now
-    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
-    slots, counts = arrays.slots, arrays.counts
-    most, apart, taken, made = log.t.shape[0], tableau.c.shape[0] + 1, 0, 0
-    while taken < most and (not control.adaptive or now[TIME] < control.end):
-        h, target, begin = control.h, now[TIME], now[TIME]
-        if control.adaptive:
-            now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
-            h = step_of_level(control.first, now[LEVEL])
-            h, target = next_step(begin, control.end, h, memory.marks[LAST] if memory.marks[LAST] > 0.0 else h)
-            if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
-                now[STEP] = h
-                return taken, STEP_TOO_SHORT
-            if taken + counts[REJECTED] >= now[REMAINING]:
-                now[STEP] = h
-                return taken, TOO_MANY_STEPS
-        else:
-            target = log.t[taken]
-        now[STEP], now[TARGET] = h, target
-        at = first if ask.provides(model, PREPARE) else first + taken * apart
+    memory, trial, work = arrays.memory, arrays.trial, arrays.work
+    stages, taken, made = arrays.tableau.c.shape[0], 0, 0
+    while taken < log.t.shape[0] and (not control.adaptive or now[TIME] < control.end):
+        status = choose_step(control, memory, log, taken, arrays.counts)
+        if status != DONE:
+            return taken, status
+        at = first if ask.provides(model, PREPARE) else first + taken * (stages + 1)
         status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
         if status == MAKE and ask.provides(model, MATRICES) and made < MADE:
-            slot = reserve_slot(slots, h, clamp(method, begin), memory)
-            log.made[made, 0], log.made[made, 1] = taken, slot
-            put(1.0, slots.states[slot], log.made[made, 2:])
+            status = new_factors(model, at, method, arrays, now, log.made[made], taken)
             made += 1
-            status, counts[FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[FACTORS] + 1
             fresh = status == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
                 status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
-            else:
-                slots.table[H, slot] = slots.table[USED, slot] = 0.0
         if status == MAKE and ask.provides(model, MATRICES):
             return taken, PAUSE
-        allowed = allowed_error(method, memory) if control.adaptive else np.inf
+        h, allowed = now[STEP], allowed_error(method, memory) if control.adaptive else np.inf
         rejected = status == DONE and not error <= allowed  # so is one that is not a number
         if status == DONE and not rejected:
             status = step_end.end_state(model, at, h, memory, trial, work)
         if status != DONE:
             return taken, status
         if control.adaptive and (rejected or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
-            now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, tableau.c.shape[0] + 1.0)
+            now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, stages + 1.0)
         if rejected:
-            counts[REJECTED] += 1
+            arrays.counts[REJECTED] += 1
             now[FAILED] += 1.0
             fresh = False
             continue
         step_end.advance(h, error, memory, trial, work)
-        fresh, now[TIME], now[FAILED] = False, target, 0.0
-        record_step(log, taken, target, now[LEVEL], arrays)
+        fresh, now[TIME], now[FAILED] = False, now[TARGET], 0.0
+        record_step(log, taken, now[TARGET], now[LEVEL], arrays)
         taken += 1
     return taken, DONE
 

@@ -44,14 +44,14 @@ def mean_square(shares, values):
 
 
 @part
-def stage_rates(W, h, values, rates):
-    """rates = W values / h, (s, n) each."""
+def stage_rates(inverse, h, values, rates):
+    """Fill rates = A^-1 values / h, (s, n) each; inverse: A^-1 of the tableau."""
     for k in range(values.shape[0]):
-        row, first, weight = rates[k], values[0], W[k, 0] / h
+        row, first, weight = rates[k], values[0], inverse[k, 0] / h
         for i in range(row.shape[0]):
             row[i] = weight * first[i]
         for j in range(1, values.shape[0]):
-            other, weight = values[j], W[k, j] / h
+            other, weight = values[j], inverse[k, j] / h
             for i in range(row.shape[0]):
                 row[i] += weight * other[i]
 

@@ -64,6 +64,33 @@ def project_end(model, first, method, arrays, h):
 
 
 @part
+def defects(tableau, h, memory, trial, work):
+    """Fill the differences of v_0, and of v' at the end of the last step, to the stages' polynomial at the step's start: work.inertia[:2]."""
+    for i in range(trial.e.shape[1]):
+        v, a = 0.0, memory.a[i]
+        for k in range(trial.e.shape[0]):
+            v += tableau.start[k] * trial.e[k, i] / h
+            a += tableau.start[k] * trial.dv[k, i] / h
+        work.inertia[0, i], work.inertia[1, i] = -v, -a
+
+
+@part
+def close_velocity_rows(method, tableau, h, work):
+    """Fill the closing rows of the first mode: zero, but (v + v'/c)/c along the velocity rows."""
+    c = complex(tableau.values[1], tableau.values[2]) / h
+    clear(work.closing)
+    clear(work.closing_pair)
+    for k in range(method.velocity_rows.shape[0]):
+        e = method.velocity_rows[k]
+        if tableau.real_row.shape[0]:
+            work.closing[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] * h / tableau.values[0]
+            work.closing[PHI, e] = work.closing[PHI_RATE, e] * h / tableau.values[0]
+        else:
+            work.closing_pair[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] / c
+            work.closing_pair[PHI, e] = work.closing_pair[PHI_RATE, e] / c
+
+
+@part
 def local_error(model, first, method, arrays, h):
     """(status, local error of q at the step's end: the norm of its difference to a method of order s).
 
@@ -73,12 +100,7 @@ def local_error(model, first, method, arrays, h):
     tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
     count, n = trial.e.shape
     middle, lam, real = first + 1 + count // 2, trial.lam[count // 2], tableau.real_row.shape[0] > 0
-    for i in range(n):
-        v, a = 0.0, memory.a[i]
-        for k in range(count):
-            v += tableau.start[k] * trial.e[k, i] / h
-            a += tableau.start[k] * trial.dv[k, i] / h
-        work.inertia[0, i], work.inertia[1, i] = -v, -a
+    defects(tableau, h, memory, trial, work)
     change_v, change_a, inertia, momentum = work.inertia[0], work.inertia[1], work.inertia[2], work.inertia[3]
     if method.velocity_rows.shape[0]:
         status = ask.inertia(model, middle, change_v, change_a, inertia, momentum, memory.q, work.rates[0])
@@ -95,16 +117,7 @@ def local_error(model, first, method, arrays, h):
             work.right[i] = inertia[i] + tableau.values[0] / h * momentum[i]
         else:
             work.right_pair[i] = inertia[i] + c * momentum[i]
-    clear(work.closing)
-    clear(work.closing_pair)
-    for k in range(method.velocity_rows.shape[0]):
-        e = method.velocity_rows[k]
-        if real:
-            work.closing[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] * h / tableau.values[0]
-            work.closing[PHI, e] = work.closing[PHI_RATE, e] * h / tableau.values[0]
-        else:
-            work.closing_pair[PHI_RATE, e] = work.rates[0, 1, e] + work.rates[1, 1, e] / c
-            work.closing_pair[PHI, e] = work.closing_pair[PHI_RATE, e] / c
+    close_velocity_rows(method, tableau, h, work)
     if real:
         status = ask.solve_real(model, middle, work.right, work.closing, lam, work.dq, work.multipliers)
     else:
