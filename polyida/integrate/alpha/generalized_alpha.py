@@ -8,8 +8,9 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.fields import above_zero, check, check_fields, must_be, none_or, optional
+from polyida.integrate.alpha.pieces import adaptive_steps, extrapolated, fixed_steps
 from polyida.integrate.alpha.step_size import ErrorControl, control_of_run, tolerances
-from polyida.integrate.alpha.steps import Steps, adaptive_steps, extrapolated, fixed_steps
+from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import PARTS, number_of_steps, pieces, run_interval, sampling
 from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.linear.saddle import SCALINGS, WholeMatrix

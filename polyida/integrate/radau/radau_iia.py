@@ -7,7 +7,8 @@ import numpy as np
 
 from polyida.fields import above_zero, check, check_fields, must_be, none_or, not_negative
 from polyida.integrate.discontinuities import PARTS, pieces, run_interval, sampling, time_limits
-from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
+from polyida.integrate.radau.pieces import adaptive_steps, fixed_steps, stored_controller
+from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
 from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
