@@ -22,14 +22,14 @@ class Loading(ContextDecorator):
         self.end()
 
     def begin(self):
-        """Enter the context."""
+        """Enter the context: the clock of runs stops with the outermost one."""
         with self.lock:
             self.depth += 1
             if self.depth == 1:
                 self.begun = time.process_time(), time.perf_counter()
 
     def end(self):
-        """Leave the context."""
+        """Leave the context: the clock of runs goes on behind the outermost one."""
         with self.lock:
             if self.depth == 1:
                 self.spent = self._seconds()
@@ -42,6 +42,7 @@ class Loading(ContextDecorator):
             return self._seconds()
 
     def _seconds(self):
+        """(CPU, wall) seconds so far, read while the lock is held."""
         if self.depth == 0:
             return self.spent
         now = time.process_time(), time.perf_counter()

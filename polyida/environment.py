@@ -160,6 +160,7 @@ def _piece(size, least):
 
 
 def _mapping(size, least):
+    """A mapping of `size` bytes, an unused one if there is one; of half the size and so on, down to `least`, if refused."""
     for mapping in [one for one in _unused if len(one) == size]:
         with suppress(ValueError):  # another thread took it
             _unused.remove(mapping)

@@ -151,32 +151,18 @@ def fit(
     one_of("fit", "loss", loss, ("linear", "soft_l1"))
     whole("fit", "max_runs", max_runs)
     _require_taken(function, names)
-    calls = _Calls(function, names, target, sigma or 1.0)
-    calls.begin(first)
     scale = np.where(first != 0.0, np.abs(first), np.where(np.isfinite(high - low), high - low, 1.0))
-
-    def slopes(x):
-        """Forward differences, away from an upper bound."""
-        here, columns = calls.residuals(x), []
-        for k in range(len(x)):
-            step = STEP * max(abs(x[k]), STEP * scale[k])
-            moved = x.copy()
-            moved[k] += step if x[k] + step <= high[k] else -step
-            columns.append((calls.residuals(moved) - here) / (moved[k] - x[k]))
-        return np.stack(columns, axis=1)
-
-    tolerances = dict.fromkeys(("ftol", "xtol", "gtol"), PRECISE)
+    calls = _Calls(function, names, target, sigma or 1.0, scale, high)
+    calls.begin(first)
+    options = dict.fromkeys(("ftol", "xtol", "gtol"), PRECISE) | {"loss": loss, "max_nfev": int(max_runs)}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        found = least_squares(
-            calls.residuals, first, slopes, bounds=(low, high), x_scale=scale, loss=loss, max_nfev=int(max_runs), **tolerances
-        )
+        found = least_squares(calls.residuals, first, calls.slopes, bounds=(low, high), x_scale=scale, **options)
     best = calls.residuals(found.x)
     values = dict(zip(names, found.x.tolist()))
     covariance = _covariance(found.jac, scale, best, sigma)
-    return Fit(
-        values, covariance, target, target + (best * (sigma or 1.0)).reshape(target.shape), calls.runs, calls.failed, str(found.message)
-    )
+    predicted = target + (best * (sigma or 1.0)).reshape(target.shape)
+    return Fit(values, covariance, target, predicted, calls.runs, calls.failed, str(found.message))
 
 
 def _parameters(start, bounds):
@@ -209,11 +195,22 @@ def _require_taken(function, names):
 
 
 class _Calls:
-    """The user's function as residuals over sigma, (N,). runs, failed: counted; largest: norm of residuals so far."""
+    """The user's function as residuals over sigma, (N,), and their slopes.
 
-    def __init__(self, function, names, target, sigma):
-        self.function, self.names, self.target, self.sigma = function, names, target, sigma
-        self.runs, self.failed, self.largest, self.known = 0, 0, 0.0, (b"", np.zeros(0))
+    scale, high (p,): sizes and largest values of the parameters.
+    """
+
+    def __init__(self, function, names, target, sigma, scale, high):
+        self.function = function
+        self.names = names
+        self.target = target
+        self.sigma = sigma
+        self.scale = scale
+        self.high = high
+        self.runs = 0  # calls of the function
+        self.failed = 0  # calls that failed
+        self.largest = 0.0  # norm of residuals so far
+        self.known = b"", np.zeros(0)  # parameters of the last call that did not fail, as bytes, and its residuals
 
     def begin(self, x):
         """Call it at the start. Raises InputError if it fails."""
@@ -240,7 +237,18 @@ class _Calls:
         self.known = x.tobytes(), residuals
         return residuals
 
+    def slopes(self, x):
+        """Slopes of the residuals, (N, p), by forward differences, away from an upper bound."""
+        here, columns = self.residuals(x), []
+        for k in range(len(x)):
+            step = STEP * max(abs(x[k]), STEP * self.scale[k])
+            moved = x.copy()
+            moved[k] += step if x[k] + step <= self.high[k] else -step
+            columns.append((self.residuals(moved) - here) / (moved[k] - x[k]))
+        return np.stack(columns, axis=1)
+
     def _values(self, x):
+        """The residuals over sigma of one call of the function, or None for values of another shape or not finite."""
         self.runs += 1
         values = floats(self.function(**dict(zip(self.names, x.tolist()))))
         return None if values is None or values.shape != self.target.shape else (values - self.target).ravel() / self.sigma

@@ -216,6 +216,7 @@ def _require_numbers(kind, **values):
 
 
 def _move(start, end, duration, begin, kind):
+    """The Profile of a move from start to end in the shape of a kind of SHAPES."""
     _require_numbers(kind, start=start, end=end, duration=duration, begin=begin)
     duration = positive(f"profile.{kind}", "duration", duration, "seconds")
     shape, first, second = _with_derivatives(SHAPES[kind])
@@ -423,6 +424,7 @@ def _values(function, t):
 
 
 def _checked(function, t):
+    """A user's function at one time as a float. Raises InputError unless it is a finite number."""
     value = function(t)
     if type(value) is float and isfinite(value):
         return value
@@ -434,6 +436,7 @@ def _checked(function, t):
 
 
 def _derivative(function, order, kinks, t):
+    """First or second derivative of a function at t, one time or an array, by differences on one side of all kinks."""
     if not np.ndim(t):
         return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
     bounds, k = np.array([-np.inf, *kinks, np.inf]), np.searchsorted(kinks, t, side="right")

@@ -8,6 +8,7 @@ their arguments are its options. studies: a `Study` each.
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from polyida.errors import InputError
@@ -131,6 +132,13 @@ def find(book: dict[str, Any], name: str) -> Any:
     return known
 
 
+def study_folder() -> Path:
+    """The folder of the study scripts: within an installed package, or beside the package in a clone."""
+    package = Path(__file__).resolve().parent
+    installed = package / "studies"
+    return installed if installed.is_dir() else package.parent / "studies"
+
+
 def places(package: str, modules: Mapping[str, Iterable[str]]) -> dict[str, Any]:
     """{name: "module:name"} of names by the modules of a package that define them."""
     return {name: f"{package}.{module}:{name}" for module, names in modules.items() for name in names}
@@ -140,6 +148,7 @@ def attributes(package: str, book: dict[str, Any]) -> tuple[Callable[[str], Any]
     """`__getattr__` and `__dir__` of a package whose names are those of a dictionary: they are imported when they are first used."""
 
     def attribute(name):
+        """The value of a name, which becomes an attribute of the package. Raises AttributeError for others."""
         if name not in book:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = find(book, name)

@@ -115,6 +115,7 @@ class Sensors(Mapping):
         return self.rows[:, 0]
 
     def __getitem__(self, name: str) -> NDArray:
+        """The values of a sensor, (steps, ...). Raises KeyError with the known names."""
         first = 1
         for known, shape in self.shapes.items():
             end = first + int(np.prod(shape))

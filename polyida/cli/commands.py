@@ -60,6 +60,7 @@ def main(args=None):
 
 @app.callback(invoke_without_command=True)
 def _start(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False):
+    """Print the version and end, or go on to a command."""
     if version:
         from polyida import __version__
 
@@ -101,6 +102,7 @@ def _load_scene(context, scene, **settings):
 
 
 def _make_folder(folder):
+    """Create a folder and those above it. Raises InputError with the reason of the system."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -160,32 +162,25 @@ def compare(
         _make_folder(folder)  # before the runs, so that an error costs no time
         try:
             with progress_display() as progress, errors_of_all(choices.values()):
-                comparison.prepare(ivp, members, progress)
-                writer.wait_until_ready()
-                runs = comparison.run_timed(ivp, members, progress)
-                pictured = comparison.with_frames_between(ivp, runs)
-                for name, (draw, _) in comparison.run_figures(
-                    ivp, runs, pictured=pictured
-                ).items():  # drawn while the reference run is computed
-                    with suppress(Exception):  # a figure that fails is drawn later
-                        writer.add(name, draw())
-                result = comparison.measure(ivp, runs, progress, errors)
-                result.pictured = pictured
+                result = comparison.compare(ivp, None, progress, members, errors, writer)
                 data = result.write(folder, context.obj, writer, lambda text: progress("writing the report", None, text), keep_runs)
         finally:
             if not any(folder.iterdir()):
                 folder.rmdir()
         set_document(data)
-        grid = Grid(*result.text_table())
-        print_grid(f"{ivp.name}: {result.lead}", grid.transposed(), grid, complete_in="the report")
-        print_lines(*result.notes, style="red")
-        print_lines(*(f"{label}: {run.message}" for label, run in runs.items() if run.success and run.message))
-        frames = folder / "frames" / "run.pvd"
-        print_lines(
-            result.gap_text(), *result.estimates, f"Report: {folder / 'report.html'}", f"ParaView: {frames}" if frames.exists() else ""
-        )
+        _print_comparison(result, folder)
     if not result.success:
         raise typer.Exit(1)
+
+
+def _print_comparison(result, folder):
+    """Print the table of a Comparison, its failures and messages, and where the report is."""
+    grid = Grid(*result.text_table())
+    print_grid(f"{result.ivp.name}: {result.lead}", grid.transposed(), grid, complete_in="the report")
+    print_lines(*result.notes, style="red")
+    print_lines(*(f"{label}: {run.message}" for label, run in result.runs.items() if run.success and run.message))
+    frames = folder / "frames" / "run.pvd"
+    print_lines(result.gap_text(), *result.estimates, f"Report: {folder / 'report.html'}", f"ParaView: {frames}" if frames.exists() else "")
 
 
 @_command(
@@ -221,39 +216,21 @@ def run(
 
     Other options are arguments of the function that builds the scene, typed by their defaults.
     """
-    from polyida.run.resume import resume as resume_run
-    from polyida.run.solve import solve
-    from polyida.study.user_files import choose_integrator, user_errors
-
     settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
+    of_scene = {"cells": cells, "order": order}
     with document(json) as set_document:
         if context.args and not scene:
             raise InputError(f"run: {context.args[0]} is an argument of a scene's function; name the SCENE")
         if resume:
-            of_scene = {} if scene else {"cells": cells, "order": order}
-            values = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator} | of_scene
-            if wrong := [name for name, value in values.items() if value is not None]:
+            refused = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator} | ({} if scene else of_scene)
+            if wrong := [name for name, value in refused.items() if value is not None]:
                 reason = "--resume continues with the integrator, settings and place of the file"
                 raise InputError(f"run: --{wrong[0].replace('_', '-')} has no place here: {reason}")
-            ivp, path = _load_scene(context, scene, time=time, cells=cells, order=order) if scene else None, resume
-            t_end = time or _load_run(path).plan.get("t_end") or 1.0
-            with progress_display() as progress, ivp.user_errors() if ivp else nullcontext():
-                model = ivp and ivp.model
-                finished = resume_run(path, time, model=model, progress=lambda t: progress("continuing", t / t_end))
+            ivp = _load_scene(context, scene, time=time, **of_scene) if scene else None
+            finished, path = _resumed(resume, time, ivp), resume
         elif scene:
-            ivp = _load_scene(context, scene, time=time, step=None if step == "auto" else step, cells=cells, order=order)
-            name = integrator or "alpha"
-            choice = choose_integrator(name)
-            member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})
-            path = free_path(out, Path(f"{ivp.name}-{name.rpartition(':')[2]}.h5"), overwrite)
-            if path.suffix not in (".h5", ".hdf5"):
-                raise InputError(f"--out {path}: a run is written as HDF5; give a name that ends in .h5")
-            _make_folder(path.parent)
-            with progress_display() as progress, ivp.user_errors(), user_errors(choice.file):
-                progress("preparing kernels", None)
-                ivp.warm_up(member)
-                places = {"out": path, "overwrite": overwrite, "progress": lambda t: progress(choice.label, t / ivp.t_end)}
-                finished = solve(ivp.model, ivp.t_end, member, q0=ivp.q0, v0=ivp.v0, **places)
+            ivp = _load_scene(context, scene, time=time, step=None if step == "auto" else step, **of_scene)
+            finished, path = _new_run(ivp, integrator or "alpha", settings, out, overwrite)
         else:
             raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
         if json:
@@ -262,6 +239,33 @@ def run(
         print_lines(f"Saved: {path}")
     if not finished.success:
         raise typer.Exit(INTERRUPTED if finished.status == "interrupted" else 1)
+
+
+def _resumed(path, time, ivp):
+    """The Trajectory of a file, continued to a time, s, or to its end; ivp: has the model if the file does not hold it, or is None."""
+    from polyida.run.resume import resume
+
+    t_end = time or _load_run(path).plan.get("t_end") or 1.0
+    with progress_display() as progress, ivp.user_errors() if ivp else nullcontext():
+        return resume(path, time, model=ivp and ivp.model, progress=lambda t: progress("continuing", t / t_end))
+
+
+def _new_run(ivp, name, settings, out, overwrite):
+    """(Trajectory, its file) of the integrator of a name with those of the settings that are given; the file is written during the run."""
+    from polyida.run.solve import solve
+    from polyida.study.user_files import choose_integrator, user_errors
+
+    choice = choose_integrator(name)
+    member = choice.create(ivp, **{key: value for key, value in settings.items() if value is not None})
+    path = free_path(out, Path(f"{ivp.name}-{name.rpartition(':')[2]}.h5"), overwrite)
+    if path.suffix not in (".h5", ".hdf5"):
+        raise InputError(f"--out {path}: a run is written as HDF5; give a name that ends in .h5")
+    _make_folder(path.parent)
+    with progress_display() as progress, ivp.user_errors(), user_errors(choice.file):
+        progress("preparing kernels", None)
+        ivp.warm_up(member)
+        places = {"out": path, "overwrite": overwrite, "progress": lambda t: progress(choice.label, t / ivp.t_end)}
+        return solve(ivp.model, ivp.t_end, member, q0=ivp.q0, v0=ivp.v0, **places), path
 
 
 def _run_data(run, file, command):
@@ -329,6 +333,7 @@ def _studies():
 
 
 def _print_lists(lists):
+    """Print {kind: entries with name and description} as a table each."""
     for kind, entries in lists.items():
         rows = []
         for entry in entries:

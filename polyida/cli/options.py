@@ -10,15 +10,9 @@ import typer
 from typer.core import TyperGroup
 
 from polyida import registry
+from polyida.registry import study_folder
 
 INTEGRATOR_NAMES = ("alpha", "ida", "radau", "energy")
-
-
-def study_folder() -> Path:
-    """The folder of the study scripts: within an installed package, or beside the package in a clone."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "studies"
-    return installed if installed.is_dir() else package.parent / "studies"
 
 
 def study_scripts() -> dict[str, Path]:

@@ -160,6 +160,7 @@ class TaskProgress:
         self.name, self.display, self.last, self.times = name, display, time.monotonic(), []
 
     def __call__(self, done, total, task):
+        """Show how many tasks are done, the task that runs, and the time left by the mean of the tasks that ran."""
         now = time.monotonic()
         self.times += [now - self.last] if now - self.last > READ_TIME else []
         self.last = now
@@ -282,6 +283,7 @@ def terminal(stream):
 
 
 def _new_table(title, has_heading):
+    """An empty table of rich with a title, without frame, and with a line of headings if it has any."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

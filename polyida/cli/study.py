@@ -30,37 +30,22 @@ def main(study, arguments=None, command=None):
     prepare()
     own = getattr(study.run, "__module__", "") == "__main__"  # a script of a user
     program = PROGRAM.get() or f"python {sys.argv[0] if own else f'studies/{study.name}.py'}"
-    parser = _parser(program, study.title, "a small selection, under a minute", f"folder of the report (default {study.name})")
-    parser.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
-    for name, (meaning, _) in study.options.items():
-        parser.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
-    options = parser.parse_args(arguments)
-    values = {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
-    out = Path(options.out or "-".join([study.name, *values, *["quick"] * options.quick]))
-    tasks = out / "tasks"
+    options, values = _options_of(study, program, arguments)
+    quick = options.quick
+    out = Path(options.out or "-".join([study.name, *values, *["quick"] * quick]))
+    command = command or " ".join([program, *["--quick"] * quick, *(f"--{key} {value}" for key, value in values.items())])
+    name, tasks = study.name, out / "tasks"
     try:
-        name = study.name
         for key, value in values.items():
             study = study.options[key][1](value)
-        if not command:
-            command = " ".join([program, *["--quick"] * options.quick, *(f"--{key} {value}" for key, value in values.items())])
-        if out.exists() and not out.is_dir():
-            raise InputError(f"{out}: is a file; give a folder with --out")
-        if out.exists() and any(out.iterdir()) and not any((out / known).exists() for known in ("tasks", "figures.json")):
-            raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
-        other = study.name
-        with suppress(OSError, ValueError, AttributeError):
-            other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", other)
-        if other != study.name:
-            raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
+        _require_own_folder(out, study.name)
         with progress_display() as display:
-            rows = run_tasks(study, options.quick, tasks, TaskProgress(name, display), options.fresh)
-        result = StudyResult(study, rows, options.quick)
+            rows = run_tasks(study, quick, tasks, TaskProgress(name, display), options.fresh)
+        result = StudyResult(study, rows, quick)
         with FigureWriter() if len(result.report_pictures()) > FEW_PICTURES else nullcontext() as writer:
             data = result.write(out, command, writer)
     except InputError as error:
-        print_lines(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        _exit_with(f"error: {error}")
     except (KeyboardInterrupt, OSError) as error:
         reason = "stopped" if isinstance(error, KeyboardInterrupt) else f"error: {error}"
         sys.exit(printable(f"{reason}; finished rows are in {tasks}, the same command continues from there"))
@@ -68,17 +53,46 @@ def main(study, arguments=None, command=None):
         with file_errors(), document(options.json) as set_document:
             set_document(data)
             print_result(result, [out / "report.html", out / "figures.json"])
-            if count := count_outdated(study, options.quick, tasks):
+            if count := count_outdated(study, quick, tasks):
                 print_lines(f"{count} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
-        print_lines(f"error: {error}; the figures are in {out}", file=sys.stderr)
-        sys.exit(2)
+        _exit_with(f"error: {error}; the figures are in {out}")
     if rows and all(row.get("error") for row in rows):
         sys.exit(f"error: {'the only task' if len(rows) == 1 else f'each of {len(rows)} tasks'} failed")
     return data
 
 
+def _options_of(study, program, arguments):
+    """(options of all studies, {option of this study: its text}) on the command line."""
+    parser = _parser(program, study.title, "a small selection, under a minute", f"folder of the report (default {study.name})")
+    parser.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
+    for name, (meaning, _) in study.options.items():
+        parser.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
+    options = parser.parse_args(arguments)
+    return options, {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
+
+
+def _require_own_folder(out, name):
+    """Raise InputError unless a folder is new, empty, or that of the study of this name."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; give a folder with --out")
+    if out.exists() and any(out.iterdir()) and not any((out / known).exists() for known in ("tasks", "figures.json")):
+        raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
+    other = name
+    with suppress(OSError, ValueError, AttributeError):
+        other = json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", name)
+    if other != name:
+        raise InputError(f"{out}: has the figures of the study {other}; give another folder with --out")
+
+
+def _exit_with(reason):
+    """End with the exit code 2 of invalid input, and the reason on the error stream."""
+    print_lines(reason, file=sys.stderr)
+    sys.exit(2)
+
+
 def _parser(program, title, quick, out):
+    """The parser of --quick, --out and --json with help texts, to which others are added."""
     parser = argparse.ArgumentParser(prog=program, description=title)
     parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, help=out)

@@ -100,7 +100,7 @@ def compiled_text(found):
 
 
 def _work(name):
-    """Run one of WORK."""
+    """Run the short runs of one name of WORK in this process, without warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         WORK[name]()

@@ -15,7 +15,7 @@ from polyida.errors import InputError
 from polyida.profile import Profile, difference
 from polyida.validation import is_number, named_keywords
 
-ADVICE = "a row is a sum of products of at most two factors, so use pi.dot and pi.cross, and square the condition of a length: `pi.dot(w, w) - r**2`"
+ADVICE = "a row is a sum of products of at most two factors, so use pi.dot and pi.cross, and square the condition of a length: `pi.dot(w, w) - r**2`; other curves need a helper body (guide, own parts)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,7 +415,7 @@ def _vector(value):
     if isinstance(value, Vector):
         return value
     expected = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
-    raise InputError(f"{expected}, not {in_words(value)}{_most(value)}")
+    raise InputError(f"{expected}, not {in_words(value)}{_most(value)}; a constant vector is `pi.ground.at(point, direction).d`")
 
 
 def _row(value):

@@ -53,6 +53,7 @@ def write_inp(mesh, path):
 
 
 def _label(name):
+    """The name of a section as that of a node set, in quotes unless it is a word. Raises InputError if it can be none."""
     if re.fullmatch(r"[A-Za-z]\w*", name):
         return name
     if any(sign in name for sign in '"\n\r') or len(name) > 80:
@@ -105,6 +106,7 @@ class _File:
     """The file as read so far: its parts, the assembly of their instances, supports and loads."""
 
     def __init__(self):
+        """An empty file; what stands outside of parts is read into `main`."""
         self.main = Part("")  # what stands outside of parts
         self.parts, self.assembly = {}, None
         self.scope = self.main  # takes the keywords of nodes, elements and sets
@@ -115,6 +117,7 @@ class _File:
         self.fixed, self.forces = {}, {}
 
     def take(self, line, keyword, options, rows):
+        """Read the block of a keyword: note or refuse it, or give it to the method take_KEYWORD of the file or of its open part."""
         if keyword in REFUSED:
             raise InputError("it makes or moves nodes or elements in a way that is not followed; let Abaqus write them out")
         if keyword in LEFT_OUT:
@@ -177,6 +180,7 @@ class _File:
         raise InputError("it cannot be read as .inp: other files are not followed; put their lines here")
 
     def take_part(self, options, rows):
+        """*PART: open a new part, into which nodes and elements go."""
         name = options.get("NAME", "")
         self._require_within(self.main)
         if name.upper() in self.parts:
@@ -187,12 +191,14 @@ class _File:
         self.scope = self.main
 
     def take_assembly(self, options, rows):
+        """*ASSEMBLY: open the assembly, of which a file has one."""
         if self.assembly is not None:
             raise InputError("there are two; a file has one")
         self._require_within(self.main)
         self.scope = self.assembly = Assembly()
 
     def take_instance(self, options, rows):
+        """*INSTANCE: open a copy of a part; its rows place it when it ends."""
         name, part = options.get("NAME", ""), options.get("PART", "")
         if self.assembly is None:
             raise InputError("it stands outside of *ASSEMBLY")
@@ -207,6 +213,7 @@ class _File:
         self.rows_of_instance = rows
 
     def take_end_instance(self, options, rows):
+        """*END INSTANCE: place the open instance and add it to the assembly."""
         if self.assembly is None or self.scope in (self.main, self.assembly) or self.scope in self.parts.values():
             raise InputError("there is no *INSTANCE before it")
         self.scope.points = placed(self.scope, self.rows_of_instance)
@@ -224,6 +231,7 @@ class _File:
     # --- supports and loads
 
     def _apply(self, line, keyword, options, rows):
+        """Keep a block of supports or loads until all nodes are known; those of later steps are left out with a note."""
         if self.step > 1:
             self.notes.append(f"left out *{keyword} of step {self.step}; supports and loads are those of the first")
             return
@@ -232,6 +240,7 @@ class _File:
         self.applied.append((self.step, line, keyword, rows))
 
     def _support(self, assembly, rows):
+        """Fix the nodes that the rows of a *BOUNDARY name, in the directions that they name."""
         for target, first, *more in rows:
             label = FIXED.get(first.upper())
             axes = range(int(first), int(more[0] or first) + 1 if more else int(first) + 1) if label is None else label
@@ -242,6 +251,7 @@ class _File:
                 self.fixed.setdefault(node, set()).update(axes)
 
     def _load(self, assembly, rows):
+        """Add the forces of the rows of a *CLOAD to their nodes."""
         for target, axis, size in rows:
             force = {"1": (float(size), 0.0), "2": (0.0, float(size))}.get(axis)
             if force is None:

@@ -13,6 +13,7 @@ class Assembly:
     """Instances in their places, and sets of their nodes; nodes by their order among all instances."""
 
     def __init__(self):
+        """An assembly without instances, sets and nodes of its own."""
         self.instances, self.sets = {}, {}  # by their names in capitals
         self.element_sets = {}  # {name in capitals: {(instance, number of an element): None}}
         self.points, self.cells, self.middles, self.notes = [], [], [], []
@@ -20,6 +21,7 @@ class Assembly:
         self.turned = set()
 
     def add(self, instance):
+        """Append the points and cells of an instance behind those of the others."""
         instance.first = len(self.points)
         self.instances[instance.name.upper()] = instance
         self.points += instance.points
@@ -69,6 +71,7 @@ class Assembly:
         return [node for node in nodes if 0 <= node - instance.first < len(instance.points)] or None
 
     def missing(self, target):
+        """What an unknown node or set is, in words for a message."""
         target = str(target).strip('"')
         if target.isdecimal():
             return f"node {target}, which is {'a reference point' if int(target) in self.references else 'no node of an instance'}"
@@ -80,12 +83,14 @@ class Assembly:
         self.references.update(int(number) for number, *_ in rows)
 
     def take_element(self, options, rows):
+        """*ELEMENT of the assembly: springs and the like are left out. Raises InputError for others."""
         kind = options.get("TYPE", "none").upper()
         if not LOWER.match(kind):
             raise InputError(f"elements of type {kind} belong to the assembly; put them into a part")
         self.notes.append(f"left out the elements of type {kind}")
 
     def take_nset(self, options, rows):
+        """*NSET: nodes of an instance, of an element set, or by numbers and names."""
         name = options.get("NSET", "")
         if "INSTANCE" in options:
             instance = self._instance(options["INSTANCE"])
@@ -99,6 +104,7 @@ class Assembly:
             self.sets.setdefault(name.upper(), (name, {}))[1].update(dict.fromkeys(nodes))
 
     def take_elset(self, options, rows):
+        """*ELSET: elements of instances; the nodes of lines and points among them become a set of nodes too."""
         name = options.get("ELSET", "")
         what = f"set {name!r}"
         if "INSTANCE" in options:

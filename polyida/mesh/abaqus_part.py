@@ -43,6 +43,7 @@ class Part:
     """What is read of a part so far; nodes by their order in the file, sets by their names in capitals."""
 
     def __init__(self, name):
+        """A part of this name without nodes, elements and sets."""
         self.name, self.part = name, name  # part: of which it is an instance
         self.notes = []
         self.points, self.labels, self.places = [], [], {}  # labels: numbers of the points in the file; places: the inverse
@@ -112,6 +113,7 @@ class Part:
         self.by_meshio = any("written by meshio" in text for row in rows for text in row)
 
     def take_system(self, options, rows):
+        """*SYSTEM: the origin and axes of the nodes that follow, from points on them. Raises InputError for axes out of the plane."""
         if not rows:
             self.system = None
             return
@@ -127,6 +129,7 @@ class Part:
         self.system = origin, np.array([x, np.cross(z, x), z])
 
     def take_node(self, options, rows):
+        """*NODE: rectangular or cylindrical coordinates in the system in force."""
         kind = options.get("SYSTEM", "R").upper()
         if kind not in ("R", "C"):
             raise InputError(f"SYSTEM is {kind}; it must be R (rectangular) or C (cylindrical)")
@@ -171,6 +174,7 @@ class Part:
         self._name_nodes(options, chosen)
 
     def take_element(self, options, rows):
+        """*ELEMENT: plane cells, and lines and points, which only name nodes. Raises InputError for other types."""
         kind = options.get("TYPE", "").upper()
         plane = PLANE.match(kind)
         if AXISYMMETRIC.match(kind) and not self.by_meshio:
@@ -215,6 +219,7 @@ class Part:
         _join(self.node_sets, options.get("NSET", ""), self.members(options, rows))
 
     def take_elset(self, options, rows):
+        """*ELSET: elements by numbers and by names of other sets."""
         what = f"set {options.get('ELSET', '')!r}"
         _join(
             self.element_sets,
@@ -234,6 +239,7 @@ class Part:
     # --- nodes and elements
 
     def _add_node(self, label, place):
+        """Append a node of a number `label`. Raises InputError if the number is taken."""
         if label in self.places:
             raise InputError(f"node {label} is given twice")
         self.places[label] = len(self.points)
@@ -258,6 +264,7 @@ class Part:
         self.elements[number] = nodes
 
     def _add_cells(self, kind, count, rows):
+        """Append plane elements of `count` nodes each, with the middles of their sides if these are nodes."""
         flat = [int(part) for row in rows for part in row]
         if len(flat) % (count + 1):
             raise InputError(f"elements of type {kind} have a number and {count} nodes; {len(flat)} numbers are no multiple")
@@ -272,6 +279,7 @@ class Part:
             self.notes.append(f"of elements of type {kind}, which are not plane stress or strain, only the shape is used")
 
     def _places(self, number, nodes):
+        """The nodes of an element by their order in the file. Raises InputError for an unknown one."""
         for node in nodes:
             if node not in self.places:
                 raise InputError(f"element {number} names {self._missing(str(node))}")
@@ -280,6 +288,7 @@ class Part:
     # --- sets
 
     def _missing(self, target):
+        """What an unknown node or set is, in words for a message."""
         return (
             f"node {target}, which no *NODE before it gives"
             if target.isdecimal()

@@ -19,6 +19,7 @@ class BoxTree:
     """Boxes low, high (n, 2) of n pieces."""
 
     def __init__(self, low, high):
+        """Sort the boxes along Morton's curve and join them in pairs, level by level, up to one box of all."""
         self.count = len(low)
         margin = ROUND_OFF * float(np.max(high.max(axis=0) - low.min(axis=0)))
         self.order = np.argsort(_morton(0.5 * (low + high)), kind="stable")
@@ -78,6 +79,7 @@ class EdgeTree:
     """The nearest of edges, start + share along with 0 <= share <= 1, and of circles, which count after the edges."""
 
     def __init__(self, start, along, middle=(), radius=()):
+        """Edges start, along (k, 2), and circles middle (c, 2), radius (c,); few pieces need no tree."""
         self.start, self.along = start, along
         self.middle, self.radius = np.reshape(middle, (-1, 2)), np.array(radius, dtype=float)
         self.count = len(start) + len(self.middle)
@@ -85,6 +87,7 @@ class EdgeTree:
             self._build()
 
     def _build(self):
+        """Make the tree of boxes, and places on all pieces whose nearest one bounds the distance of a point."""
         from scipy.spatial import cKDTree
 
         self.turn = main_directions(self.along) if len(self.along) else np.eye(2)

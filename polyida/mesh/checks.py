@@ -131,26 +131,42 @@ def require_valid_cells(mesh):
         raise InputError(
             f"{described(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
         )
-    # a cell whose corners all turn left, by one full turn in sum, is simple; only in the others the edges are tested for crossings
+    for number in _maybe_crossed(mesh):
+        if _crosses_itself(mesh.points[mesh.cell(number)]):
+            raise InputError(f"{described(mesh, number)} crosses or touches itself")
+    _require_opposite_sides(mesh, cell)
+    if cells := overlapping_cells(mesh):
+        raise InputError(
+            f"{described(mesh, cells[0])} and {described(mesh, cells[1])} overlap: a mesh covers no place twice; "
+            "what lies on another part is a plate of its own"
+        )
+
+
+def _maybe_crossed(mesh):
+    """Numbers of the cells that may cross themselves: a cell whose corners all turn left, by one full turn in sum, is simple."""
     turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
     once = np.abs(np.add.reduceat(turn, mesh.offsets[:-1]) - 2 * np.pi) < 1e-6
     least = 0.0 if mesh.order == 1 else -STRAIGHT
-    left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > least
-    for number in np.flatnonzero(~(once & left)):
-        # edges without common corner must not meet, edges with a common corner must not fold back on each other
-        a = mesh.points[mesh.cell(number)]
-        b = np.roll(a, -1, axis=0)
-        edge = b - a
-        after = np.roll(edge, -1, axis=0)
-        folded = (topology.cross(edge, after) == 0) & (np.einsum("ij,ij->i", edge, after) <= 0)
-        side_a, side_b = (topology.cross(edge[:, None], end[None] - a[:, None]) for end in (a, b))
-        split = side_a * side_b <= 0
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
-        i, j = np.indices(split.shape)
-        apart = np.minimum((i - j) % len(a), (j - i) % len(a)) > 1
-        if folded.any() or (split & split.T & near & apart).any():
-            raise InputError(f"{described(mesh, number)} crosses or touches itself")
+    return np.flatnonzero(~(once & (np.minimum.reduceat(turn, mesh.offsets[:-1]) > least)))
+
+
+def _crosses_itself(corners):
+    """True if edges of a polygon (n, 2) without common corner meet, or if one folds back on the edge before it."""
+    ends = np.roll(corners, -1, axis=0)
+    edge = ends - corners
+    after = np.roll(edge, -1, axis=0)
+    folded = (topology.cross(edge, after) == 0) & (np.einsum("ij,ij->i", edge, after) <= 0)
+    side_a, side_b = (topology.cross(edge[:, None], points[None] - corners[:, None]) for points in (corners, ends))
+    split = side_a * side_b <= 0
+    low, high = np.minimum(corners, ends), np.maximum(corners, ends)
+    near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+    i, j = np.indices(split.shape)
+    apart = np.minimum((i - j) % len(corners), (j - i) % len(corners)) > 1
+    return folded.any() or (split & split.T & near & apart).any()
+
+
+def _require_opposite_sides(mesh, cell):
+    """Raise InputError for two cells that have an edge in the same direction; cell: that of each corner."""
     edges = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
     sides = edges[:, 0] * mesh.n_nodes + edges[:, 1]
     order = np.argsort(sides, kind="stable")
@@ -160,11 +176,6 @@ def require_valid_cells(mesh):
         raise InputError(
             f"{described(mesh, first)} and {described(mesh, second)} lie on the same side of the edge "
             f"{edges[order[same[0]]].tolist()}: cells must not overlap"
-        )
-    if cells := overlapping_cells(mesh):
-        raise InputError(
-            f"{described(mesh, cells[0])} and {described(mesh, cells[1])} overlap: a mesh covers no place twice; "
-            "what lies on another part is a plate of its own"
         )
 
 
@@ -179,8 +190,7 @@ def overlapping_cells(mesh):
     Cells overlap if two boundary edges cross, or if a point beside a boundary edge, on its inner side, is covered twice: the winding number
     of the boundary about it exceeds 1.
     """
-    all_edges = topology.directed_edges(mesh.nodes, mesh.offsets)
-    edges = mesh.boundary_edges
+    all_edges, edges = topology.directed_edges(mesh.nodes, mesh.offsets), mesh.boundary_edges
     places = mesh.points - mesh.points.min(axis=0)
     places = places[:, ::-1] * [-1, 1] if np.ptp(places[:, 1]) > np.ptp(places[:, 0]) else places  # pairs are sought along the longer axis
     start, end = places[edges[:, 0]], places[edges[:, 1]]
@@ -199,22 +209,13 @@ def overlapping_cells(mesh):
 
     cover = _winding(inner, start, end)
     low, high = (function([start[:, 0], end[:, 0], inner[:, 0]], axis=0) for function in (np.min, np.max))
-    order = np.argsort(low, kind="stable")
-    reach = np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(order) + 1)
-    begin = 0
-    while begin < len(order):  # pairs of edges whose ranges of x meet
-        chunk = max(1, int(np.searchsorted(np.cumsum(reach[begin:]), AT_ONCE, side="right")))
-        part = np.arange(begin, min(begin + chunk, len(order)))
-        first = np.repeat(part, reach[part])
-        step = np.arange(len(first)) - np.repeat(np.cumsum(reach[part]) - reach[part], reach[part])
-        i, j = order[first], order[first + 1 + step]
+    for i, j in _pairs_that_meet(low, high):
         depth = CROSSING * np.minimum(length[i], length[j]) + round_off
         crossing = np.flatnonzero(separated(i, j, depth) & separated(j, i, depth))
         if crossing.size:
             return owner(edges[i[crossing[0]]]), owner(edges[j[crossing[0]]])
         for point, edge in ((i, j), (j, i)):
             cover += np.bincount(point, _winding(inner[point], start[edge], end[edge]), len(edges)).astype(int)
-        begin = part[-1] + 1
     twice = np.flatnonzero(cover > 1)
     if not twice.size:
         return None
@@ -223,6 +224,20 @@ def overlapping_cells(mesh):
         _winding(np.broadcast_to(inner[twice[0]], corners[:, 0].shape), corners[:, 0], corners[:, 1]), mesh.offsets[:-1]
     )
     return own, int(next(cell for cell in np.flatnonzero(around) if cell != own))
+
+
+def _pairs_that_meet(low, high):
+    """Yield arrays (i, j) of the pairs of intervals [low, high] (n,) that meet, each pair once, about AT_ONCE pairs at a time."""
+    order = np.argsort(low, kind="stable")
+    reach = np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(order) + 1)
+    begin = 0
+    while begin < len(order):
+        chunk = max(1, int(np.searchsorted(np.cumsum(reach[begin:]), AT_ONCE, side="right")))
+        part = np.arange(begin, min(begin + chunk, len(order)))
+        first = np.repeat(part, reach[part])
+        step = np.arange(len(first)) - np.repeat(np.cumsum(reach[part]) - reach[part], reach[part])
+        yield order[first], order[first + 1 + step]
+        begin = part[-1] + 1
 
 
 def _winding(points, start, end):

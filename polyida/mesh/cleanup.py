@@ -37,39 +37,50 @@ def collapse(polygons, project, size, share=0.1):
     moves merged wall nodes to their wall.
     """
     for _ in range(50):
-        n = len(polygons.points)
-        edges = topology.edges(polygons.nodes, polygons.offsets, n)
-        sizes = size(polygons.points[edges].mean(axis=1))
-        length = np.linalg.norm(polygons.points[edges[:, 0]] - polygons.points[edges[:, 1]], axis=1) / (sizes / sizes.max())
-        rim = np.sort(topology.boundary_edges(polygons.nodes, polygons.offsets, n), axis=1).astype(np.int64)
-        on_rim = np.zeros(n, dtype=bool)
-        on_rim[rim] = True
-        across = on_rim[edges].all(axis=1) & ~np.isin(edges[:, 0].astype(np.int64) * n + edges[:, 1], rim[:, 0] * n + rim[:, 1])
-        fixed = (polygons.rank[edges] == 2).all(axis=1) & (length >= 1e-6 * length.mean())
-        short = np.flatnonzero((length < share * length.mean()) & ~across & ~fixed)
-        if short.size == 0:
+        chosen = _edges_to_collapse(polygons, size, share)
+        if not len(chosen):
             break
-        taken, chosen = set(), []  # shortest edges first; chosen edges share no node, so that one sweep merges pairs only
-        for index in short[np.argsort(length[short], kind="stable")].tolist():
-            a, b = edges[index].tolist()
-            if a not in taken and b not in taken:
-                taken.update((a, b))
-                chosen.append(index)
-        a, b = edges[chosen].T
-        swap = polygons.rank[b] > polygons.rank[a]
-        keep, drop = np.where(swap, b, a), np.where(swap, a, b)
-        level = polygons.rank[keep] == polygons.rank[drop]
-        points = polygons.points.copy()
-        points[keep[level]] = 0.5 * (points[keep[level]] + points[drop[level]])
-        wall = keep[level & (polygons.rank[keep] == 1)]
-        if wall.size:
-            points[wall] = project(points[wall])
-        target = np.arange(n)
-        target[drop] = keep
-        corner, cell = target[polygons.nodes], topology.corner_cells(polygons.offsets)
-        same = corner == corner[topology.preceding(polygons.offsets)]
-        polygons = compact(points, cell[~same], corner[~same], polygons.rank)
+        polygons = _collapsed(polygons, chosen, project)
     return polygons
+
+
+def _edges_to_collapse(polygons, size, share):
+    """Short edges (k, 2) that may collapse, the shortest first; no two of them share a node, so that one sweep merges pairs only."""
+    n = len(polygons.points)
+    edges = topology.edges(polygons.nodes, polygons.offsets, n)
+    sizes = size(polygons.points[edges].mean(axis=1))
+    length = np.linalg.norm(polygons.points[edges[:, 0]] - polygons.points[edges[:, 1]], axis=1) / (sizes / sizes.max())
+    rim = np.sort(topology.boundary_edges(polygons.nodes, polygons.offsets, n), axis=1).astype(np.int64)
+    on_rim = np.zeros(n, dtype=bool)
+    on_rim[rim] = True
+    across = on_rim[edges].all(axis=1) & ~np.isin(edges[:, 0].astype(np.int64) * n + edges[:, 1], rim[:, 0] * n + rim[:, 1])
+    fixed = (polygons.rank[edges] == 2).all(axis=1) & (length >= 1e-6 * length.mean())
+    short = np.flatnonzero((length < share * length.mean()) & ~across & ~fixed)
+    taken, chosen = set(), []
+    for index in short[np.argsort(length[short], kind="stable")].tolist():
+        first, second = edges[index].tolist()
+        if first not in taken and second not in taken:
+            taken.update((first, second))
+            chosen.append(index)
+    return edges[chosen]
+
+
+def _collapsed(polygons, edges, project):
+    """The polygons with each of the edges (k, 2) merged into its node of higher rank, or of equal rank into their mean."""
+    first, second = edges.T
+    swap = polygons.rank[second] > polygons.rank[first]
+    keep, drop = np.where(swap, second, first), np.where(swap, first, second)
+    level = polygons.rank[keep] == polygons.rank[drop]
+    points = polygons.points.copy()
+    points[keep[level]] = 0.5 * (points[keep[level]] + points[drop[level]])
+    wall = keep[level & (polygons.rank[keep] == 1)]
+    if wall.size:
+        points[wall] = project(points[wall])
+    target = np.arange(len(points))
+    target[drop] = keep
+    corner, cell = target[polygons.nodes], topology.corner_cells(polygons.offsets)
+    same = corner == corner[topology.preceding(polygons.offsets)]
+    return compact(points, cell[~same], corner[~same], polygons.rank)
 
 
 def drop_flat_rim_nodes(polygons, smallest_turn=0.03):
@@ -179,6 +190,7 @@ def _cut(points, cell, smallest_turn):
         return ring[: k + 1], np.r_[ring[0], ring[k:]]
 
     def merit(k):
+        """The smallest turn of both pieces of a cut to corner k; -10 if a piece is no simple polygon."""
         corners = [points[piece] for piece in pieces(k)]
         turns = [topology.ring_turns(c) for c in corners]
         smallest = min(topology.areas(c, np.arange(len(c)), np.array([0, len(c)]))[0] for c in corners)

@@ -82,6 +82,7 @@ class Capsule(Wall):
         return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
 
     def samples(self, lower, upper):
+        """(200, 2) points of the wall, by 200 directions from the ends of the segment."""
         angle = 2 * np.pi * (np.arange(200) + 0.5) / 200
         ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         ahead = ray @ (self.end - self.start) > 0.0
@@ -141,6 +142,7 @@ class Chain:
         return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
 
     def _nearest_of_few(self, points):
+        """(edge, share) of the nearest position on the chain or on its straight continuations, from all edges."""
         along = np.diff(self.vertices, axis=0)
         low, high = np.zeros(len(along)), np.ones(len(along))
         if not self.closed:
@@ -152,6 +154,7 @@ class Chain:
         return EdgeTree(self.vertices[:-1], np.diff(self.vertices, axis=0))
 
     def _nearest_of_many(self, points):
+        """The same as of few edges, by a tree of them; both continuations are compared afterwards."""
         piece = self._edges.nearest(points)
         share = self._edges.shares(points, piece)
         if self.closed:
@@ -165,12 +168,14 @@ class Chain:
         return np.where(continued, ends, piece), np.where(continued, beyond, share)
 
     def distance(self, points):
+        """Signed distance of points (n, 2), (n,), negative on the left of the chain."""
         foot, along, _ = self._nearest(points)
         away = points - foot
         right = along[:, 1] * away[:, 0] - along[:, 0] * away[:, 1]
         return self.sign * np.where(right < 0.0, -1.0, 1.0) * np.hypot(*away.T)
 
     def normal(self, points):
+        """(n, 2) gradient of the distance; on the chain itself the normal of its edge."""
         foot, along, _ = self._nearest(points)
         away = points - foot
         outwards = np.column_stack([along[:, 1], -along[:, 0]])
@@ -277,6 +282,7 @@ class Rectangle(Domain):
     convex = True
 
     def __init__(self, length: float, height: float, origin: "ArrayLike" = (0.0, 0.0)) -> None:
+        """Check the lengths and make the four walls."""
         size = np.array([positive("Rectangle", name, value, "metres") for name, value in (("length", length), ("height", height))])
         self.lower = vector2("Rectangle", "origin", origin)
         self.upper = self.lower + size
@@ -301,6 +307,7 @@ class Circle(Domain):
     convex = True
 
     def __init__(self, radius: float, center: "ArrayLike" = (0.0, 0.0)) -> None:
+        """Check the radius and make the one wall."""
         radius, center = positive("Circle", "radius", radius, "metres"), vector2("Circle", "center", center)
         self.lower, self.upper = center - radius, center + radius
         self.walls = [Capsule(center, center, radius, 1.0)]
@@ -310,6 +317,7 @@ class Pair(Domain):
     """Base class of combinations of two domains."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
+        """Check that both are domains, and collect their walls."""
         for part in (first, second):
             if not isinstance(part, Domain):
                 raise InputError(f"{type(self).__name__.lower()} of {part!r}; both parts must be domains such as Rectangle or Circle")
@@ -331,6 +339,7 @@ class Union(Pair):
     """
 
     def __init__(self, first: Domain, second: Domain) -> None:
+        """Check the parts; the bounding box is that of both."""
         super().__init__(first, second)
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
 
@@ -353,6 +362,7 @@ class Intersection(Pair):
     """
 
     def __init__(self, first: Domain, second: Domain) -> None:
+        """Check the parts; the bounding box is what those of both have in common."""
         super().__init__(first, second)
         self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
         if not (self.upper > self.lower).all():
@@ -378,6 +388,7 @@ class Difference(Pair):
     """
 
     def __init__(self, first: Domain, second: Domain) -> None:
+        """Check the parts; the walls of the second have their inside outside."""
         super().__init__(first, second)
         self.lower, self.upper = first.lower, first.upper
         self.walls = first.walls + [wall.flipped() for wall in second.walls]
@@ -426,6 +437,7 @@ class Link(Domain):
     """
 
     def __init__(self, length: float, height: float, pin_radius: float, origin: "ArrayLike" = (0.0, 0.0)) -> None:
+        """Check the lengths and make the walls: the bar with round ends, and both holes."""
         length, height = positive("Link", "length", length, "metres"), positive("Link", "height", height, "metres")
         pin_radius, left = positive("Link", "pin_radius", pin_radius, "metres"), vector2("Link", "origin", origin)
         if 2 * pin_radius >= min(height, length):

@@ -67,6 +67,7 @@ def _require_few(document):
     totals, open_blocks = {}, set()
 
     def total_of(name):
+        """The number of entities of a block with those of the blocks within it, counted once."""
         key = str(name).lower()
         if key in open_blocks:
             raise InputError(f"the block {name!r:.80} holds itself")
@@ -78,6 +79,7 @@ def _require_few(document):
         return totals[key]
 
     def total(entities):
+        """The number of entities with those of the blocks that they place."""
         count = 0
         for entity in entities:
             count += 1
@@ -104,6 +106,7 @@ class _Shown:
         self._take(document.modelspace(), None)
 
     def _take(self, entities, layer_of_block):
+        """Add the entities that their layers show, and those of the blocks among them; layer_of_block: of what stands on layer 0."""
         from ezdxf.protocols import SupportsVirtualEntities, virtual_entities
 
         for entity in entities:
@@ -122,6 +125,7 @@ class _Shown:
                 self.entities.append((entity, layer))
 
     def _take_block(self, entity, layer):
+        """Add what a block shows in each of its places; one of another file is skipped."""
         block = entity.block()
         if block is None or block.block_record.is_xref:
             self.skipped["INSERT of another file" if block is not None else "INSERT without its block"] += 1
@@ -133,7 +137,7 @@ class _Shown:
         self.skipped[entity.dxftype()] += 1
 
     def _state(self, layer):
-        """(frozen, switched off)."""
+        """(True if a layer is frozen, True if it is switched off)."""
         if layer == self.part or not self.document.layers.has_entry(layer):
             return False, False
         entry = self.document.layers.get(layer)

@@ -274,6 +274,7 @@ def voronoi_polygons(domain, cells, seed, iterations, tolerance=5e-3, start=None
     corners = domain.corners()
 
     def attempt(shift):
+        """The polygons from new random seeds, or from given ones shifted by a share of the size. Raises Unresolved."""
         fixed = cleanup.corner_seeds(domain, corners, size(corners))[: cells - 1]
         if start is None:
             free = _random_seeds(domain, cells - len(fixed), rng, fixed, size)
@@ -337,6 +338,17 @@ def _require_resolved(polygons, domain, corners, area):
 
 def _snapped(seeds, diagram, domain, size, corners):
     """Polygons of the seeds' cells; nodes between a seed and its image move to that wall, nodes of two walls to their corner."""
+    points, rank = diagram.vertices.copy(), np.zeros(len(diagram.vertices), dtype=np.int8)
+    touched = _touched_walls(seeds, diagram, domain)
+    rim = touched.any(axis=1)
+    points[rim] = _to_boundary(points[rim], domain)
+    rank[rim] = 1
+    _move_to_corners(points, rank, touched, domain, size, corners)
+    return cleanup.compact(points, *_corners_of_cells(seeds, diagram), rank)
+
+
+def _corners_of_cells(seeds, diagram):
+    """(cell, vertex) of each corner of the seeds' cells, cell by cell and counter-clockwise."""
     own = diagram.ridges < diagram.n
     cell = np.concatenate([np.repeat(diagram.ridges[own[:, side], side], 2) for side in (0, 1)])
     corner = np.concatenate([diagram.ends[own[:, side]].ravel() for side in (0, 1)])
@@ -344,9 +356,15 @@ def _snapped(seeds, diagram, domain, size, corners):
     cell, corner = keys // len(diagram.vertices), keys % len(diagram.vertices)
     around = diagram.vertices[corner] - seeds[cell]
     order = np.lexsort((np.arctan2(around[:, 1], around[:, 0]), cell))
-    points, rank = diagram.vertices.copy(), np.zeros(len(diagram.vertices), dtype=np.int8)
-    # a vertex touches a wall if it ends a ridge between a seed and an image. Images of two seeds around a re-entrant corner coincide, and the
-    # stored wall may be that of the other seed: a wall through which the seed itself has this image is preferred
+    return cell[order], corner[order]
+
+
+def _touched_walls(seeds, diagram, domain):
+    """(vertices, walls) mask: a vertex touches a wall if it ends a ridge between a seed and its image through the wall.
+
+    Images of two seeds around a re-entrant corner coincide, and the stored wall may be that of the other seed: a wall through which the seed
+    itself has this image is preferred.
+    """
     mirrored = diagram.ridges.max(axis=1) >= diagram.n
     ends, pair = diagram.ends[mirrored], np.sort(diagram.ridges[mirrored], axis=1)
     seed, image = seeds[pair[:, 0]], diagram.points[pair[:, 1]]
@@ -356,9 +374,11 @@ def _snapped(seeds, diagram, domain, size, corners):
     wall = np.where(exact, miss.argmin(axis=0), diagram.wall[pair[:, 1]])
     touched = np.zeros((len(diagram.vertices), len(domain.walls)), dtype=bool)
     touched[ends[:, 0], wall] = touched[ends[:, 1], wall] = True
-    rim = touched.any(axis=1)
-    points[rim], rank[rim] = _to_boundary(points[rim], domain), 1
-    # nodes that touch two walls move to their intersection, unless one of the walls is not part of the boundary there
+    return touched
+
+
+def _move_to_corners(points, rank, touched, domain, size, corners):
+    """Move nodes that touch two walls to their intersection and fix them, unless one of the walls is not part of the boundary there."""
     extent = float(np.max(domain.upper - domain.lower))
     of_two = touched[touched.sum(axis=1) > 1].astype(np.float32)
     for i, j in np.argwhere(np.tril(of_two.T @ of_two, -1)):
@@ -369,7 +389,6 @@ def _snapped(seeds, diagram, domain, size, corners):
             real &= (np.linalg.norm(meeting[:, None] - corners, axis=2) < 1e-6 * extent).any(axis=1)
         points[both[real]] = meeting[real]
         rank[both[real]] = 2
-    return cleanup.compact(points, cell[order], corner[order], rank)
 
 
 def _to_boundary(points, domain):
@@ -460,37 +479,45 @@ def _lloyd(fixed, free, domain, size, iterations, tolerance):
     seeds = np.concatenate([fixed, free])
     largest = float(np.max(size(seeds)))
     reach = 2.0 * largest
-    step = 1e-6 * float(np.max(domain.upper - domain.lower))
     for _ in range(iterations):
         cells, reach = _bounded_cells(seeds, domain, size, reach)
-        sizes, areas, moments = np.zeros(cells.n), np.zeros(cells.n), np.zeros((cells.n, 2))
-        a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
-        for side in (0, 1):  # of each ridge: a triangle seed-a-b
-            own = cells.ridges[:, side] < cells.n
-            cell = cells.ridges[own, side]
-            u, v = a[own] - seeds[cell], b[own] - seeds[cell]
-            triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-            sizes += np.bincount(cell, triangle, cells.n)
-            triangle = triangle * (size(seeds[cell] + (u + v) / 3.0) / largest) ** -4.0
-            areas += np.bincount(cell, triangle, cells.n)
-            for k in (0, 1):
-                moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
-        move = seeds + moments / areas[:, None] - seeds
+        areas, move = _ways_to_centroids(seeds, cells, size, largest)
         move[: len(fixed)] = 0.0
-        error = np.sqrt(np.sum(sizes**2 * np.sum(move**2, axis=1))) * len(seeds) / sizes.sum() ** 1.5
+        error = np.sqrt(np.sum(areas**2 * np.sum(move**2, axis=1))) * len(seeds) / areas.sum() ** 1.5
         stretched = seeds + 1.7 * move
         inside = domain.distance(stretched) < -0.1 * size(stretched)
         seeds = np.where(inside[:, None], stretched, seeds + move)
-        # seeds that left the domain (centroids beside a concave wall) are mirrored back through the wall that they crossed
         out = domain.distance(seeds) >= 0.0
         if out.any():
-            stray = seeds[out]
-            for _ in range(8):
-                d = domain.distance(stray)
-                slope = np.stack([domain.distance(stray + step * axis) - d for axis in np.eye(2)], axis=1) / step
-                length = np.maximum(np.sum(slope**2, axis=1), 1e-12)
-                stray = stray - np.where(d >= 0.0, 2.0 * d + step, 0.0)[:, None] * slope / length[:, None]
-            seeds[out] = stray
+            seeds[out] = _mirrored_back(seeds[out], domain)
         if error < tolerance:
             break
     return seeds, _bounded_cells(seeds, domain, size, reach)[0]
+
+
+def _ways_to_centroids(seeds, cells, size, largest):
+    """(areas (n,) of the cells, ways (n, 2) from seeds to weighed centroids), by the triangles of a seed and both ends of a ridge."""
+    areas, weights, moments = np.zeros(cells.n), np.zeros(cells.n), np.zeros((cells.n, 2))
+    a, b = cells.vertices[cells.ends[:, 0]], cells.vertices[cells.ends[:, 1]]
+    for side in (0, 1):
+        own = cells.ridges[:, side] < cells.n
+        cell = cells.ridges[own, side]
+        u, v = a[own] - seeds[cell], b[own] - seeds[cell]
+        triangle = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+        areas += np.bincount(cell, triangle, cells.n)
+        triangle = triangle * (size(seeds[cell] + (u + v) / 3.0) / largest) ** -4.0
+        weights += np.bincount(cell, triangle, cells.n)
+        for k in (0, 1):
+            moments[:, k] += np.bincount(cell, triangle * (u[:, k] + v[:, k]) / 3.0, cells.n)
+    return areas, seeds + moments / weights[:, None] - seeds
+
+
+def _mirrored_back(stray, domain):
+    """Seeds that left the domain, as centroids beside a concave wall do, mirrored back through the wall that they crossed."""
+    step = 1e-6 * float(np.max(domain.upper - domain.lower))
+    for _ in range(8):
+        away = domain.distance(stray)
+        slope = np.stack([domain.distance(stray + step * axis) - away for axis in np.eye(2)], axis=1) / step
+        length = np.maximum(np.sum(slope**2, axis=1), 1e-12)
+        stray = stray - np.where(away >= 0.0, 2.0 * away + step, 0.0)[:, None] * slope / length[:, None]
+    return stray

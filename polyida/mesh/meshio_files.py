@@ -26,6 +26,7 @@ def reader(kind, advice=""):
     """Return a function read(path) -> RawMesh for one of meshio's formats; advice: for the message that a file cannot be read."""
 
     def read(path):
+        """The RawMesh of a file: plane cells, middle nodes of order 2, named points, and notes."""
         content = path.read_bytes()
         if b"$PartitionedEntities" in content or content.count(b"<Piece") > 1:  # meshio fails, or loses all cells but the last piece's
             raise InputError(f"it cannot be read as {kind}: it is divided among processes; write it as one piece")
@@ -56,6 +57,7 @@ def writer(kind):
     """Return a function write(mesh, path) for one of meshio's formats, with sections as masks on the points."""
 
     def write(mesh, path):
+        """Write points, cells and a mask of each section through meshio."""
         names = {3: "triangle", 4: "quad"}
         blocks = [(names.get(cells.shape[1], "polygon"), cells) for cells in runs(mesh)]
         masks = {PREFIX + quote(name, safe=""): np.isin(np.arange(mesh.n_nodes), nodes) * 1.0 for name, nodes in mesh.sections.items()}
@@ -190,7 +192,7 @@ read_gmsh = reader("gmsh", "; if Gmsh wrote it, let it write version 2.2: Mesh.M
 
 
 def write_gmsh_2(mesh, path):
-    """Write version 2.2."""
+    """Write a Gmsh file of version 2.2: nodes, and elements with their groups."""
     groups = _groups(mesh)
     nodes = [f"{i} {_node_text(point)}" for i, point in enumerate(mesh.points, 1)]
     rows = [(dim, number, row) for dim, number, _, blocks in groups for block in blocks for row in (block + 1).tolist()]

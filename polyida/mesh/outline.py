@@ -50,6 +50,7 @@ class Outline(Domain):
     """
 
     def __init__(self, points: "ArrayLike", holes: "Iterable[ArrayLike]" = (), corner: float = 15.0) -> None:
+        """Check the rings, that they do not meet and holes lie within the outline, and make walls of them."""
         if not is_number(corner) or not 0.0 < corner < 180.0:
             raise InputError(f"outline corner is {corner!r}; it must be an angle between 0 and 180 degrees")
         holes = listed("outline", "holes", holes)
@@ -85,6 +86,7 @@ class _Ring:
     """
 
     def __init__(self, points, corner, sign):
+        """Find the corners of closed points (n, 2), and make a circle or chains of chords as walls."""
         edges = np.roll(points, -1, axis=0) - points
         length = np.hypot(*edges.T)
         between = np.minimum(length, np.roll(length, 1)) > STRAIGHT * length.sum()
@@ -110,6 +112,7 @@ class _Boundary:
     """All rings as one set of edges and circles: the nearest piece tells the distance and, by its side, what is inside."""
 
     def __init__(self, rings):
+        """Collect the edges of chords and the circles, with the outward normals of edges and corners."""
         chords = [ring for ring in rings if not ring.circle]
         circles = [ring.walls[0] for ring in rings if ring.circle]
         start = np.concatenate([np.zeros((0, 2)), *(ring.points for ring in chords)])
@@ -122,6 +125,7 @@ class _Boundary:
         self.outward, self.at_start, self.at_end = outward, outward + outward[before], outward + outward[after]
 
     def distance(self, points):
+        """Signed distance of points (n, 2) from the nearest edge, corner or circle, (n,), m: negative inside."""
         tree, edges = self.tree, len(self.outward)
         piece = tree.nearest(points)
         signed = np.empty(len(points))
@@ -265,6 +269,7 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
         raise InputError(f"SVG path is {repr(path)[:80]}; it must be a text such as 'M 0 0 h 2 v -1 h -2 z'")
 
     def drawing():
+        """The Drawing of the path's text with y upwards. Raises InputError for what is no path."""
         try:
             shape = svg_library().Path(path)
         except Exception:  # noqa: BLE001, the library raises all kinds of errors for what is no path

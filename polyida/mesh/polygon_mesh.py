@@ -90,6 +90,7 @@ class PolygonMesh:
     order: int = 1
 
     def __post_init__(self):
+        """Check all arrays, replace them by read-only copies, and complete the sections of order 2."""
         points = checks.point_array(self.points)
         nodes, offsets = checks.cell_arrays(self.nodes, self.offsets, len(points))
         if not isinstance(self.sections, Mapping):

@@ -90,6 +90,32 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
     numbered: renumber if that reduces the bandwidth by a fifth, and sort the cells by their nodes.
     """
     notes = list(raw.notes)
+    points, nodes, offsets, middles = _arrays(raw, notes)
+    target = _merged(points, np.unique(nodes), tolerance, notes)
+    used, nodes = np.unique(target[nodes], return_inverse=True)
+    nodes, offsets = _with_three_corners(nodes, offsets, notes)
+    nodes = _counter_clockwise(points[used], nodes, offsets, notes)
+    place = np.full(len(points), -1)  # node of each point of the file, -1 for a point of no cell
+    place[used] = np.arange(len(used))
+    place = place[target]
+    unused = np.setdiff1d(np.flatnonzero(place < 0), middles[:, 2])
+    if unused.size:
+        notes.append(f"left out {counted(unused.size, 'point')} of no cell, the first at {points[unused[0]].tolist()}")
+    points = points if scale == 1.0 else points * scale
+    at_middles, points = points[middles[:, 2]], points[used]
+    if numbered:
+        points, nodes, offsets, place = _renumbered(points, nodes, offsets, place)
+    points, nodes, offsets, order = _with_middles(points, nodes, offsets, place, middles, at_middles, notes)
+    supports = {node: tuple(np.any(rows, axis=0).tolist()) for node, rows in _at_nodes("supports", raw, place, bool).items()}
+    loads = {node: tuple(np.sum(rows, axis=0).tolist()) for node, rows in _at_nodes("loads", raw, place, float).items()}
+    named = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
+    named |= _sections_of_supports(supports, loads) | _sections_of_file(raw, place, notes)  # those of the file have priority
+    mesh = PolygonMesh(points, nodes, offsets, named, supports, loads, order)
+    return mesh, notes + _unjoined(mesh)
+
+
+def _arrays(raw, notes):
+    """(points (n, 2), corners of all cells, offsets, middles (k, 3)) of a RawMesh, counted from 0. Raises InputError for wrong ones."""
     nodes, offsets = _joined(raw.cells)
     points = np.asarray(raw.points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
@@ -97,10 +123,11 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
     nodes, points = nodes - raw.first, np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
     _require_range(nodes, offsets, len(points), raw.first)
     middles = np.zeros((0, 3), np.int64) if raw.middles is None else np.asarray(raw.middles, np.int64) - raw.first
-    points = _flat(points, np.unique(np.concatenate([nodes, middles[:, 2]])), notes)
-    target = _merged(points, np.unique(nodes), tolerance, notes)
-    used, nodes = np.unique(target[nodes], return_inverse=True)
-    # drop corners equal to the one before, and cells with fewer than three corners
+    return _flat(points, np.unique(np.concatenate([nodes, middles[:, 2]])), notes), nodes, offsets, middles
+
+
+def _with_three_corners(nodes, offsets, notes):
+    """(nodes, offsets) without corners equal to the one before, and without cells that then have fewer than three corners."""
     cell = topology.corner_cells(offsets)
     keep = nodes != nodes[topology.preceding(offsets)]
     size = np.bincount(cell[keep], minlength=len(offsets) - 1)
@@ -114,45 +141,56 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
         where = f"equal to the corner before, the first in cell {cell[repeated[0]]}"
         notes.append(f"left out {counted(repeated.size, 'corner')} {where}")
     keep &= size[cell] >= 3
-    nodes, offsets = nodes[keep], np.concatenate([[0], np.cumsum(size[size >= 3])])
-    own = topology.corner_cells(offsets)
-    mirror = offsets[own] + offsets[own + 1] - 1 - np.arange(len(nodes))
-    turned = topology.areas(points[used], nodes, offsets) < 0.0
+    return nodes[keep], np.concatenate([[0], np.cumsum(size[size >= 3])])
+
+
+def _counter_clockwise(points, nodes, offsets, notes):
+    """The nodes of all cells, those of clockwise cells in reverse order."""
+    cell = topology.corner_cells(offsets)
+    mirror = offsets[cell] + offsets[cell + 1] - 1 - np.arange(len(nodes))
+    turned = topology.areas(points, nodes, offsets) < 0.0
     if turned.any():
         notes.append(f"turned {counted(turned.sum(), 'clockwise cell')} of {len(turned)}")
-    nodes = np.where(turned[own], nodes[mirror], nodes)
-    place = np.full(len(points), -1)
-    place[used] = np.arange(len(used))
-    place = place[target]
-    unused = np.setdiff1d(np.flatnonzero(place < 0), middles[:, 2])
-    if unused.size:
-        notes.append(f"left out {counted(unused.size, 'point')} of no cell, the first at {points[unused[0]].tolist()}")
-    points = points if scale == 1.0 else points * scale
-    at_middles, points = points[middles[:, 2]], points[used]
-    if numbered:
-        renumbered, new_nodes, new_offsets, number = topology.renumber(points, nodes, offsets)
-        if topology.half_bandwidth(new_nodes, new_offsets) < 0.8 * topology.half_bandwidth(nodes, offsets):
-            points, nodes, offsets, place = renumbered, new_nodes, new_offsets, np.where(place >= 0, number[place], -1)
-        else:
-            nodes, offsets = topology.sorted_cells(nodes, offsets)
+    return np.where(turned[cell], nodes[mirror], nodes)
+
+
+def _renumbered(points, nodes, offsets, place):
+    """(points, nodes, offsets, place) with new numbers if these reduce the bandwidth by a fifth, else with sorted cells alone."""
+    new_points, new_nodes, new_offsets, number = topology.renumber(points, nodes, offsets)
+    if topology.half_bandwidth(new_nodes, new_offsets) < 0.8 * topology.half_bandwidth(nodes, offsets):
+        return new_points, new_nodes, new_offsets, np.where(place >= 0, number[place], -1)
+    return points, *topology.sorted_cells(nodes, offsets), place
+
+
+def _with_middles(points, nodes, offsets, place, middles, at_middles, notes):
+    """(points, nodes, offsets, order): of order 2 if each side has a middle point in `middles` (k, 3), at the places at_middles (k, 2).
+
+    place: node of each point of the file; middle points get theirs here.
+    """
     sides, first = np.unique(np.sort(place[middles[:, :2]], axis=1), axis=0, return_index=True)
-    order = 1
     if np.array_equal(sides, topology.edges(nodes, offsets, len(points))):
-        place[middles[first, 2]] = len(points) + np.arange(len(first))
-        nodes, offsets = topology.inserted(nodes, offsets, sides, len(points) + np.arange(len(first)))
-        points, order = np.concatenate([points, at_middles[first]]), 2
-    elif len(middles):
+        new = len(points) + np.arange(len(first))
+        place[middles[first, 2]] = new
+        return np.concatenate([points, at_middles[first]]), *topology.inserted(nodes, offsets, sides, new), 2
+    if len(middles):
         notes.append("elements of order 2 became their corners, curved edges straight: not all sides have one middle node")
-    # sections of the boundary, of supports and loads, and with priority those of the file
-    supports = {n: tuple(np.any(rows, axis=0).tolist()) for n, rows in _at_nodes("supports", raw, place, bool).items()}
-    loads = {n: tuple(np.sum(rows, axis=0).tolist()) for n, rows in _at_nodes("loads", raw, place, float).items()}
+    return points, nodes, offsets, 1
+
+
+def _sections_of_supports(supports, loads):
+    """{name: nodes} of the sections "support", "support x", "support y" and "load", those that have nodes."""
     named = {
         "support": list(supports),
         "support x": [node for node, (x, _) in supports.items() if x],
         "support y": [node for node, (_, y) in supports.items() if y],
         "load": list(loads),
     }
-    named = {name: np.unique(rows) for name, rows in named.items() if rows}
+    return {name: np.unique(rows) for name, rows in named.items() if rows}
+
+
+def _sections_of_file(raw, place, notes):
+    """{name: nodes} of the file's sections. Raises InputError for points that do not exist; sections without a corner are left out."""
+    named = {}
     for name, values in raw.sections.items():
         index = checks.index_array(values, f"section {name!r}") - raw.first
         if index.size and (index.min() < 0 or index.max() >= len(place)):
@@ -164,9 +202,7 @@ def repaired(raw, tolerance, scale=1.0, numbered=True):
             named[name] = rows[rows >= 0]
         else:
             notes.append(f"left out section {name!r}, of which no point is a corner of a cell")
-    automatic = sections.automatic(points, topology.boundary_edges(nodes, offsets, len(points)))
-    mesh = PolygonMesh(points, nodes, offsets, automatic | named, supports, loads, order)
-    return mesh, notes + _unjoined(mesh)
+    return named
 
 
 def _unjoined(mesh):

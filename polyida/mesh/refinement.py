@@ -80,6 +80,7 @@ def _blended(mesh, parts):
     seeds = seeds[domain.distance(seeds) < 0.0]
 
     def size(points):
+        """Wanted size of cells at points (n, 2), m: the mean of those of the NEAR next cells, by their distance."""
         away, near = tree.query(points, min(NEAR, len(areas)))
         weights = 1.0 / np.maximum(away, 1e-6 * way.min()).reshape(len(points), -1)
         logs = np.log(areas[near] / areas.max()).reshape(weights.shape)

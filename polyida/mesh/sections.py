@@ -44,45 +44,11 @@ class Section:
 
 def select(mesh, selector):
     """Return the Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
-    known = "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
-    if isinstance(selector, Section):
-        selector = selector.nodes
-    if isinstance(selector, str):
-        if selector not in mesh.sections:
-            raise InputError(f"mesh has no section {selector!r}; {known}")
-        nodes, name = mesh.sections[selector], selector
-    elif callable(selector):
-        mask, name = np.asarray(selector(mesh.points)), getattr(selector, "__name__", "function")
-        if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
-            raise InputError(
-                f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}"
-            )
-        nodes = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
-        if nodes.size == 0:
-            raise InputError(f"section function {getattr(selector, '__name__', selector)!r} selects no boundary node; {known}")
-    else:
-        chosen = as_array(selector)
-        if chosen is None:
-            raise InputError(f"section {selector!r:.100} must be a name, a function or node indices")
-        chosen = np.atleast_1d(chosen)
-        if chosen.size == 0:
-            raise InputError(f"section by index selects no node; {known}")
-        nodes, name = checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
+    nodes, name = _selected(mesh, selector)
     nodes = of_whole_sides(mesh, nodes)
-    edges, axis = edges_within(mesh, nodes), int(np.argmax(np.ptp(mesh.points[nodes], axis=0)))
-    chains, ordered = _chains(nodes, edges), []
-    for chain, closed in chains:
-        span = mesh.points[chain[-1]] - mesh.points[chain[0]]
-        reverse = signed_area(mesh.points[chain]) < 0 if closed else span[np.argmax(np.abs(span))] < 0
-        ordered.append(chain[::-1] if reverse else chain)
-    ordered.sort(key=lambda chain: mesh.points[chain, axis].min())
-    order = np.array([node for chain in ordered for node in chain], dtype=np.int32)
-    if mesh.order == 2:
-        edges = sides_within(mesh, nodes)
-        shares = side_shares(mesh.points[edges])
-    else:
-        shares = np.repeat(0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1), 2)
-    lengths = np.bincount(edges.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)[order]
+    chains = _chains(nodes, edges_within(mesh, nodes))
+    order = _ordered(mesh.points, nodes, chains)
+    lengths = _tributary_lengths(mesh, nodes)[order]
     if not lengths.sum() > 0.0:
         return Section(order, lengths, name, np.full(len(order), 1.0 / len(order)))
     weights = lengths / lengths.sum()
@@ -91,6 +57,56 @@ def select(mesh, selector):
         arms = arms - weights @ arms
         weights = weights * (1.0 + arms @ np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms, mesh.middle_nodes[order])))
     return Section(order, lengths, name, weights)
+
+
+def _selected(mesh, selector):
+    """(nodes, name) of a user's selector. Raises InputError for an unknown name, another type, and if no node is selected."""
+    known = "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
+    if isinstance(selector, Section):
+        selector = selector.nodes
+    if isinstance(selector, str):
+        if selector not in mesh.sections:
+            raise InputError(f"mesh has no section {selector!r}; {known}")
+        return mesh.sections[selector], selector
+    if callable(selector):
+        mask = np.asarray(selector(mesh.points))
+        if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
+            raise InputError(
+                f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}"
+            )
+        nodes = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
+        if nodes.size == 0:
+            raise InputError(f"section function {getattr(selector, '__name__', selector)!r} selects no boundary node; {known}")
+        return nodes, getattr(selector, "__name__", "function")
+    chosen = as_array(selector)
+    if chosen is None:
+        raise InputError(f"section {selector!r:.100} must be a name, a function or node indices")
+    chosen = np.atleast_1d(chosen)
+    if chosen.size == 0:
+        raise InputError(f"section by index selects no node; {known}")
+    return checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
+
+
+def _ordered(points, nodes, chains):
+    """The nodes chain by chain: each chain in its direction, and chains by their least x or y, whichever the nodes span more."""
+    axis, ordered = int(np.argmax(np.ptp(points[nodes], axis=0))), []
+    for chain, closed in chains:
+        span = points[chain[-1]] - points[chain[0]]
+        reverse = signed_area(points[chain]) < 0 if closed else span[np.argmax(np.abs(span))] < 0
+        ordered.append(chain[::-1] if reverse else chain)
+    ordered.sort(key=lambda chain: points[chain, axis].min())
+    return np.array([node for chain in ordered for node in chain], dtype=np.int32)
+
+
+def _tributary_lengths(mesh, nodes):
+    """(n_nodes,) shares of the boundary edges, or sides of order 2, with all nodes among `nodes`, m."""
+    if mesh.order == 2:
+        edges = sides_within(mesh, nodes)
+        shares = side_shares(mesh.points[edges])
+    else:
+        edges = edges_within(mesh, nodes)
+        shares = np.repeat(0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1), 2)
+    return np.bincount(edges.ravel(), weights=shares.ravel(), minlength=mesh.n_nodes)
 
 
 def of_whole_sides(mesh, nodes):

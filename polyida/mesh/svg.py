@@ -84,6 +84,7 @@ class _Page:
     """The outermost viewport: its size in pixels and the place of the user units in it."""
 
     def __init__(self, root):
+        """Read size, unit and viewBox of the root element. Raises InputError for a page without width or height."""
         _style_as_attributes(root)
         sizes = {name: LENGTH.fullmatch(root.get(name, "").strip()) for name in ("width", "height")}
         units = {name: found[2].lower() for name, found in sizes.items() if found}
@@ -235,6 +236,7 @@ def _require_few(root):
     totals, open_ids = {}, set()
 
     def total(element):
+        """The number of elements of a subtree with those that <use> repeats."""
         if element in totals:
             return totals[element]
         if element in open_ids:

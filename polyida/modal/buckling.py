@@ -248,20 +248,7 @@ def _equilibrium(growing, state):
 def _branches(model, growing, about, q, lam, count):
     """The Buckling of a load that grows from an equilibrium."""
     K, B = growing.matrices(q, lam, 0.0)
-    if not symmetric(K):
-        raise InputError(
-            "buckling: K is not symmetric, a force has no potential: its equilibria may flutter; use modes(..., damped=True) about them"
-        )
-    t, n = about.t, len(q)
-    try:
-        system = KKT(K, B)
-        falling = negative_directions(K, B)
-    except SingularSystem:
-        raise StepFailure("singular", FREE, t) from None
-    if system.lu.doubtful():
-        raise StepFailure("singular", FREE, t)
-    if falling:
-        warnings.warn(f"buckling: the equilibrium without the load is UNSTABLE, the energy falls in {falling} directions", stacklevel=4)
+    system, n = _stable_system(K, B, about.t), len(q)
     slope = (growing.equations(q, lam, SLOPE) - growing.equations(q, lam, -SLOPE)) / (2.0 * SLOPE)
     if not slope.any():
         raise InputError("buckling: the load is zero, nothing grows")
@@ -273,21 +260,51 @@ def _branches(model, growing, about, q, lam, count):
     scale = system.size
 
     def operator(y):
+        """-A^-1 A' y of y = (x, mu / scale)."""
         x, mu = y[:n], scale * y[n:]
         solved = system.solve(change_K @ x + change_B.T @ mu, change_B @ x)
         return np.concatenate([solved[0], solved[1] / scale])
 
     values, vectors = _largest(operator, n + len(lam), count)
-    least = max(NOTHING * np.abs(values).max(initial=0.0), moved / size / FAR)
-    kept = np.flatnonzero((np.abs(values.imag) <= REAL * np.abs(values)) & (values.real > least))
-    kept = kept[np.argsort(-values[kept].real, kind="stable")][:count]
+    kept = _factors(values, moved / size, count)
     shapes = np.array([_real(vectors[:n, k]) for k in kept]).reshape(-1, n)
-    factors = 1.0 / values[kept].real
-    energies = np.sqrt(np.abs(np.einsum("kn,kn->k", shapes @ K, shapes)) * abs(dq @ (K @ dq)))
-    along = np.abs(shapes @ (K @ dq)) / np.where(energies > 0.0, energies, 1.0)
-    found = Buckling(model, about, factors, shapes, np.minimum(along, 1.0))
+    found = Buckling(model, about, 1.0 / values[kept].real, shapes, _along(K, shapes, dq))
     _warn(found, moved / size)
     return found
+
+
+def _stable_system(K, B, t):
+    """The factored [[K, B^T], [B, 0]], with a warning if the equilibrium is unstable. Raises InputError and StepFailure."""
+    if not symmetric(K):
+        raise InputError(
+            "buckling: K is not symmetric, a force has no potential: its equilibria may flutter; use modes(..., damped=True) about them"
+        )
+    try:
+        system = KKT(K, B)
+        falling = negative_directions(K, B)
+    except SingularSystem:
+        raise StepFailure("singular", FREE, t) from None
+    if system.lu.doubtful():
+        raise StepFailure("singular", FREE, t)
+    if falling:
+        warnings.warn(f"buckling: the equilibrium without the load is UNSTABLE, the energy falls in {falling} directions", stacklevel=5)
+    return system
+
+
+def _factors(values, response, count):
+    """Numbers of the `count` largest eigenvalues 1/f that are real, positive and above round-off, the largest first.
+
+    response: displacement per factor over the extent; a factor at which it is larger than FAR means nothing.
+    """
+    least = max(NOTHING * np.abs(values).max(initial=0.0), response / FAR)
+    kept = np.flatnonzero((np.abs(values.imag) <= REAL * np.abs(values)) & (values.real > least))
+    return kept[np.argsort(-values[kept].real, kind="stable")][:count]
+
+
+def _along(K, shapes, dq):
+    """(count,) cosine, in energy, between each shape and the response dq."""
+    energies = np.sqrt(np.abs(np.einsum("kn,kn->k", shapes @ K, shapes)) * abs(dq @ (K @ dq)))
+    return np.minimum(np.abs(shapes @ (K @ dq)) / np.where(energies > 0.0, energies, 1.0), 1.0)
 
 
 def _largest(operator, size, count):

@@ -276,6 +276,7 @@ def _dense(system, count):
 
 
 def _lanczos(system, count):
+    """The `count` slowest undamped shapes, (n, count), by Lanczos' method with a shift below all omega^2."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     shift, solve = _below_all(system)
@@ -300,6 +301,7 @@ def _below_all(system):
 
 
 def _falls(system, shift):
+    """True if K - shift M is not positive definite on B x = 0, or singular there."""
     try:
         return bool(negative_directions(system.K - shift * system.M, system.B))
     except SingularSystem:

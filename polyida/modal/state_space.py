@@ -48,6 +48,7 @@ class Coordinates:
     """T (n, d) and, of inputs, forces (n, k), rows (m, k) and G (n, k). modes: None for all coordinates, a number of modes, or Modes."""
 
     def __init__(self, part, system, inputs, modes=None):
+        """Factor M on the constraints, choose the basis T, and solve for the immediate motions G."""
         self.system, n, m = system, system.n, system.model.m
         try:
             self.mass = KKT(system.M, system.B, 1.0)
@@ -90,6 +91,7 @@ def _basis(part, system, modes):
 
 
 def _basis_of_places(part, system, modes):
+    """The columns T of a system without first-order states: all coordinates, the user's modes, or a number of modes."""
     if modes is None:
         if system.freedoms > MOST:
             raise InputError(f"{part}: modes = None takes all {system.freedoms} coordinates, {MOST} at most; give a number of modes")
@@ -149,6 +151,7 @@ def along(outputs, moved, mu):
 
 
 def _output(part, model, state, output, label):
+    """The Output of one entry of a user's outputs, labelled by `label` or by its own name."""
     vector = None if isinstance(output, (str, Attachment)) else floats(output)
     if vector is not None and vector.shape == (model.n,):
         return Output((label or "output",), lambda moved, mu: vector[None] @ moved[0])
@@ -160,6 +163,7 @@ def _output(part, model, state, output, label):
 
 
 def _place(model, state, what, kind, label):
+    """The Output of x and y of a point's place, velocity or acceleration."""
     model.position(what, state.q[None])
     name = label or (f"{what} {kind}" if kind != "position" else f"{what}")
     far = 1e3 * (model.extent or 1e-3)  # places of a scene are linear in q: far steps have the least round-off
@@ -172,6 +176,7 @@ def _place(model, state, what, kind, label):
 
 
 def _reaction(part, model, state, name, label):
+    """The Output of the components of a joint's reaction, which changes with q and with lam."""
     if not is_one_of(name, model.joints):
         raise InputError(f"{part}: no joint is called {name!r}; known: {', '.join(map(repr, model.joints)) or 'none'}")
 
@@ -226,7 +231,7 @@ class StateSpace:
     __repr__ = brief
 
     def to_scipy(self) -> Any:
-        """Return a `scipy.signal.StateSpace`."""
+        """Return these matrices as a `scipy.signal.StateSpace`."""
         from scipy.signal import StateSpace as Scipy
 
         return Scipy(self.A, self.B, self.C, self.D)

@@ -129,11 +129,6 @@ class WithRows(Model):
             raise AttributeError(name)
         return getattr(self.whole, name)
 
-    def _all(self, lam):
-        result = np.zeros(self.whole.m)
-        result[self.kept] = lam
-        return result
-
     def spread(self, lam, width):
         result = np.zeros((*np.shape(lam)[:-1], self.whole.m))
         result[..., self.kept] = lam
@@ -152,17 +147,17 @@ class WithRows(Model):
         return self.whole.force(t, q, v)
 
     def residual(self, t, q, v, a, lam):
-        return self.whole.residual(t, q, v, a, self._all(lam))
+        return self.whole.residual(t, q, v, a, self.spread(lam, self.whole.m))
 
     def reaction_q(self, t, q, lam):
-        return self.whole.reaction_q(t, q, self._all(lam))
+        return self.whole.reaction_q(t, q, self.spread(lam, self.whole.m))
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """Return `c_m M + c_v dr/dv + c_q dr/dq` of the kept rows, (n, n); dense for a small scene."""
         if not self.small:
-            return self.whole.tangent(t, q, v, a, self._all(lam), c_m, c_v, c_q)
+            return self.whole.tangent(t, q, v, a, self.spread(lam, self.whole.m), c_m, c_v, c_q)
         rates = c_v * dense(self.force_v(t, q, v)) if c_v and self.needs.velocity_forces else 0.0
-        return c_m * self.mass(q) + rates + (c_q * self.whole.small_tangent(t, q, v, self._all(lam)) if c_q else 0.0)
+        return c_m * self.mass(q) + rates + (c_q * self.whole.small_tangent(t, q, v, self.spread(lam, self.whole.m)) if c_q else 0.0)
 
     def phi(self, t, q):
         return self.whole.phi(t, q)[self.kept]
@@ -292,8 +287,6 @@ class Slips(Slipping, WithRows):
     def __init__(self, whole, rows, slips):
         super().__init__(whole, rows)
         self.use_slips(whole, slips)
-
-    _all = Slipping.forces_of_all
 
     def force(self, t, q, v):
         """Return g with the constant part of the friction that slips, (n,)."""

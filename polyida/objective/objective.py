@@ -77,7 +77,12 @@ FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 def slopes_at(objective: Objective, of: Callable[[slice], Slopes], run: Any, part: slice) -> Slopes:
     """The Slopes of a slice of frames, by the function `of` that `objective.slopes(run)` returned; InputError for wrong types and shapes."""
-    result, label = of(part), f"{type(objective).__name__}: slopes(run)(part)"
+    name = type(objective).__name__
+    if not callable(of):
+        raise InputError(
+            f"{name}: slopes(run) must return a function of a slice of the frames, which returns Slopes, not {type(of).__name__}"
+        )
+    result, label = of(part), f"{name}: slopes(run)(part)"
     if not isinstance(result, Slopes):
         raise InputError(f"{label} must return polyida.objective.Slopes, not {result!r:.100}")
     frames = run_of("gradient", run)

@@ -17,7 +17,7 @@ from polyida.validation import is_one_of, named_keywords, reals
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
-
+__path__.append(str(registry.study_folder() / "problems"))  # modules of problems of the literature, beside the studies that use them
 __all__ = ["Problem", "get", "names"]
 
 # What each problem compares, with units, and the source of its reference: one line, details after a semicolon.
@@ -139,6 +139,7 @@ class Problem:
         )
 
     def _error(self, name, value):
+        """Largest absolute deviation of one value from the reference. Raises InputError for an unknown name or another shape."""
         if name not in self.reference:
             known = ", ".join(self.reference) or "nothing for these options"
             raise InputError(f"problem {self.name!r}: {name!r} is not in the reference, which knows {known}")

@@ -276,7 +276,8 @@ def grown(motion):
         return ""
     return (
         f"the energy grows by {gains[at]:.2g} J up to t = {motion.t[looks[at]]:.4g} s, the largest kinetic energy being {most:.2g} J, "
-        "and no part supplies it: take shorter steps or a tighter rtol"
+        "and no part supplies it: take shorter steps or a tighter rtol; of an own force or body compare forces and energy by "
+        "pi.check_derivatives(model)"
     )
 
 

@@ -61,6 +61,38 @@ def animation(
         For another suffix, an existing file, and for MP4 if imageio-ffmpeg is not installed.
     """
     path = path_of("animation", "path", path)
+    suffix = _require_writable(run, path, overwrite)
+    require_progress("animation", progress)
+    width = positive("animation", "width", width, "inches")
+    if width > WIDEST:
+        raise InputError(f"animation: width = {width:.6g} inches must be at most {WIDEST}")
+    seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else positive("animation", "seconds", seconds, "seconds")
+    default = max(1, round(MP4_RATE * seconds)) if suffix == ".mp4" else MOST_FRAMES[suffix]
+    indices = plates.spread(run, default if frames is None else frames)
+    tell = progress or (lambda done: None)
+    if suffix in (".svg", ".html"):
+        text = moving_svg(run, indices, seconds) if suffix == ".svg" else _page(run, seconds, len(indices))
+        with disk_errors(f"animation {path}"):
+            write_file(path, text)
+        tell(1.0)
+        return path
+    picture = FramePicture(run, indices, width)
+
+    def images():
+        """Yield the image of each frame and tell the progress."""
+        for done, k in enumerate(indices, start=1):
+            yield picture.image(k)
+            tell(done / len(indices))
+
+    write = _write_gif if suffix == ".gif" else _write_mp4
+    remove_left_over(path.parent)
+    with disk_errors(f"animation {path}"), replacing(path) as part:
+        write(part, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
+    return path
+
+
+def _require_writable(run, path, overwrite):
+    """The suffix of a file that can be written from a run. Raises InputError for another suffix or run, an existing file, and without ffmpeg."""
     plates.require_run("animation", run, overwrite)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -69,33 +101,7 @@ def animation(
         _ffmpeg()
     if path.exists() and not overwrite:
         raise InputError(f"animation {path} exists: choose another name, or pass overwrite=True (--overwrite)")
-    require_progress("animation", progress)
-    width = positive("animation", "width", width, "inches")
-    if width > WIDEST:
-        raise InputError(f"animation: width = {width:.6g} inches must be at most {WIDEST}")
-    seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else positive("animation", "seconds", seconds, "seconds")
-    default = max(1, round(MP4_RATE * seconds)) if suffix == ".mp4" else MOST_FRAMES[suffix]
-    indices = plates.spread(run, default if frames is None else frames)
-    if suffix in (".svg", ".html"):
-        text = moving_svg(run, indices, seconds) if suffix == ".svg" else _page(run, seconds, len(indices))
-        with disk_errors(f"animation {path}"):
-            write_file(path, text)
-        if progress:
-            progress(1.0)
-        return path
-    picture = FramePicture(run, indices, width)
-
-    def images():
-        for done, k in enumerate(indices, start=1):
-            yield picture.image(k)
-            if progress:
-                progress(done / len(indices))
-
-    write = _write_gif if suffix == ".gif" else _write_mp4
-    remove_left_over(path.parent)
-    with disk_errors(f"animation {path}"), replacing(path) as part:
-        write(part, picture.image(indices[len(indices) // 2]), images(), seconds / len(indices))
-    return path
+    return suffix
 
 
 class Animation:
@@ -114,6 +120,7 @@ class Animation:
     """
 
     def __init__(self, run: Any, seconds: float | None = None) -> None:
+        """Check that the run has frames and bodies that can be drawn."""
         plates.require_run("animate", run, False)
         plates.bodies(run.model)
         self.run = run
@@ -169,6 +176,7 @@ class FramePicture:
     """
 
     def __init__(self, run, frames, width):
+        """Draw axes, colorbar and empty artists once, and keep the background that each frame restores."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.collections import LineCollection, PathCollection
         from matplotlib.path import Path as Outline

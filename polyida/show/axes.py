@@ -34,6 +34,7 @@ def finish(axes, title=None, labels=None, ending="", part="plot"):
 
 
 def _renamed(part, names, labels):
+    """The names of the legend with those replaced that the user's `labels` has. Raises InputError for an unknown line."""
     if labels is None:
         return names
     instance(part, "labels", labels, dict)
@@ -87,6 +88,7 @@ def tidy_ticks(axes):
 
 
 def _tidy_log(axis):
+    """Put ticks of a logarithmic axis on decades, or on 1, 2 and 5 times them where the axis has less than two decades."""
     from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
     low, high = sorted(axis.get_view_interval())

@@ -31,6 +31,7 @@ class FigureWriter:
         self.figures, self.futures, self.pool = {}, {}, None
 
     def __enter__(self):
+        """Start the second process and let it draw an empty figure, so that it has loaded matplotlib."""
         if cores() > 1:
             self.pool = ProcessPoolExecutor(1, get_context("spawn"), _start_process)
             self.started = self.pool.submit(_render_pickled, pickle.dumps(figure()[0]))

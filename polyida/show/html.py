@@ -99,6 +99,7 @@ class Table:
 
 
 def _cell(value, form, numeric):
+    """A cell of the page: text, CSS classes, whether it is code, and the value by which the page sorts."""
     missing, code = is_missing(value), form == "code" and not is_missing(value)
     text = format_value(value, "{}" if form == "code" else form)
     css = " ".join(["number"] * numeric + ["empty"] * missing + ["long"] * (len(text) > LONG_TEXT and not code))
@@ -190,43 +191,30 @@ class Movie:
 
     def data(self):
         """(data of the script as integers, upper end of the colours in kPa). Fine meshes are reduced to their outline."""
-        from matplotlib import colormaps
-        from matplotlib.colors import to_hex
-
         run = self.run
         plates.require_run("movie", run, overwrite=False)
         lines = plates.curves(run.model)
-        nodes, offsets, edges = lines.nodes, lines.offsets, lines.edges
-        shown = np.arange(int(nodes.max(initial=-1)) + 1)
-        if outline_only := len(shown) * MIN_FRAMES > MAX_POINTS:
-            shown, nodes, offsets = np.unique(edges), nodes[:0], offsets[:1]
-            edges = np.searchsorted(shown, edges)
+        shown, nodes, offsets, edges = _drawn_cells(lines)
         stick_ends = 2 * len(plates.sticks(run, 0))
-        symbols = plates.symbols_of(run, plates.spread(run, self.frames))[0]  # fewer frames do not have more
-        number = len(shown) + stick_ends + sum(kind[0].size // 2 for kind in symbols)
-        frames = plates.spread(run, int(np.clip(MAX_POINTS // (number + 1), min(MIN_FRAMES, self.frames), self.frames)))
+        frames = self._frames(len(shown) + stick_ends)
         symbols, low, high = plates.symbols_of(run, frames)
         bodies = np.array(
             [np.concatenate([lines.places(run.node_positions(k))[shown], plates.sticks(run, k).reshape(-1, 2)]) for k in frames]
         )
-        count = len(frames)
-        drawn = [kind.reshape(count, -1, 2) for kind in symbols]
+        drawn = [kind.reshape(len(frames), -1, 2) for kind in symbols]
         points = np.concatenate([bodies, *drawn], axis=1)
         parts = [stick_ends, *(kind.shape[1] for kind in drawn)]
-        stress = np.array([[] if outline_only else run.von_mises(k) / 1e3 for k in frames])
+        firsts = len(shown) + np.cumsum([0, *parts])  # of sticks, joints, forces, pins
+        sticks, joints, forces = ((first + np.arange(length).reshape(-1, 2)).tolist() for first, length in zip(firsts, parts[:3]))
+        stress = np.array([run.von_mises(k) / 1e3 if len(nodes) else [] for k in frames])
         top = colour_limit([*stress])
         size = (high - low).max() or 1.0
         width, height = np.maximum((high - low) / size, 0.05) * POSITIONS
-        packed = lambda values, kind: b64encode(np.rint(values).astype(kind).tobytes()).decode()  # noqa: E731
-        firsts = len(shown) + np.cumsum([0, *parts])  # of sticks, joints, forces, pins
-        pairs = [(first + np.arange(length).reshape(-1, 2)).tolist() for first, length in zip(firsts, parts[:3])]
         return {
             "t": run.t[frames].tolist(),
             "clock": plates.clock(run, frames),
             "seconds": float(np.clip(run.t[-1] - run.t[0], 4, 12)) if self.seconds is None else self.seconds,
-            "start": int(
-                np.abs(bodies - bodies[0]).sum(axis=(1, 2)).argmax()
-            ),  # what is shown before it plays: the farthest from the first
+            "start": int(np.abs(bodies - bodies[0]).sum(axis=(1, 2)).argmax()),  # shown before it plays: the farthest from the first
             "width": float(width),
             "height": float(height),
             "low": low.tolist(),
@@ -235,15 +223,44 @@ class Movie:
             "offsets": offsets.tolist(),
             "nodes": nodes.tolist(),
             "edges": edges.tolist(),
-            "sticks": pairs[0],
-            "joints": pairs[1],
-            "forces": pairs[2],
+            "sticks": sticks,
+            "joints": joints,
+            "forces": forces,
             "pins": np.arange(firsts[3], firsts[4]).tolist(),
             "stick": STICK,
-            "places": packed(POSITIONS * (points - low) / size, "<u2"),
-            "stress": packed((SHADES - 1) * np.minimum(stress / top, 1), "u1"),
-            "colours": [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0, 1, SHADES))],
+            "places": _packed(POSITIONS * (points - low) / size, "<u2"),
+            "stress": _packed((SHADES - 1) * np.minimum(stress / top, 1), "u1"),
+            "colours": _shades(),
         }, top
+
+    def _frames(self, points):
+        """Indices of at most `frames` frames; of fewer where the points of bodies, so many, and of symbols are more than a page holds."""
+        symbols = plates.symbols_of(self.run, plates.spread(self.run, self.frames))[0]  # fewer frames do not have more
+        number = points + sum(kind[0].size // 2 for kind in symbols)
+        return plates.spread(self.run, int(np.clip(MAX_POINTS // (number + 1), min(MIN_FRAMES, self.frames), self.frames)))
+
+
+def _drawn_cells(lines):
+    """(numbers of the points that are drawn, nodes and offsets of the cells, edges) of Curves; of fine meshes the points of the edges alone."""
+    nodes, offsets, edges = lines.nodes, lines.offsets, lines.edges
+    shown = np.arange(int(nodes.max(initial=-1)) + 1)
+    if len(shown) * MIN_FRAMES <= MAX_POINTS:
+        return shown, nodes, offsets, edges
+    shown = np.unique(edges)
+    return shown, nodes[:0], offsets[:1], np.searchsorted(shown, edges)
+
+
+def _packed(values, kind):
+    """Values as whole numbers of a type of numpy, in base64."""
+    return b64encode(np.rint(values).astype(kind).tobytes()).decode()
+
+
+def _shades():
+    """The colours of stresses from zero to the largest one, as texts."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0, 1, SHADES))]
 
 
 def _ticks(low, high, size):

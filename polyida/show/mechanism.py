@@ -63,6 +63,7 @@ class _Pen:
         self.lines, self.pins = {"joints": [], "forces": []}, []
 
     def finished(self):
+        """The Symbols of all lines and pins that were collected, each line as segments of two points."""
         segments = {}
         for kind, lines in self.lines.items():
             pieces = [np.stack([line[:, :-1], line[:, 1:]], axis=-1) for line in lines]
@@ -133,7 +134,7 @@ class _Pen:
                 self.support(ground)
 
     def force(self, name, part):
-        """Draw a force element."""
+        """Draw a force element by its kind: spring, damper, torque, contact, force; one of a user as a line between its places."""
         if isinstance(part, (SpringDamper, Maxwell)):
             a, b = np.broadcast_arrays(self.place(part.a, "point"), self.place(part.b, "point"))
             for fixed, place in ((part.a, a), (part.b, b)):

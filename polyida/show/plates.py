@@ -125,39 +125,44 @@ def draw_scene(axes, bodies, parts, places):
     bodies: {name: (mesh and places of its nodes, or None and segments (k, 2, 2))}; parts: {name: part}; places: {name: (k, 2)} of the others,
     where they hold on to bodies and to the ground.
     """
-    from matplotlib.collections import LineCollection, PolyCollection
-
-    points, labels, lines = [*places.values()], [], []
-    for name, (mesh, at) in bodies.items():
-        points.append(at.reshape(-1, 2))
-        if mesh is None:
-            draw_sticks(axes, at, linewidths=1.6)
-            lines.append(at)
-        else:
-            shape = curves_of_mesh(mesh)
-            cells = shape.polygons(at)
-            lines.append(shape.outlines(at))
-            axes.add_collection(
-                PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES)
-            )
-            axes.add_collection(LineCollection(lines[-1], colors=INK, linewidths=0.7))
-        if len(points[-1]):
-            labels.append((points[-1].mean(axis=0), [name]))
-    low, high = _widened(*bounds(np.concatenate(points)))
+    points = [at.reshape(-1, 2) for _, at in bodies.values()]
+    lines = [_draw_body(axes, mesh, at) for mesh, at in bodies.values()]
+    low, high = _widened(*bounds(np.concatenate([*places.values(), *points])))
     size = float((high - low).max())
     drawn = symbols(parts, _as_drawn, SYMBOL * size)
     draw_symbols(axes, drawn, 0)
+    show_to_scale(axes, *reach(low, high, drawn), margin=0.09)
+    labels = [(at.mean(axis=0), name, None) for name, at in zip(bodies, points) if len(at)]
+    labels += [(place, ", ".join(names), None) for place, names in _names_by_place(places, NEAR * size)]
+    place_labels(axes, labels, lines=np.concatenate([*lines, drawn.joints[0], drawn.forces[0]]))
+
+
+def _draw_body(axes, mesh, at):
+    """Draw a body: the cells of a mesh with its nodes at `at`, or the segments `at` if it has none; returns the segments of its outline."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    if mesh is None:
+        draw_sticks(axes, at, linewidths=1.6)
+        return at
+    shape = curves_of_mesh(mesh)
+    cells, outline = shape.polygons(at), shape.outlines(at)
+    axes.add_collection(PolyCollection(cells, facecolors=MOVED, edgecolors=MOVED, linewidths=0.4, rasterized=len(cells) > MAX_EDGES))
+    axes.add_collection(LineCollection(outline, colors=INK, linewidths=0.7))
+    return outline
+
+
+def _names_by_place(places, near):
+    """[(place, names)] of {name: (k, 2)} by the mean of its places; names that are nearer than `near`, m, share the first one's place."""
+    labels: list = []
     for name, at in places.items():
         if len(at):
             middle = at.mean(axis=0)
-            near = [names for place, names in labels[len(bodies) :] if np.hypot(*(place - middle)) < NEAR * size]
-            if near:
-                near[0].append(name)
+            shared = [names for place, names in labels if np.hypot(*(place - middle)) < near]
+            if shared:
+                shared[0].append(name)
             else:
                 labels.append((middle, [name]))
-    show_to_scale(axes, *reach(low, high, drawn), margin=0.09)
-    lines += [drawn.joints[0], drawn.forces[0]]
-    place_labels(axes, [(place, ", ".join(names), None) for place, names in labels], lines=np.concatenate(lines))
+    return labels
 
 
 def _as_drawn(side, part):

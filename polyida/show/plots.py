@@ -95,6 +95,7 @@ def deformed(run, times=None, snapshots=6, width=6.4):
 
 
 def _frames(run, times, snapshots):
+    """Indices of the frames nearest to the user's times, s, or of `snapshots` frames spread over the run."""
     if times is None:
         return plates.spread(run, snapshots)
     times = vector("deformed", "times", times)
@@ -487,6 +488,7 @@ class RunPlots:
             return axis
 
     def _draw_histories(self, histories, heading, axes):
+        """Draw each of {label: (frames,) values} against time into the axes and return them."""
         with on_axes(axes) as axis:
             for i, (label, values) in enumerate(histories.items()):
                 axis.plot(self._run.t, values, label=label, **line_style(i))

@@ -178,6 +178,7 @@ class _CellBlocks:
     """The cells of a model in blocks with the same number of corners; meshio writes polygons only in this form."""
 
     def __init__(self, model):
+        """Sort the cells of all plates by kind, with corners before middle nodes in cells of order 2 that VTK knows."""
         nodes, offsets = plates.connectivity(model)
         corners = np.diff(offsets)
         orders = np.concatenate([np.full(body.mesh.n_cells, body.mesh.order) for body in plates.bodies(model)])

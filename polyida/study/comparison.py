@@ -68,6 +68,7 @@ class Comparison(Result):
     }
 
     def __init__(self, ivp, runs, distances, rows, notes, estimates=()):
+        """Take the parts of the class's description; compute title, lead and `gap`, the largest distance between two runs at the end."""
         super().__init__(rows, notes)
         self.estimates = list(estimates)
         self.ivp, self.runs, self.distances, self._drawn = ivp, runs, distances, {}
@@ -94,6 +95,7 @@ class Comparison(Result):
         return {key: value for key, value in (numbers | {"gap_end": self.gap}).items() if is_number(value)}
 
     def shown_columns(self):
+        """{name: (heading, format)} of the columns that a row has; errors are headed by the compared quantity and its unit."""
         unit = f", {self.unit}" if self.unit else ""
         return {
             key: (f"{self.quantity} {heading}{unit}" if "error" in key else heading, form)
@@ -123,6 +125,7 @@ class Comparison(Result):
         return super().write(folder, command, writer)
 
     def page(self):
+        """The blocks of the report: results, settings, events, the movie of the first run that can be drawn, and figures."""
         run = _drawable(self.runs)
         label = next((label for label, other in self.runs.items() if other is run), "")
         movie = [html.Heading("Motion"), html.Movie(run, f"The motion by {label}.")] if run else []
@@ -132,6 +135,7 @@ class Comparison(Result):
         return [*blocks, *event_tables(self.runs), *movie, html.Heading("Figures"), *self.report_pictures()]
 
     def report_pictures(self):
+        """The figures of the runs as blocks of the page; those that a FigureWriter already has are not drawn again."""
         figures = run_figures(self.ivp, self.runs, self, self.pictured or with_frames_between(self.ivp, self.runs))
         return [html.Picture(name, caption, self._drawn.get(name) or draw()) for name, (draw, caption) in figures.items()]
 
@@ -204,17 +208,27 @@ def named_integrators(ivp, names=COMPARED, **settings):
     return create_integrators(choose_integrators(names), ivp, **settings)
 
 
-def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=None, errors=False):
+def compare(ivp, rtol=None, progress=lambda label, fraction: None, integrators=None, errors=False, writer=None):
     """Run integrators and the reference run of an InitialValueProblem; returns a Comparison.
 
     integrators: {label: integrator}; None: generalized-alpha with the problem's step, IDA and Radau IIA. rtol: of IDA and Radau IIA.
     progress(label, fraction), fraction None while kernels compile. An error is the distance of the problem's point, or of all coordinates,
-    from the reference run. errors: True estimates the error at the end of runs of generalized-alpha too. Failed runs are notes. Raises
-    InputError before the first run.
+    from the reference run. errors: True estimates the error at the end of runs of generalized-alpha too. writer: a FigureWriter, which renders
+    the figures of the runs while the reference run is computed. Failed runs are notes. Raises InputError before the first run.
     """
     integrators = named_integrators(ivp, rtol=rtol) if integrators is None else integrators
     prepare(ivp, integrators, progress)
-    return measure(ivp, run_timed(ivp, integrators, progress), progress, errors)
+    if writer is None:
+        return measure(ivp, run_timed(ivp, integrators, progress), progress, errors)
+    writer.wait_until_ready()
+    runs = run_timed(ivp, integrators, progress)
+    pictured = with_frames_between(ivp, runs)
+    for name, (draw, _) in run_figures(ivp, runs, pictured=pictured).items():
+        with suppress(Exception):  # a figure that fails is drawn later
+            writer.add(name, draw())
+    result = measure(ivp, runs, progress, errors)
+    result.pictured = pictured
+    return result
 
 
 def prepare(ivp, integrators, progress=lambda label, fraction: None):
@@ -247,36 +261,45 @@ def measure(ivp, runs, progress=lambda label, fraction: None, errors=False):
     rtol = min(filter(is_number, (declared(run.integrator).relative_tolerance() for run in runs.values())), default=None)
     reference = reference_run(ivp, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), progress)
     distances = {label: (run.t, reference.distance(run)) for label, run in runs.items()}
-    model = guard(ivp.model)
     rows, estimates, published = [], [], ivp.published.get("q") if ivp.point is None else None
     for label, run in runs.items():
-        distance = distances[label][1]
-        row = {"run": label, "settings": used_text(run.integrator, run.settings_used), "settings_used": run.settings_used}
-        row |= {"success": bool(run.success), "t_end": float(run.t[-1])}
-        row["error_max"] = float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
-        row |= {"error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
-        if errors and isinstance(run.integrator, GeneralizedAlpha) and run.success and np.isfinite(distance[-1]):
+        row = {"run": label} | _row_of(run, distances[label][1])
+        if errors and isinstance(run.integrator, GeneralizedAlpha) and run.success and np.isfinite(row["error_end"]):
             try:
                 row["estimated_error"] = estimated_error(ivp, run, reference.watched[-1])
             except (InputError, StepFailure) as error:
                 estimates.append(f"{label} has no estimated error: {str(error).removeprefix('error_of: ')}.")
-        if model.k:
+        if guard(ivp.model).k:
             off = reference.distance_of_states(run)
-            row |= {"states_max": float(np.nanmax(off, initial=0.0)) if np.isfinite(off).any() else math.nan, "states_end": float(off[-1])}
-        row |= run.counts.as_dict()
-        row |= {"drift_max": float(np.max(run.drift, initial=0.0)), "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0))}
-        row |= {"energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1])}
-        rows.append(
-            row | ({"published_error": float(np.abs(run.q[-1] - published).max())} if published is not None and run.success else {})
-        )
-    used = reference.integrator.settings_used(reference.memory)
-    row = {"run": REFERENCE, "settings": used_text(reference.integrator, used), "settings_used": used}
-    row |= {"success": not reference.message, "t_end": float(reference.t[-1]), "cpu_s": reference.cpu_seconds} | reference.counts.as_dict()
+            row |= {"states_max": _largest(off), "states_end": float(off[-1])}
+        row |= _counts_and_balance(run)
+        if published is not None and run.success:
+            row["published_error"] = float(np.abs(run.q[-1] - published).max())
+        rows.append(row)
+    rows.append({"run": REFERENCE} | reference.row())
     if published is not None and not reference.message:
-        row["published_error"] = float(np.abs(reference.watched[-1] - published).max())
+        rows[-1]["published_error"] = float(np.abs(reference.watched[-1] - published).max())
     notes = [f"{label}: {run.message.removeprefix(f'{label}: ')}" for label, run in runs.items() if not run.success]
     notes += [f"{REFERENCE}: {reference.message}"] if reference.message else []
-    return Comparison(ivp, runs, distances, [*rows, row], notes, estimates)
+    return Comparison(ivp, runs, distances, rows, notes, estimates)
+
+
+def _row_of(run, distance):
+    """{name: value} of a run: settings, end, largest and last distance from the reference run, times."""
+    row = {"settings": used_text(run.integrator, run.settings_used), "settings_used": run.settings_used}
+    row |= {"success": bool(run.success), "t_end": float(run.t[-1]), "error_max": _largest(distance), "error_end": float(distance[-1])}
+    return row | {"cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds)}
+
+
+def _largest(distance):
+    """The largest finite distance; NaN if there is none."""
+    return float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else math.nan
+
+
+def _counts_and_balance(run):
+    """{name: value} of a run: counts, violations of the constraints, energy change and work of motors."""
+    drifts = {"drift_max": float(np.max(run.drift, initial=0.0)), "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0))}
+    return run.counts.as_dict() | drifts | {"energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1])}
 
 
 def estimated_error(ivp, run, last):
@@ -352,6 +375,12 @@ class ReferenceRun:
     def distance_of_states(self, run):
         """Largest distance of the states x in the same way."""
         return self._compared(run, lambda known: run.x[known], self.x, lambda x: np.abs(x).max(axis=-1))
+
+    def row(self):
+        """{name: value} of the row of this run: settings, end, CPU time and counts."""
+        used = self.integrator.settings_used(self.memory)
+        row = {"settings": used_text(self.integrator, used), "settings_used": used, "success": not self.message}
+        return row | {"t_end": float(self.t[-1]), "cpu_s": self.cpu_seconds} | self.counts.as_dict()
 
     def _compared(self, run, values, own, size):
         distance, known = np.full(len(run.t), np.nan), run.t <= self.t[-1]

@@ -101,43 +101,64 @@ def condition_number(
 def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None, mode=None):
     """The scaled matrix of one Newton iteration, with the arguments of `condition_number`: CSC if the model's matrices are sparse, else dense."""
     model = guard(model, "condition_number")
+    _require_options(integrator, unknown, mode)
+    h = None if h is None else positive("condition_number", "h", h, "seconds")
+    state = require_state("condition_number", model, state)
+    require_functions(model, state.t, state.q, state.v)
+    integrator = integrator if scaling is None else replace(integrator, scaling=scaling)
+    if isinstance(integrator, IDA):
+        if h is None:
+            raise InputError(f"condition_number: h = {h!r} must be a positive step in s: IDA has none of its own")
+        return _matrix_of_ida(model, integrator, state, h)
+    integrator = integrator if h is None else replace(integrator, h=h)
+    if integrator.h is None:
+        raise InputError(f"condition_number: h = None must be a positive step in s: {type(integrator).__name__} has none of its own")
+    if isinstance(integrator, RadauIIA):
+        return _matrix_of_radau(model, integrator, state, mode)
+    return _matrix_of_alpha(model, integrator, state, unknown)
+
+
+def _require_options(integrator, unknown, mode):
+    """Raise InputError unless this is one of the three integrators, and has these unknowns and modes."""
     if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):
         raise InputError(f"condition_number: integrator {shown(integrator)} must be GeneralizedAlpha, IDA or RadauIIA")
-    name, of_stages = type(integrator).__name__, isinstance(integrator, RadauIIA)
+    name = type(integrator).__name__
     one_of("condition_number", "unknown", unknown, UNKNOWNS)
     if unknown != "q" and not isinstance(integrator, GeneralizedAlpha):
         raise InputError(f"condition_number: unknown = {unknown!r} must be 'q' for {name}, which has q and v at once")
-    if mode is not None and not of_stages:
+    if mode is not None and not isinstance(integrator, RadauIIA):
         raise InputError(f"condition_number: mode = {mode!r} must be None for {name}: RadauIIA has them")
     if mode is not None and not is_one_of(mode, MODES):
         raise InputError(f"condition_number: mode = {mode!r} must be one of {', '.join(MODES)}, or None")
     if mode == "real" and integrator.stages == 2:
         raise InputError("condition_number: mode = 'real' must be 'complex' for RadauIIA of two stages, which has no other")
-    h = None if h is None else positive("condition_number", "h", h, "seconds")
-    state = require_state("condition_number", model, state)
+
+
+def _matrix_of_ida(model, integrator, state, h):
+    """The scaled `dF/dy + cj dF/dy'` of IDA's form, cj = 1 / h."""
+    system = System(model, integrator.form, integrator.baumgarte_rate)
+    matrix, s = of_ida.whole_matrix(system, state.t, *system.pack(state), 1 / h)
+    return scaled(matrix, *of_ida.sizes(integrator.scaling, system.form, model.n, model.m, 1 / h, s))
+
+
+def _matrix_of_radau(model, integrator, state, mode):
+    """The scaled matrix of one mode of Radau IIA's stages; of form "ggl" with mu also if a run leaves mu out because phi is linear in q."""
     t, q, v, a, lam = state.t, state.q, state.v, state.a, state.lam
-    require_functions(model, t, q, v)
-    integrator = integrator if scaling is None else replace(integrator, scaling=scaling)
-    if isinstance(integrator, IDA):
-        if h is None:
-            raise InputError(f"condition_number: h = {h!r} must be a positive step in s: IDA has none of its own")
-        system = System(model, integrator.form, integrator.baumgarte_rate)
-        matrix, s = of_ida.whole_matrix(system, t, *system.pack(state), 1 / h)
-        return scaled(matrix, *of_ida.sizes(integrator.scaling, system.form, model.n, model.m, 1 / h, s))
-    integrator = integrator if h is None else replace(integrator, h=h)
-    if integrator.h is None:
-        raise InputError(f"condition_number: h = None must be a positive step in s: {name} has none of its own")
-    if of_stages:  # form "ggl" with mu also if a run leaves mu out because phi is linear in q
-        tied = integrator.form == "ggl"
-        rows = Rows(model, t, q, v, lam, lift(model, weights(model, q)) if tied else None)
-        c = radau(integrator.stages).modes[-1 if mode == "complex" else 0].value / integrator.h
-        slope = c * model.mass(q) + model.force_v(t, q, v) if model.needs.velocity_forces else c * model.mass(q)
-        matrix, s = of_radau.whole_matrix(c, model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), slope, rows)
-        return scaled(matrix, *of_radau.sizes(integrator.scaling, c, s, model.n, model.m, tied))
+    tied = integrator.form == "ggl"
+    rows = Rows(model, t, q, v, lam, lift(model, weights(model, q)) if tied else None)
+    c = radau(integrator.stages).modes[-1 if mode == "complex" else 0].value / integrator.h
+    slope = c * model.mass(q) + model.force_v(t, q, v) if model.needs.velocity_forces else c * model.mass(q)
+    matrix, s = of_radau.whole_matrix(c, model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), slope, rows)
+    return scaled(matrix, *of_radau.sizes(integrator.scaling, c, s, model.n, model.m, tied))
+
+
+def _matrix_of_alpha(model, integrator, state, unknown):
+    """The scaled `[[S, phi_q^T], [phi_q, 0]]` of generalized-alpha, `S = beta' M + gamma' C + K`, for increments of q, v or a."""
     coefficients, h = integrator.coefficients, integrator.h
     to_a, to_v = coefficients.rates(h)
-    tangent = model.tangent(t, q, v, a, lam, to_a, to_v, 1.0)
-    matrix = assemble(tangent, model.phi_q(t, q), scaling_size(integrator.scaling, coefficients.beta * h * h, tangent))
+    tangent = model.tangent(state.t, state.q, state.v, state.a, state.lam, to_a, to_v, 1.0)
+    size = scaling_size(integrator.scaling, coefficients.beta * h * h, tangent)
+    matrix = assemble(tangent, model.phi_q(state.t, state.q), size)
     columns = np.ones(matrix.shape[0])
     columns[: model.n] = 1 / {"q": 1.0, "v": to_v, "a": to_a}[unknown]
     return scaled(matrix, np.ones(matrix.shape[0]), columns)

@@ -73,7 +73,7 @@ class Worker:
             raise
 
     def close(self):
-        """End the process."""
+        """End the process at once, also within compiled code."""
         if self.process is not None:
             self.process.kill()
             self.process.join()

@@ -76,6 +76,7 @@ class Invariants(Result):
             return finish(axis, title, labels)
 
     def pictures(self) -> dict:
+        """A picture of the history of each quantity that some run has."""
         least = f", {FLOOR:g} if it is less"
         return {
             name.replace("_", "-"): (f"{label} against time{least if logarithmic else ''}.", lambda axes, name=name: self.plot(name, axes))
@@ -180,6 +181,7 @@ def energy(
 
 
 def _energy_row(run, indices):
+    """(row, history) of a run: energy error, changes of momentum and angular momentum; NaN where the model has none."""
     energies, error = run.energy, unbalanced(run)
     size, drift = float(np.ptp(energies.kinetic)), float(np.abs(error).max())
     row = {"energy_change": float(error[-1]), "energy_drift": drift, "relative_drift": drift / size if size else np.nan}
@@ -238,6 +240,7 @@ def drift(
 
 
 def _drift_row(run, indices):
+    """(row, history) of a run: the largest |phi| and |phi'| of all steps."""
     histories = {"drift": run.drift, "velocity_drift": run.velocity_drift}
     row = {name: float(values.max(initial=0.0)) for name, values in histories.items()}
     return row, {"t": run.t[indices]} | {name: values[indices] for name, values in histories.items()}

@@ -131,55 +131,74 @@ def load(spec, time=None, step=None, texts=None, known=(), **options):
     positive.
     """
     from polyida import problems
-    from polyida.body.rigid_body import PointMass
-    from polyida.scene import Scene
 
-    options = {key: value for key, value in options.items() if value is not None}
-    file, name = None, spec
-    if ".py" in spec:
-        build, function = load_object(spec, registry.problems, callable, "functions"), spec.rpartition(":")[2]
-        file = Path(spec.rpartition(":")[0])
-        name = file.stem if function == "build" else f"{file.stem}-{function}"
-    elif spec in registry.problems:
-        build = registry.find(registry.problems, spec)
-    else:
-        raise InputError(f"scene {spec!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
-    options |= typed_options(spec, build, texts or {}, known)
-    if unknown := set(options) - set(inspect.signature(build).parameters):
-        raise InputError(f"{spec} takes no option --{min(unknown)}: its function has no argument of that name")
-    try:
-        inspect.signature(build).bind(**options)
-    except TypeError as error:
-        raise InputError(f"{spec}: {error}; its function gets no arguments but those of options such as --cells") from None
+    build, file, name = _named_function(spec)
+    arguments = {key: value for key, value in options.items() if value is not None} | typed_options(spec, build, texts or {}, known)
+    _require_arguments(spec, build, arguments)
     with user_errors(file):
-        result = build(**options) if file else problems.get(spec, **options)
-        if isinstance(result, problems.Problem):
-            ivp = replace(_of_problem(result), name=name, step=result.t_end / 1000)
-        else:
-            returned = result if isinstance(result, tuple) else (result,)
-            result, settings = returned if len(returned) == 2 else (result, {})
-            if not isinstance(result, Scene | Model) or not isinstance(settings, dict):
-                kinds = ", ".join(type(one).__name__ for one in returned)
-                expected = 'a Scene, a Model, a Problem, or a pair such as (model, {"q0": [...], "v0": [...], "time": 2.0}) is needed'
-                raise InputError(f"{name}: its function returned {kinds}; {expected}")
-            if unknown := set(settings) - set(FILE_OPTIONS):
-                raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(FILE_OPTIONS)}")
-            model = result.build() if isinstance(result, Scene) else result
-            ivp = InitialValueProblem(name, model, **{FILE_OPTIONS[key]: value for key, value in settings.items()})
-        point, masses = ivp.point, [key for key, part in ivp.model.parts.items() if isinstance(part, PointMass)]
-        if point:
-            if not isinstance(point, str):
-                raise InputError(f"{name}: point = {point!r} must be the name of a mass, load or joint")
-            ivp.model.attachment(point)
-        else:
-            point = "tip" if "tip" in masses else masses[-1] if masses else None
-    ivp = replace(ivp, point=point, file=file, step=ivp.step if step is None else step)
+        ivp = _of_returned(name, build(**arguments) if file else problems.get(spec, **arguments))
+        ivp = replace(ivp, point=_compared_point(name, ivp))
+    ivp = replace(ivp, file=file, step=ivp.step if step is None else step)
     if time is not None:
         ivp = replace(ivp, t_end=time, published={})
     for key, value in (("time", ivp.t_end), ("step", ivp.step)):
         if not (is_number(value) and value > 0):
             raise InputError(f"{name}: {key} {value!r} s must be a positive number")
     return ivp
+
+
+def _named_function(spec):
+    """(function that builds the scene, the user's file or None, name of the problem) of a name or of `my_scene.py:build`."""
+    if ".py" in spec:
+        build, (path, _, function) = load_object(spec, registry.problems, callable, "functions"), spec.rpartition(":")
+        file = Path(path)
+        return build, file, file.stem if function == "build" else f"{file.stem}-{function}"
+    if spec not in registry.problems:
+        raise InputError(f"scene {spec!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
+    return registry.find(registry.problems, spec), None, spec
+
+
+def _require_arguments(spec, build, arguments):
+    """Raise InputError unless a function takes these arguments and needs no others."""
+    signature = inspect.signature(build)
+    if unknown := set(arguments) - set(signature.parameters):
+        raise InputError(f"{spec} takes no option --{min(unknown)}: its function has no argument of that name")
+    try:
+        signature.bind(**arguments)
+    except TypeError as error:
+        raise InputError(f"{spec}: {error}; its function gets no arguments but those of options such as --cells") from None
+
+
+def _of_returned(name, result):
+    """The InitialValueProblem of what a function returned: a Problem, or a Scene or Model, alone or with a dictionary of FILE_OPTIONS."""
+    from polyida.problems import Problem
+    from polyida.scene import Scene
+
+    if isinstance(result, Problem):
+        return replace(_of_problem(result), name=name, step=result.t_end / 1000)
+    returned = result if isinstance(result, tuple) else (result,)
+    result, settings = returned if len(returned) == 2 else (result, {})
+    if not isinstance(result, Scene | Model) or not isinstance(settings, dict):
+        kinds = ", ".join(type(one).__name__ for one in returned)
+        expected = 'a Scene, a Model, a Problem, or a pair such as (model, {"q0": [...], "v0": [...], "time": 2.0}) is needed'
+        raise InputError(f"{name}: its function returned {kinds}; {expected}")
+    if unknown := set(settings) - set(FILE_OPTIONS):
+        raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(FILE_OPTIONS)}")
+    model = result.build() if isinstance(result, Scene) else result
+    return InitialValueProblem(name, model, **{FILE_OPTIONS[key]: value for key, value in settings.items()})
+
+
+def _compared_point(name, ivp):
+    """The point that comparisons measure: the one that the user's function named, or the mass "tip", or the last mass, or None."""
+    from polyida.body.rigid_body import PointMass
+
+    if ivp.point:
+        if not isinstance(ivp.point, str):
+            raise InputError(f"{name}: point = {ivp.point!r} must be the name of a mass, load or joint")
+        ivp.model.attachment(ivp.point)
+        return ivp.point
+    masses = [key for key, part in ivp.model.parts.items() if isinstance(part, PointMass)]
+    return "tip" if "tip" in masses else masses[-1] if masses else None
 
 
 def integrator_lists(study, ivp, integrators, several=True):

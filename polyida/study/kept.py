@@ -33,15 +33,15 @@ class End:
     failed: str = ""
 
 
-def require_folder(study, folder):
-    """The folder that keeps references, created if it is missing, or None. Raises InputError if it can be none."""
+def require_folder(study, folder, name="reference_folder"):
+    """The folder of the argument `name` of a study, created if it is missing, or None. Raises InputError if it can be none."""
     if folder is None:
         return None
-    folder = path_of(study, "reference_folder", folder)
+    folder = path_of(study, name, folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{study}: reference_folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
+        raise InputError(f"{study}: {name} = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
     return folder
 
 
@@ -52,6 +52,7 @@ class KeptEnds:
     """
 
     def __init__(self, ivp, folder=None):
+        """Find the ends of this problem in memory, by a fingerprint of model, start, time and quantity, and add those of the file."""
         self.path, self.ends = None, {}
         try:
             compared = (ivp.quantity.of, ivp.quantity.times) if ivp.quantity else ()

@@ -69,6 +69,7 @@ def _is_numeric(values):
 
 
 def _entry(text, numeric, aligned):
+    """A cell of the table in LaTeX; numeric: of a column of numbers, aligned: of a column `S` of siunitx."""
     if not text:
         return f"{{{MISSING}}}" if aligned else MISSING
     if aligned:
@@ -86,6 +87,7 @@ def _text_entry(text):
 
 
 def _setting(name, value):
+    """One setting such as `rtol=1e-05` in mathematics; a word as its value stays text."""
     numbers = re.findall(PLAIN, value)
     if value[0] not in "-(0123456789":  # a word
         return latex_text(f"{name}={value}")

@@ -100,6 +100,7 @@ def study_figure(function):
 
     @wraps(function)
     def draw(rows):
+        """Draw the rows that did not fail, and give each picture without a caption the first line of the docstring."""
         with settings():
             pictures = function([row for row in rows if not row.get("error")])
         caption = (function.__doc__ or "").strip().partition("\n")[0]

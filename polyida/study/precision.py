@@ -111,8 +111,10 @@ class Precision(Result):
         "cpu_s", the CPU seconds spent on it, if it was made here.
     """
 
-    def __init__(self, rows, notes, reference):
+    def __init__(self, name, rows, notes, reference):
+        """Take rows, notes and reference; head the columns by parts and add notes on errors below the accuracy and on missing orders."""
         super().__init__(rows, notes)
+        self.title = f"{self.title}: {name}"
         self.reference = reference
         self.parts = tuple(dict.fromkeys(name.removeprefix("error_") for row in self.rows for name in row if name.startswith("error_")))
         self.norm = reference.get("norm", "end")
@@ -263,26 +265,8 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
 
     folder: that keeps the ends of reference runs, beside the memory.
     """
-    if reference is False:
-        reference = {"made_by": [], "failed": []}
-    elif reference is not None:
-        reference = user_reference(study, ivp, reference)
-    elif "known_to" in ivp.published and not ivp.quantity:
-        reference = user_reference(study, ivp, ivp.published)
-    rows, runs, warm, total = [], [], set(), sum(map(len, integrators.values()))
-    for label, settings in integrators.items():
-        for integrator in settings:
-            if (kind := kind_of(integrator)) not in warm:
-                ivp.warm_up(integrator)
-                warm.add(kind)
-            text = settings_text(integrator, settings)
-            progress(len(rows), total + 1, f"{label}, {text}")
-            repeated = [ivp.run(integrator, every=10**9) for _ in range(repeats)]
-            run, h = repeated[0], declared(integrator).fixed_step() or None
-            row = {"integrator": label, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
-            row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
-            rows.append(row | {"setting": settings_text(integrator, settings, run.settings_used), "settings_used": run.settings_used})
-            runs.append(ivp.run(integrator, every=ivp.quantity.every(run)) if ivp.quantity else run)
+    reference, total = _given_reference(study, ivp, reference), sum(map(len, integrators.values()))
+    rows, runs = _measured_runs(ivp, integrators, repeats, lambda done, text: progress(done, total + 1, text))
     if ivp.quantity:
         ivp = replace(ivp, quantity=ivp.quantity.at_steps_of(runs))
 
@@ -306,6 +290,33 @@ def measure_errors(study, ivp, integrators, reference, repeats, progress, object
     return rows, notes, reference | {"units": units_of(ivp), "norm": norm, "words": words}
 
 
+def _given_reference(study, ivp, reference):
+    """The reference of the user or the published one; without values if the user wants none (False), and None if it is to be computed."""
+    if reference is False:
+        return {"made_by": [], "failed": []}
+    if reference is not None:
+        return user_reference(study, ivp, reference)
+    return user_reference(study, ivp, ivp.published) if "known_to" in ivp.published and not ivp.quantity else None
+
+
+def _measured_runs(ivp, integrators, repeats, progress):
+    """(rows with settings, costs and counts, runs) of every setting; the CPU time is the median of the repeated runs."""
+    rows, runs, warm = [], [], set()
+    for label, settings in integrators.items():
+        for integrator in settings:
+            if (kind := kind_of(integrator)) not in warm:
+                ivp.warm_up(integrator)
+                warm.add(kind)
+            progress(len(rows), f"{label}, {settings_text(integrator, settings)}")
+            repeated = [ivp.run(integrator, every=10**9) for _ in range(repeats)]
+            run, h = repeated[0], declared(integrator).fixed_step() or None
+            row = {"integrator": label, "h": h, "status": run.status, "message": run.message, "t": float(run.t[-1])}
+            row |= {"cpu_s": float(median(run.cpu_seconds for run in repeated))} | {key: int(getattr(run.counts, key)) for key in COUNTS}
+            rows.append(row | {"setting": settings_text(integrator, settings, run.settings_used), "settings_used": run.settings_used})
+            runs.append(ivp.run(integrator, every=ivp.quantity.every(run)) if ivp.quantity else run)
+    return rows, runs
+
+
 def units_of(ivp):
     """{part: unit} of a model where all entries of the part have the same one."""
     model = ivp.model
@@ -318,11 +329,8 @@ def units_of(ivp):
 class WorkPrecision(Precision):
     """Result of `work_precision`: a row for each run, `reference`, `known_to` and `orders`."""
 
+    title = "work against precision"
     columns = COLUMNS
-
-    def __init__(self, name, rows, notes, reference):
-        super().__init__(rows, notes, reference)
-        self.title = f"work against precision: {name}"
 
     @named_keywords
     def plot(
@@ -457,11 +465,8 @@ def work_precision(
 class StepSizes(Precision):
     """Result of `step_sizes`: a row for each run, `reference`, `known_to` and `orders`."""
 
+    title = "errors against the step"
     columns = {name: COLUMNS[name] for name in ("integrator", "setting")} | {"h": ("h, s", "{:.3g}")} | COLUMNS
-
-    def __init__(self, name, rows, notes, reference):
-        super().__init__(rows, notes, reference)
-        self.title = f"errors against the step: {name}"
 
     @named_keywords
     def plot(
@@ -575,6 +580,7 @@ def step_sizes(
 
 
 def _with_step(label, make, h):
+    """The integrator that a class or function of the user makes of a step h, s. Raises InputError if it makes none."""
     if not callable(make):
         raise InputError(f"step_sizes: integrators[{label!r}] = {make!r} must be a class or a function of h")
     message = f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h"

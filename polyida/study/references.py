@@ -54,6 +54,7 @@ class WorkLimit:
         self.name, self.what, self.limit, self.t_end, self.t0, self.count = name, what, limit, t_end, t0, 0
 
     def __call__(self, t):
+        """Count a step or evaluation at t. Raises TooStiff if the total, projected from the time covered so far, is too large."""
         self.count += 1
         if self.count % COUNTS_BEFORE_PROJECTION == 0 and t > self.t0:
             total = self.count * (self.t_end - self.t0) / (t - self.t0)
@@ -127,6 +128,7 @@ def end_state(model, t_end, integrator, q0=None, v0=None, progress=None, quantit
 
 
 def _full_run(model, t_end, integrator, q0=None, v0=None, progress=None, **frames):
+    """The Trajectory from (q0, v0) to t_end with these frames. Raises RuntimeError if the run fails, KeyboardInterrupt after Ctrl-C."""
     run = solve(model, t_end, integrator, q0=q0, v0=v0, progress=progress, **frames)
     if run.status == "interrupted":
         raise KeyboardInterrupt
@@ -270,6 +272,7 @@ def _by_bdf_at(ivp, level):
 
 
 def _extrapolated_at(ivp, level, name, method):
+    """(description, {part: value at the end}) of a method of order 2 with the steps of a level, extrapolated to h = 0."""
     if ivp.model.switching:  # steps end at the switches, so that the error is no power of h
         raise RuntimeError(f"{name} cannot be extrapolated: its steps end where forces of the model switch")
     h = ivp.t_end / EXTRAPOLATION_STEPS[level]
@@ -335,6 +338,7 @@ class Ends:
         return end
 
     def _computed(self, method, level):
+        """The End of a run by a method at a level; every exception but Ctrl-C becomes its `failed`."""
         begun = time.process_time()
         try:
             end = End(*method(self.ivp, level))

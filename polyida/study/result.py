@@ -237,6 +237,7 @@ class Result:
         return f"<{type(self).__name__}: {printable(self.title)}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
 
     def __str__(self):
+        """The title, the table with aligned columns, the figures and the notes, as lines of text."""
         headings, rows = self.text_table()
         lines = [[printable(heading) for heading in headings], *([cut(text, MAX_CELL) for text in row] for row in rows)]
         widths = [max(map(len, column)) for column in zip(*lines)]
@@ -272,6 +273,7 @@ class StudyResult(Result):
     """
 
     def __init__(self, study, rows, quick=False):
+        """Call the functions of the study with all rows, and note what failed and, if quick, what the small selection leaves out."""
         self.study, self.title, self.lead = study, study.name.replace("_", " "), study.title
         self._figures, self._pictures, failures = dict.fromkeys(study.headline, math.nan), None, []
         for figures in self._call(study.figures, rows, failures):

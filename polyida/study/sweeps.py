@@ -19,9 +19,10 @@ from polyida.progress import teller
 from polyida.show.axes import finish
 from polyida.show.styles import FAILED, literal, marker_style, on_axes
 from polyida.study.executors import COSTS, RESERVED, Isolated, SerialExecutor, run_measured_case, to_plain_value
+from polyida.study.kept import require_folder
 from polyida.study.result import Result
 from polyida.study.tasks import RowFolder, collect_rows, package_hash
-from polyida.validation import is_number, named_keywords, one_of, path_of
+from polyida.validation import is_number, named_keywords, one_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +48,7 @@ class Sweep(Result):
     """
 
     def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
+        """Take the parts of the class's description, and give each column a heading and a format of its values."""
         super().__init__(rows, notes)
         self.title, self.ran, self.varied = title, ran, varied
         names = dict.fromkeys(name for row in self.rows for name in row if name != "traceback")
@@ -170,6 +172,7 @@ def sweep(
     executor, sweep_id = executor or SerialExecutor(), uuid4().hex
 
     def submit(arguments):
+        """The Future of the row of one case. Raises InputError if the function cannot be sent to a process."""
         try:
             return executor.submit(run_measured_case, function=function, arguments=arguments, sweep_id=sweep_id)
         except (TypeError, AttributeError, pickle.PickleError) as error:
@@ -219,6 +222,7 @@ def _checked_cases(function, cases):
 
 
 def _require_executor(function, executor):
+    """Raise InputError unless this is an executor of concurrent.futures, or None, and the function can be sent to its processes."""
     if executor is None:
         return
     if not isinstance(executor, Executor):
@@ -244,11 +248,7 @@ def _row_folder(function, folder):
     """The RowFolder of a sweep with the identity of its code."""
     if folder is None:
         return RowFolder()
-    folder = path_of("sweep", "folder", folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"sweep: folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
+    folder = require_folder("sweep", folder, "folder")
     try:
         code = fingerprint_of(function)
     except NoFingerprint as error:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from polyida.errors import InputError
 from polyida.files import remove_left_over, write_file
+from polyida.registry import study_folder
 from polyida.study.executors import Isolated, SerialExecutor, error_text, run_as_row, to_json
 from polyida.validation import path_of
 
@@ -89,9 +90,9 @@ def code_hash(study):
 @lru_cache(maxsize=4)
 def package_hash(folder=None):
     """Hash of the source of the package, and of the files in a study's folder and its packages."""
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    package, problems, digest = Path(__file__).parents[1], study_folder() / "problems", hashlib.sha256()
     study_files = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
-    for root, paths in ((package, package.rglob("*.py")), (folder, study_files)):
+    for root, paths in ((package, package.rglob("*.py")), (problems, problems.glob("*.py")), (folder, study_files)):
         for path in sorted(paths):
             if path.is_file() and not path.name.startswith("."):  # editors put links that lead nowhere beside a file
                 digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
@@ -130,6 +131,7 @@ def _finished_rows(submit, waiting):
     """(key, row) of each task as it finishes."""
 
     def row_of(future):
+        """The row of a finished Future; an exception of the executor becomes a row with an error."""
         try:
             return future.result()
         except Exception as error:  # noqa: BLE001, an executor whose process is lost may raise anything

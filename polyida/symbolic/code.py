@@ -31,6 +31,7 @@ class Printer(PythonCodePrinter):
         return " + ".join(map(self._print, expression.args))
 
     def _print_Mul(self, expression):
+        """A product; a number alone before it becomes a sign or a factor before the text of the rest."""
         number, rest = numbered(expression)
         if rest is not expression:
             text = self._factor(rest) if rest in self.names or not rest.is_Mul else self._print_Mul(rest)
@@ -38,6 +39,7 @@ class Printer(PythonCodePrinter):
         return "*".join(map(self._factor, expression.args))
 
     def _print_Pow(self, expression, rational=False):
+        """A power: 1/x, a whole power as `x**n`, another one as sympy prints it."""
         base, exponent = expression.args
         if exponent is sp.S.NegativeOne:
             return f"1/{self._factor(base)}"
@@ -66,6 +68,7 @@ def parts_of(expressions):
     seen, repeated, order, symbols = set(), set(), [], set()
 
     def visit(part, outside):
+        """Note a part at its first place, behind its own parts, and as repeated at a second one; outside: not within a branch."""
         if not part.args:
             symbols.add(part)
         elif part not in seen:

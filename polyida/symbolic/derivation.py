@@ -76,7 +76,7 @@ class Equations:
         }
 
     def residual(self):
-        """r (n,)."""
+        """The entries of r = M a + g + phi_q^T lam, (n,), as expressions."""
         s = self.symbols
         return [
             sp.Add(dot(row, s.a), g, dot(self.lam, column))

@@ -18,6 +18,7 @@ class Derivative:
         self._contained = {} if contained is None else contained
 
     def __call__(self, expression):
+        """The derivative of an expression along the direction; each part is derived once."""
         known = self._known.get(expression)
         if known is None:
             depends = not self._moving.isdisjoint(self._leaves(expression))
@@ -33,6 +34,7 @@ class Derivative:
         return found
 
     def _derived(self, expression):
+        """The derivative of an expression that depends on what moves: sum, product, power, branch, or the chain rule."""
         arguments = expression.args
         if isinstance(expression, FLAT):
             return sp.S.Zero

@@ -60,6 +60,7 @@ class Symbols:
     """
 
     def __init__(self, part, q, states, values):
+        """Check coordinates and states, and make the model's symbol for each of them and their derivatives."""
         self.part = part
         self.user_q = [self._coordinate("q", k, one) for k, one in enumerate(q)]
         self.user_x = [self._coordinate("states", k, one) for k, one in enumerate(states)]
@@ -161,6 +162,7 @@ class Symbols:
         return {T, *self.q, *self.v, *self.a, *self.x} | ours
 
     def _unknown(self, one):
+        """Why a function or derivative cannot be taken, in words for the message."""
         one = one.xreplace({ours: user for user, ours in self._replaced.items()})
         inner = one.expr if isinstance(one, sp.Derivative) else one
         if inner in self.functions or inner in self.user_q:

@@ -24,6 +24,7 @@ def mechanics(method, values, compiled):
 
 
 def _of_lagrange(method, values, compiled):
+    """The model of a LagrangesMethod, from its Lagrangian, constraints and loads."""
     q, holonomic = list(method.q), list(method._hol_coneqs)
     psi, also = list(method.coneqs)[len(holonomic) :], {}
     lam = sp.symbols(f"lam:{len(holonomic) + len(psi)}", real=True)
@@ -43,6 +44,7 @@ def _generalised(method):
 
 
 def _of_kane(method, values, compiled):
+    """The model of a KanesMethod: its equations in the speeds u = W(q) q' + w, put back to q'."""
     if method._frstar is None:
         raise InputError(f"{PART}: the KanesMethod has no equations yet: call its kanes_equations(bodies, loads) before")
     q, u = list(method.q), list(method.u)

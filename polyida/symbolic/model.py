@@ -41,6 +41,7 @@ class SymbolicModel(Model):
         self._set(values, profiles)
 
     def _set(self, values, profiles):
+        """Take the values of symbols and the profiles of functions of time; both derivatives of a profile are profiles too."""
         self.values = np.array(values, float)
         self.constants = np.array(self.constants_of(*self.values), float)
         for numbers in (self.values, self.constants):
@@ -150,6 +151,7 @@ class SymbolicModel(Model):
         return self._slopes_known(function, name)(self, *state)
 
     def _slopes_known(self, function, name):
+        """The compiled derivative of `function` by a value, made at its first use and kept by the class."""
         known = type(self).slopes
         if (function, name) not in known:
             known[function, name] = functions_of(self.equations.slope(function, name))[function]
@@ -174,6 +176,7 @@ def kind_of(name, by_numba, equations, source):
 
 
 def _kind(name, by_numba, equations, source):
+    """Make the class of models with these functions and sizes, as a subclass of SymbolicModel."""
     s, body = equations.symbols, functions_of(source)
     if s.functions:
         body["kinks"] = SymbolicModel._kinks
@@ -199,7 +202,7 @@ def _made(name, by_numba, equations, source, values, profiles):
 
 
 def model_of(name, equations, compiled):
-    """The model of equations."""
+    """The SymbolicModel of Equations with the values of their symbols."""
     s = equations.symbols
     kind = kind_of(name, compiled, equations, equations.source())
     return kind([value for _, _, value in s.parameters.values()], s.profiles)

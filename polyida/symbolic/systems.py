@@ -113,6 +113,7 @@ def _moving(s):
 
 
 def _rates(s, states, given):
+    """The rates of the states in the model's symbols; the user's expressions are noted in `given`."""
     rates = []
     for state, rate in (states or {}).items():
         given[f"rate of {state}"] = expression_of(s.part, f"states[{state}]", rate)
@@ -121,6 +122,7 @@ def _rates(s, states, given):
 
 
 def _forces(s, forces, given):
+    """The generalised forces (n,) in the model's symbols, zeros if none are given."""
     forces = listed(s.part, "forces", forces)
     if forces and len(forces) != len(s.q):
         raise InputError(f"{s.part}: forces has {len(forces)} entries; give one for each of the {len(s.q)} coordinates, 0 for none")

@@ -171,6 +171,7 @@ class Wheelset(Model):
     offset = rows(Q0)
 
     def mass(self, q):
+        """Mass matrix M(q), (10, 10), zero for psi and xi of the contacts."""
         M = np.zeros((10, 10))
         for k in range(6):
             M[k, k] = MASSES[k]
@@ -187,6 +188,7 @@ class Wheelset(Model):
         return slopes(q)
 
     def residual(self, t, q, v, a, lam):
+        """Residual r (10,) with the creep forces of the normal forces in lam."""
         B = slopes(q)
         r = forces(q, v, B, lam) + B.T @ lam
         r[:6] += MASSES * a[:6]

@@ -107,6 +107,7 @@ class Andrews(Model):
     torque, stiffness, rest, masses = mom, c0, l0, np.array([m1, m2, m3, m4, m5, m6, m7])
 
     def mass(self, q):
+        """Mass matrix M(q), (7, 7)."""
         m, cos_theta, sin_phi, sin_omega = self.masses, np.cos(q[THETA]), np.sin(q[PHI]), np.sin(q[OMEGA])
         M = np.zeros((7, 7))
         M[0, 0] = m[0] * ra**2 + m[1] * (rr**2 - 2 * da * rr * cos_theta + da**2) + I1 + I2
@@ -122,6 +123,7 @@ class Andrews(Model):
         return M
 
     def mass_a_q(self, q, a):
+        """Derivative of M(q) a in q, (7, 7)."""
         p2, p4, p6 = _couplings(self.masses)
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), -p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
@@ -131,6 +133,7 @@ class Andrews(Model):
         return result
 
     def force(self, t, q, v):
+        """Forces g(q, v), (7,): centrifugal terms, spring and torque."""
         p2, p4, p6 = _couplings(self.masses)
         arm, turn, length = _spring(q[GAMMA])
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
@@ -147,6 +150,7 @@ class Andrews(Model):
         )
 
     def force_q(self, t, q, v):
+        """Derivative of g in q, (7, 7)."""
         p2, p4, p6 = _couplings(self.masses)
         arm, turn, length = _spring(q[GAMMA])
         along, bend = (arm.conjugate() * turn).real, (arm.conjugate() * 1j * turn).real
@@ -159,6 +163,7 @@ class Andrews(Model):
         return result
 
     def force_v(self, t, q, v):
+        """Derivative of g in v, (7, 7)."""
         p2, p4, p6 = _couplings(self.masses)
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
@@ -168,6 +173,7 @@ class Andrews(Model):
         return result
 
     def phi(self, t, q):
+        """Constraints phi(q), (6,), m: the three loops close at E, at A and at A."""
         c, s = _arms(q)
         x, y = rr * c[0] - d * c[1], rr * s[0] - d * s[1]  # E, where the three loops meet
         return np.array(
@@ -182,6 +188,7 @@ class Andrews(Model):
         )
 
     def phi_q(self, t, q):
+        """Jacobian of the constraints, (6, 7)."""
         c, s = _arms(q)
         result = np.zeros((6, 7))
         result[::2, BETA], result[1::2, BETA] = d * s[1] - rr * s[0], rr * c[0] - d * c[1]
@@ -194,6 +201,7 @@ class Andrews(Model):
         return result
 
     def phi_bias(self, t, q, v):
+        """Second derivative of phi in time for a = 0, (6,)."""
         c, s = _arms(q)
         beta, theta, gamma, phi = v[0] ** 2, (v[0] + v[1]) ** 2, v[2] ** 2, (v[3] + v[4]) ** 2
         delta, omega, epsilon = v[4] ** 2, (v[5] + v[6]) ** 2, v[6] ** 2
@@ -210,6 +218,7 @@ class Andrews(Model):
         )
 
     def reaction_q(self, t, q, lam):
+        """Derivative of phi_q^T lam in q, (7, 7)."""
         c, s = _arms(q)
         x, y = lam[0] + lam[2] + lam[4], lam[1] + lam[3] + lam[5]
         result = np.zeros((7, 7))
