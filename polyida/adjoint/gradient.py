@@ -24,9 +24,10 @@ from polyida.adjoint.run import Gradient, Totals
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.loose import FREE
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
-from polyida.integrate.static import FREE, Equilibrium, Loading
+from polyida.integrate.static import Equilibrium, Loading
 from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT

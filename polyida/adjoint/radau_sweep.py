@@ -26,7 +26,7 @@ from scipy.sparse import block_array, block_diag, csr_array, diags_array, eye_ar
 from polyida.adjoint.tables import CallbackAdjoint
 from polyida.errors import DONE
 from polyida.integrate.radau.loop import MAKE, STEP, TARGET, TIME, attempt, make_factors, reserve_slot
-from polyida.integrate.radau.step import FACTORS
+from polyida.integrate.radau.step_arrays import FACTORS
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.linear.dense import clear, copy_matrix, put

@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.input_direction import input_direction
+from polyida.integrate.loose import FREE
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
-from polyida.integrate.static import FREE, Equilibrium, Loading, input_direction, relaxed, start_of_unknowns, whole_load
+from polyida.integrate.static import Equilibrium, Loading, relaxed, start_of_unknowns, whole_load
 from polyida.linear.saddle import coordinate_sizes
 from polyida.model import Model
 from polyida.model.check import require_declared
@@ -259,18 +261,29 @@ def equilibrium_path(
     q = start_of_unknowns(guarded, q0)
     require_declared(guarded, loading.t, q, np.zeros(guarded.n))
     if load is not None:
-        zero = np.zeros(guarded.n)
-        place, v, _ = loading.at_rest(q)
-        at = State(loading.t, place, v, zero, np.zeros(guarded.m))
-        direction = input_direction("equilibrium_path", guarded, at, load)
-        if direction.row.any():
-            raise InputError(f"equilibrium_path: {direction.label!r} moves constraints; only forces have a load factor")
-        if not direction.force.any():
-            raise InputError("equilibrium_path: the load is zero")
-        loading = replace(loading, base=zero, slope=direction.force)
-    arc = ArcLength(loading)
-    points, turning, message = [arc.first(q, start)], [], ""
-    most = FARTHEST * (guarded.extent or np.inf)
+        loading = _loading_of(loading, load, q)
+    points, turning, message = _follow(ArcLength(loading), q, first, until, count, start)
+    return EquilibriumPath(model, np.array([p.factor for p in points]), tuple(p.state for p in points), tuple(turning), message)
+
+
+def _loading_of(loading, load, q):
+    """The Loading in which `load` alone grows, beside the model's own load. Raises InputError for a load that is zero or moves constraints."""
+    model, (place, v, zero) = loading.model, loading.at_rest(q)
+    direction = input_direction("equilibrium_path", model, State(loading.t, place, v, zero, np.zeros(model.m)), load)
+    if direction.row.any():
+        raise InputError(f"equilibrium_path: {direction.label!r} moves constraints; only forces have a load factor")
+    if not direction.force.any():
+        raise InputError("equilibrium_path: the load is zero")
+    return replace(loading, base=np.zeros(model.n), slope=direction.force)
+
+
+def _follow(arc, q, first, until, count, start):
+    """(Points of the path from the factor `start`, indices of the turning points, why it ended early or an empty text).
+
+    A step is halved where it fails, and else its length follows from the iterations that it took. Raises StepFailure without a first point.
+    """
+    points, turning = [arc.first(q, start)], []
+    most = FARTHEST * (arc.loading.model.extent or np.inf)
     length = unit = min(first / points[0].rate, most)
     while len(points) < count and points[-1].factor < until:
         last = points[-1]
@@ -283,12 +296,11 @@ def equilibrium_path(
         except StepFailure as failure:
             length /= 2
             if length < SHORTEST * unit:
-                message = str(failure)
-                break
+                return points, turning, str(failure)
             continue
         points.append(point)
         length = min(LONGEST * unit, most, length * float(np.clip((ITERATIONS / iterations) ** 0.5, 0.5, 2.0)))
-    return EquilibriumPath(model, np.array([p.factor for p in points]), tuple(p.state for p in points), tuple(turning), message)
+    return points, turning, ""
 
 
 def _turning_point(arc, last, length):

@@ -17,6 +17,7 @@ class LeftOut:
     """The rows that a model leaves out as redundant, if it does."""
 
     def __init__(self, model):
+        """Take the redundant rows of a model, if it leaves some out, and the independent ones without a law."""
         self.redundant, self.sizes = getattr(unguarded(model), "redundant", None), None
         if self.redundant is not None and not self.redundant.labels:
             self.redundant = None

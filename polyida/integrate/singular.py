@@ -48,20 +48,23 @@ class Watch:
 
     A model that is no scene is examined again before the rows, at their present speed, have moved a quarter of the distance to a singular
     position.
-
-    state, h: the last state that was taken, and its step; steps: number of states taken. every: one in so many states is examined. known: the
-    Examined of the last state that was; due: time before which none is; speed: rate at which s^2 falls. proof: of regular states, or None.
     """
 
     def __init__(self, model, state):
-        self.model, self.state, self.h, self.speed = model, state, 0.0, 0.0
-        self.steps, self.every, self.proof = 0, model.looks_apart, None
+        """Begin at a state, which is examined unless it is proved to be regular."""
+        self.model = model
+        self.state = state  # the last one that was taken
+        self.h = 0.0  # s: its step
+        self.speed = 0.0  # rate, 1/s, at which s^2 falls
+        self.steps = 0  # number of states taken
+        self.every = model.looks_apart  # one in so many states is examined
+        self.proof = None  # of regular states
         if self.every == 1 and model.is_scene:
             self.proof = UnitRows(model, state)
         elif self.every == 1 and small_own(model) and model.by_numba:
             self.proof = UnitRows(model, state, Compiled(model, ("phi_q",)))
         self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
-        self.due = state.t
+        self.due = state.t  # none is examined before; known, below: the Examined of the last state that was
         if not (self.proof and self.proof.begin(state)):
             self.known = self._examined(state)
 

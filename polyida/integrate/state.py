@@ -93,7 +93,7 @@ class Stretch:
 
     @property
     def last(self):
-        """The last State."""
+        """The last State, with its memory if it has one."""
         if self._last is None:
             self._last = self._state(len(self) - 1)
         return self._last
@@ -306,12 +306,6 @@ class Integrator:
             If the integration cannot continue. The run keeps the states so far.
         """
         raise NotImplementedError(f"{type(self).__name__} has no steps(model, state, t_end, counts)")
-
-    def _require_settings(self, *checks):
-        """Raise InputError for the first of checks (name of a setting, True if it is good, what it must be) that fails."""
-        for name, good, want in checks:
-            if not good:
-                raise InputError(f"{self.class_name()}: {name} = {getattr(self, name)!r} must be {want}")
 
     def require(self, model: Model) -> None:
         """Raise InputError unless the integrator supports the model; called by `solve` before anything is computed."""

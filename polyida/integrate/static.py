@@ -8,33 +8,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.assembly.motion import rigid_motions
 from polyida.assembly.relaxation import relaxed_velocities
 from polyida.errors import InputError, StepFailure
-from polyida.force.controllers import PID, pid_torque
-from polyida.force.force_element import ForceElement
 from polyida.integrate.left_out import LeftOut
+from polyida.integrate.loose import FREE, naming_loose, yielding_elements
 from polyida.integrate.sizes import extent, memory_of_rest
 from polyida.integrate.start import vector_of
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, negative_directions, require_independent, typical
-from polyida.model import Model, differences
+from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.functions import writes
 from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import require_no_laws
 from polyida.reprs import brief
-from polyida.validation import floats, is_flag, is_number, is_whole, named_keywords, read_only
+from polyida.validation import is_flag, is_number, is_whole, named_keywords
 
-FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # times the structure's extent: a larger Newton step is that of a mechanism
 REGULARIZATION = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 SLOW = 0.3  # contraction above which a model's own step matrix is made anew
 MOST_STEPS = 10**6  # of the load
 HALVINGS = 10  # of a part of the load, in a row
-LOOSE = 1e-11  # smallest singular value, in units of K and phi_q, of the motions of a body that is held
-RESISTS = 1e-6  # of force times way: a force element that does less work does not resist a motion
 ATTEMPTS = 200  # parts of the load that are tried beyond those that were asked for
 
 
@@ -160,17 +155,7 @@ class Loading:
                     last = moved
                     continue
                 own = None
-            K, B = self.stiffness(q, lam), self.model.phi_q(self.t, q)
-            for regular in (True, False):  # a hanging chain that is not stretched yet is singular; a small mass regularizes it
-                M = None if regular else self.model.mass(q)
-                try:
-                    system = self.factored(K if regular else K + REGULARIZATION * typical(K) / typical(M) * M, B)
-                    dq, dlam = system.solve(r, phi)
-                    self.require_near(q, dq, iteration)
-                    break
-                except StepFailure:
-                    if not regular:
-                        raise
+            dq, dlam, system, regular = self._correction(q, lam, r, phi, iteration)
             q, lam = q + dq, lam + dlam
             if regular and self.converged(q, dq):
                 return q, lam, system
@@ -178,6 +163,23 @@ class Loading:
             raise StepFailure("singular", FREE, self.t)
         reason, moved = "static equilibrium not found; use more load steps", float(np.abs(dq).max())
         raise StepFailure("newton", reason, self.t, iterations=self.max_iterations, moved=moved)
+
+    def _correction(self, q, lam, r, phi, iteration):
+        """(dq, dlam, the factored system, True if it is K's own) of Newton's method. Raises StepFailure.
+
+        Where K is singular, as of a hanging chain that is not stretched yet, a small mass regularizes it.
+        """
+        K, B = self.stiffness(q, lam), self.model.phi_q(self.t, q)
+        with suppress(StepFailure):
+            system = self.factored(K, B)
+            dq, dlam = system.solve(r, phi)
+            self.require_near(q, dq, iteration)
+            return dq, dlam, system, True
+        M = self.model.mass(q)
+        system = self.factored(K + REGULARIZATION * typical(K) / typical(M) * M, B)
+        dq, dlam = system.solve(r, phi)
+        self.require_near(q, dq, iteration)
+        return dq, dlam, system, False
 
     def factored(self, K, B, reason=FREE, columns=None):
         """The factored KKT. Raises StepFailure if it is singular."""
@@ -228,48 +230,6 @@ class Loading:
         return Equilibrium(self.t, *self.at_rest(q), lam, model=unguarded(model), linear=True).of(model)
 
 
-def yielding_elements(loading, q, dq):
-    """Text that names the force elements which the motion dq of a mechanism moves and which do not resist it; empty if there are none."""
-    model, t = loading.model, loading.t
-    size, named = extent(model, q), []
-    dq = size / np.abs(dq).max() * dq
-    (place, v, _), (moved, change, _) = loading.at_rest(q), loading.at_rest(dq)
-    for own in model.own_forces:
-        if not isinstance(own.element, ForceElement):
-            continue
-        x, speeds, way = own.places(place), own.velocities(v), own.velocities(moved)
-        force = own.slopes(t, x, speeds, 0.0, 1.0) @ way.ravel() + own.slopes(t, x, speeds, 1.0, 0.0) @ own.velocities(change).ravel()
-        force, way = force.reshape(x.shape)[own.own_sides], way[own.own_sides]
-        small = RESISTS * np.linalg.norm(way) * max(np.linalg.norm(force), np.abs(loading.slope).max())
-        if np.abs(way / own.sizes[own.own_sides]).max() > RESISTS and abs(np.vdot(force, way)) <= small:
-            named.append(repr(own.name) + _limit(own, t, x, speeds))
-    return f"; this motion is not resisted by {', '.join(named)}" if named else ""
-
-
-def _limit(own, t, x, v):
-    """Text on a PID at its limit, else empty."""
-    if not isinstance(own.element, PID):
-        return ""
-    whole, torque, *_ = pid_torque(own.element, t, x[own.own_sides], v[own.own_sides], *own.all_states(t, x, v))
-    return f", which is at its limit of {own.element.limit:.6g} N m" if whole != torque else ""
-
-
-def naming_loose(failure, loading, q):
-    """The failure of a structure that can move freely, with the bodies that can move while all others stand still."""
-    model = loading.model
-    if not (model.is_scene and failure.reason.startswith(FREE)):
-        return failure
-    K, B, motions = loading.stiffness(q, np.zeros(model.m)), model.phi_q(loading.t, q), rigid_motions(model, q).tocsc()
-    loose = []
-    for k, body in enumerate(model.all_bodies):
-        own = motions[:, 3 * k : 3 * k + 3].toarray()
-        own /= np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-        if np.linalg.svd(np.concatenate([K @ own / (abs(K).max() or 1.0), B @ own]), compute_uv=False)[-1] < LOOSE:
-            loose.append(body.name)
-    names = ", ".join(map(repr, loose[:3])) + ", ..." * (len(loose) > 3)
-    return StepFailure(failure.status, f"{names}: {failure.reason}", failure.t, **failure.seen) if loose else failure
-
-
 def whole_load(part, model, t, tolerance, max_iterations):
     """The Loading whose factor goes from 0, no load, to 1, the model's load. Raises InputError, in the name of `part`, for wrong settings."""
     if not is_whole(max_iterations):
@@ -297,6 +257,32 @@ def start_of_unknowns(model, q0):
     q = vector_of("q0", q0, model)
     q[model.state_columns] = model.state_start
     return q
+
+
+def apply_load(loading, q, steps):
+    """(q, lam, the system factored there, parts, halved): the equilibrium under the whole load, which grows from zero.
+
+    The load is applied in `steps` equal parts. A part for which Newton's method fails is halved; parts grow again, up to the first size, after two
+    that succeed. parts, halved: numbers of parts that succeeded and that were halved. Raises StepFailure.
+    """
+    factor, part, lam, system = 0.0, 1.0 / steps, None, None
+    parts = halved = in_a_row = 0
+    while factor < 1.0:
+        target = 1.0 if factor + part > 1.0 - 1e-9 else factor + part
+        try:
+            *reached, system = loading.solve(q, loading.multipliers(q, target) if lam is None else lam, target, system)
+            loading.require_accepted(reached[0])
+        except StepFailure as failure:
+            if part * steps < 0.5**HALVINGS * 1.5 or parts + halved > steps + ATTEMPTS:
+                if not factor:
+                    raise naming_loose(failure, loading, q) from None
+                hint = f"{failure.reason}; {factor:.6g} of the load is borne: if that is the most, pi.equilibrium_path goes beyond"
+                raise StepFailure(failure.status, hint, failure.t, **failure.seen) from None
+            part, halved, in_a_row = part / 2, halved + 1, 0
+            continue
+        factor, parts, (q, lam) = target, parts + 1, reached
+        part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
+    return q, lam, system, parts, halved
 
 
 @named_keywords
@@ -364,24 +350,7 @@ def static(
             return loading.small_displacements()
         except StepFailure as failure:
             raise naming_loose(failure, loading, np.zeros(model.n)) from None
-    system: Any = None
-    factor, part, lam = 0.0, 1.0 / steps, None
-    parts = halved = in_a_row = 0
-    while factor < 1.0:
-        target = 1.0 if factor + part > 1.0 - 1e-9 else factor + part
-        try:
-            *reached, system = loading.solve(q, loading.multipliers(q, target) if lam is None else lam, target, system)
-            loading.require_accepted(reached[0])
-        except StepFailure as failure:
-            if part * steps < 0.5**HALVINGS * 1.5 or parts + halved > steps + ATTEMPTS:
-                if not factor:
-                    raise naming_loose(failure, loading, q) from None
-                hint = f"{failure.reason}; {factor:.6g} of the load is borne: if that is the most, pi.equilibrium_path goes beyond"
-                raise StepFailure(failure.status, hint, failure.t, **failure.seen) from None
-            part, halved, in_a_row = part / 2, halved + 1, 0
-            continue
-        factor, parts, (q, lam) = target, parts + 1, reached
-        part, in_a_row = (min(2 * part, 1.0 / steps), 0) if in_a_row else (part, 1)
+    q, lam, system, parts, halved = apply_load(loading, q, steps)
     definite = isinstance(system, OwnSystem) and system.step.positive_definite()
     equilibrium = loading.equilibrium(q, lam, system.solve, definite, parts=parts, halved=halved)
     if not isinstance(system, OwnSystem) and system.lu.doubtful():  # the energy stays the same in some direction: signs are round-off
@@ -393,45 +362,3 @@ def static(
     if equilibrium.stable is False:
         warnings.warn(f"static: {equilibrium.summary()}; look for another from a disturbed q0", stacklevel=3)
     return equilibrium
-
-
-@dataclass(frozen=True, eq=False)
-class InputDirection:
-    """`r + ... = force u`, `phi + row u = 0` for a small input u: force (n,), row (m,). label: the profile's name, or empty."""
-
-    label: str
-    force: np.ndarray
-    row: np.ndarray
-
-
-def input_names(model):
-    """Names of the model's profiles, numbered if several have one name; empty for those without a name."""
-    names = [name for name, _ in model.named_profiles]
-    return [name if not name or names.count(name) == 1 else f"{name} {names[:k].count(name)}" for k, name in enumerate(names)]
-
-
-def input_direction(part, model, state, value):
-    """The InputDirection of the name of a profile, of a vector (n,), or of a function of q that returns one, at a state.
-
-    Raises InputError, in the name of `part`, for anything else and for a profile that has no effect there.
-    """
-    names = input_names(model)
-    known = ", ".join(repr(name) for name in names if name) or "none"
-    if not isinstance(value, str):
-        force = floats(value(read_only(state.q)) if callable(value) else value)
-        if force is None or force.shape != (model.n,):
-            what = f"must be the name of a profile ({known}), {model.n} finite numbers, or a function of q that gives these"
-            raise InputError(f"{part}: input {str(value)[:80]} {what}")
-        return InputDirection("", force, np.zeros(model.m))
-    if not value or value not in names:
-        raise InputError(f"{part}: no load or motor with a profile is called {value!r}; known: {known}")
-    number, rest, t, q = names.index(value), state.v - model.without_states(state.v), state.t, state.q
-
-    def equations(s):
-        pushed = model.pushed(t, number, s)
-        return np.concatenate([pushed.residual(t, q, rest, np.zeros(model.n), state.lam), pushed.phi(t, q)])
-
-    slope = differences.along(equations)
-    if not slope.any():
-        raise InputError(f"{part}: the profile of {value!r} moves nothing at this state")
-    return InputDirection(value, -slope[: model.n], slope[model.n :])

@@ -14,19 +14,16 @@ depend on the beginning of the stretch, are single.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import StepFailure
+from polyida.integrate.crossings import Crossing, GapValues, first_crossing
 from polyida.integrate.sizes import extent, sizes_of_run
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, between
 
 ZERO = 1e-13  # of the model's size: a gap of that size is zero
-DIPS, SPLITS = 24, 6  # bisections of a part of a step for the minimum of a gap: if its rate changes sign, and otherwise
-STEEP = 1.5  # bound of the rates within a part, over those at its ends
-HALVINGS = 40  # of a bracket of a root
 JUMP = 2.0  # forces jump if they change by less than that factor when the distance from the switch is four times as large
 NEAR = 1e-9  # of a gap's size in a step: how near to zero a step ends
 TOGETHER = 1e-4  # of a step: gaps that switch within that time switch together
@@ -64,64 +61,54 @@ def unresolved(model, integrator, state):
     )
 
 
-class GapValues(NamedTuple):
-    """Gaps (gaps,) and their rates at a time."""
-
-    t: float
-    gap: np.ndarray
-    rate: np.ndarray
-
-
-class Crossing(NamedTuple):
-    """The first crossing of a step: of the gaps `which` (gaps,), about at `guess`, s; at `beyond` one of them has crossed."""
-
-    guess: float
-    beyond: float
-    which: np.ndarray
-
-
 class Switches:
     """The states of a run of a model with gaps, from `state` to t_end: `run` yields them.
 
     own_steps: a function (integrator, state, t_end) that gives the states of the integrator's own steps.
 
-    State.memory "switches" is what a run goes on from. bound: no step is longer, 0 without one; goal: a time at which a step ends, 0 without
-    one; and for each gap: sides: 1 open, -1 closed, 0 unknown; speeds: its largest rate since it closed, 0 if it is open or was closed from
-    the start; peaks: its largest rate so far; offsets: its distance from zero when it switched last; flips: 1 if it switches at the goal;
-    turns, times: the largest change of its rate in a step of the least size, over `speeds`, and the end of that step, s. State.memory
-    "stretch": number of steps that may be taken from there before any is examined.
-
-    here, ahead: GapValues at both ends of the step examined last. near (gaps,): distance from zero at which a step may end. changed: the
-    largest change of a closed gap's rate in that step over the allowed one. turned (gaps,): these changes over the largest rates, if even the
-    shortest step exceeds the allowed one; else None. whole: the last state from which a run can go on; since: states accepted behind it.
-    switched: {gap: (t, times in a row)}. jumped: the next state from which a run can go on is marked "jumped".
+    A run goes on from two entries of State.memory: "switches" is `bound`, `goal` and for each gap the arrays of ROWS, all below; "stretch" is the
+    number of steps that may be taken from there before any is examined.
     """
 
     def __init__(self, own_steps, integrator, model, state, t_end, counts):
+        """Prepare a run; the memory of the state may be that of an earlier run."""
         self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
-        self.h = integrator.fixed_step()
-        self.coarse = bool(self.h) or integrator.second_order
-        self.finest = self.h / FINEST if self.h else STANDING * self.span
         self.own_steps, self.integrator = own_steps, integrator.without_halving()
+        self.h = integrator.fixed_step()  # s; 0 if steps vary
+        self.coarse = bool(self.h) or integrator.second_order  # the rate of a closed gap may change less in a step
+        self.finest = self.h / FINEST if self.h else STANDING * self.span  # s: the shortest step
         speed = float(np.abs(state.v).max(initial=0.0))
         self.distance = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)  # of central differences in t
-        self.switched, self.jumped = {}, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
-        self.whole, self.since = self.state, 0
+        self.whole = self.state  # the last state from which a run can go on
+        self.since = 0  # states accepted behind it
+        self.switched = {}  # {gap: (t, times in a row)}
+        self.jumped = False  # the next state from which a run can go on is marked "jumped"
+        # of the step examined last; near (gaps,), the distance from zero at which a step may end, is set there too
+        self.here = self.ahead = self._values(state.t, state.q, state.v)  # GapValues at its ends
+        self.changed = 0.0  # largest change of a closed gap's rate over the allowed one
+        self.turned = None  # (gaps,) these changes over the largest rates, if even the shortest step exceeds the allowed one
         self._recall()
 
     def _recall(self):
-        state = self.state
-        self.here = here = self._values(state.t, state.q, state.v)
+        """Take what is known of each gap from the memory of the state, or set it at the beginning of a run."""
+        state, here = self.state, self.here
         memory, count = state.memory.get("switches"), len(here.gap)
         if np.shape(memory) != (2 + len(ROWS) * count,):
             near, rate = np.abs(here.gap) <= self._zero(state.q), np.abs(here.rate)
             sides = np.where(near, np.sign(here.rate), np.sign(here.gap))
             rows = sides, np.where(sides < 0, rate, 0.0), rate, np.where(near, np.abs(here.gap), 0.0), *np.zeros((3, count))
             memory = np.concatenate([np.zeros(2), *rows])
-        self.bound, self.goal = float(memory[0]), float(memory[1])
-        rows = np.array(memory[2:]).reshape(-1, count)
-        self.sides, self.speeds, self.peaks, self.offsets, self.flips, self.turns, self.times = rows
+        self.bound = float(memory[0])  # s: no step is longer; 0 without a bound
+        self.goal = float(memory[1])  # s: a time at which a step ends; 0 without one
+        known = dict(zip(ROWS, np.array(memory[2:]).reshape(-1, count)))
+        self.sides = known["sides"]  # 1 open, -1 closed, 0 unknown
+        self.speeds = known["speeds"]  # largest rate since the gap closed, 0 if it is open or was closed from the start
+        self.peaks = known["peaks"]  # largest rate so far
+        self.offsets = known["offsets"]  # distance from zero when the gap switched last
+        self.flips = known["flips"]  # 1 if it switches at the goal
+        self.turns = known["turns"]  # largest change of the rate in a step of the least size, over `speeds`
+        self.times = known["times"]  # s: the end of that step
 
     def _values(self, t, q, v):
         """GapValues at t, the rates by central differences along the motion."""
@@ -134,6 +121,7 @@ class Switches:
         return ZERO * extent(self.model, q)
 
     def _names(self, which):
+        """Names of the gaps `which`, an index or a mask, joined by "and"."""
         return " and ".join(np.atleast_1d(np.array(self.model.gap_names(), object)[which]))
 
     def run(self):
@@ -185,6 +173,7 @@ class Switches:
         self.counts.steps, self.state = steps, state
 
     def _shorter(self, bound):
+        """Go on from the last accepted state with steps of at most `bound`, s."""
         self._repeat_stretch()
         self.bound, self.goal, self.flips = bound, 0.0, np.zeros(len(self.flips))
 
@@ -192,30 +181,40 @@ class Switches:
         """The accepted state, with the memory from which a run goes on."""
         self.here, length = self.ahead, after.t - self.state.t
         rate = np.abs(self.here.rate)
-        self.peaks, self.speeds = np.maximum(self.peaks, rate), np.where(self.speeds > 0, np.maximum(self.speeds, rate), 0.0)
+        self.peaks = np.maximum(self.peaks, rate)
+        self.speeds = np.where(self.speeds > 0, np.maximum(self.speeds, rate), 0.0)
         self.sides = np.where((self.sides == 0) & (np.abs(self.here.gap) > self._zero(after.q)), np.sign(self.here.gap), self.sides)
         if self.turned is not None:
             self.times = np.where(self.turned > self.turns, after.t, self.times)
             self.turns = np.maximum(self.turns, self.turned)
             after = self._with_forces(after, after.a, after.lam) if self.turned.max() > VARIABLE else after
         if self.goal and after.t >= self.goal:
-            self.goal, which = 0.0, self.flips > 0
-            if which.any():
-                after = self._flipped(after, which)
-            elif self.bound:
-                grown = 2 * self.bound if self.changed < 0.4 else self.bound
-                goes_on = grown < self.h if self.h else self.coarse and length > 0.4 * self.bound
-                self.bound = grown if goes_on and (self.sides < 0).any() else 0.0
+            after = self._at_goal(after, length)
         self.state, self.since = after, self.since + 1
         if after.restart:
-            self.whole, self.since, steps = after, 0, 1
-            if self.h:  # half of the steps to the next switch, at the present rates
-                steps = 0.5 * float((np.abs(self.here.gap) / np.maximum(np.abs(self.here.rate) * length, 1e-300)).min())
-            after.memory["switches"] = np.concatenate([[self.bound, self.goal], *(getattr(self, name) for name in ROWS)])
-            after.memory["stretch"] = float(int(min(max(steps, 1.0), STRETCH)))
-            if self.jumped:
-                after.memory["jumped"], self.jumped = 1.0, False
+            self._store(after, length)
         return after
+
+    def _at_goal(self, after, length):
+        """The state at the goal, where gaps may switch; without a switch the bound of steps may grow. length: of the step before, s."""
+        self.goal, which = 0.0, self.flips > 0
+        if which.any():
+            return self._flipped(after, which)
+        if self.bound:
+            grown = 2 * self.bound if self.changed < 0.4 else self.bound
+            goes_on = grown < self.h if self.h else self.coarse and length > 0.4 * self.bound
+            self.bound = grown if goes_on and (self.sides < 0).any() else 0.0
+        return after
+
+    def _store(self, state, length):
+        """Store in the memory of a state what a run goes on from; length: of the step that ends there, s."""
+        self.whole, self.since, steps = state, 0, 1
+        if self.h:  # half of the steps to the next switch, at the present rates
+            steps = 0.5 * float((np.abs(self.here.gap) / np.maximum(np.abs(self.here.rate) * length, 1e-300)).min())
+        state.memory["switches"] = np.concatenate([[self.bound, self.goal], *(getattr(self, name) for name in ROWS)])
+        state.memory["stretch"] = float(int(min(max(steps, 1.0), STRETCH)))
+        if self.jumped:
+            state.memory["jumped"], self.jumped = 1.0, False
 
     def _flipped(self, state, which):
         """The state at which gaps switch, with the forces of the far side if they jump."""
@@ -276,7 +275,8 @@ class Switches:
         if closed.any() and (shorter := self._too_long(values, state, after, closed)):
             return None, shorter
         self.near = NEAR * np.abs([each.gap for each in values]).max(axis=0) + self._zero(state.q)
-        crossing = self._first_crossing(values, at, lambda t: self.model.gaps(t, between(state, after, t).q))
+        allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.offsets), 0.0)
+        crossing = first_crossing(values, at, lambda t: self.model.gaps(t, between(state, after, t).q), self.sides, self.near, allowed)
         if crossing is None:
             distance = self.sides * self.ahead.gap
             reached = (distance >= 0) & (distance <= self.near) & (self.sides * self.ahead.rate < 0) & ~self._just_switched()
@@ -287,24 +287,6 @@ class Switches:
     def _just_switched(self):
         """True for gaps that have just switched; round-off may put them on either side of zero."""
         return np.abs(self.here.gap) <= self.offsets
-
-    def _first_crossing(self, values, at, gaps):
-        """The first Crossing in a step, or None; values: GapValues at times of the step, in order; at, gaps: of other times."""
-        sides, crossing = self.sides, None
-        allowed = np.where(self._just_switched(), 4 * np.maximum(self.near, self.offsets), 0.0)
-        may_cross = np.zeros(len(sides), bool)
-        for first, last in zip(values[:-1], values[1:]):
-            steepest = STEEP * np.maximum(np.abs(first.rate), np.abs(last.rate))
-            may_cross |= sides * (first.gap + last.gap) - steepest * (last.t - first.t) < -2 * allowed
-        for k in np.flatnonzero(may_cross & (sides != 0)):
-            bracket = _bracket(k, values, at, sides[k], -allowed[k])
-            if bracket and (crossing is None or bracket[1] < crossing.beyond):
-                a, b = bracket
-                for _ in range(HALVINGS):
-                    c = 0.5 * (a + b)
-                    a, b = (a, c) if sides[k] * gaps(c)[k] < 0.5 * self.near[k] else (c, b)
-                crossing = Crossing(a, bracket[1], np.arange(len(sides)) == k)
-        return crossing
 
     def _too_long(self, values, state, after, closed):
         """The bound of a shorter step if this one changes the rate of a closed gap by too much; otherwise 0."""
@@ -400,28 +382,3 @@ class Switches:
             return [], None
         finally:
             self.here, self.counts.steps = here, steps
-
-
-def _bracket(k, values, at, side, least):
-    """Times before and behind the first crossing of gap k, or None."""
-
-    def search(first, last, depth):
-        (a, fa, da), (b, fb, db) = first, last
-        dip = da < 0 < db
-        if dip and fb >= least:
-            lowest = fa + da * (fb - fa - db * (b - a)) / (da - db)
-            if lowest >= least:
-                return None
-        elif fb >= least and fa + fb - STEEP * max(abs(da), abs(db)) * (b - a) >= 2 * least:
-            return None
-        if depth <= 0:
-            return (a, b) if fb < least else None
-        middle = point(at(0.5 * (a + b)))
-        remaining = depth - (1 if dip else DIPS / SPLITS)
-        return search(first, middle, remaining) or search(middle, last, remaining) or ((a, b) if fb < least else None)
-
-    def point(values):
-        return values.t, side * float(values.gap[k]), side * float(values.rate[k])
-
-    brackets = (search(point(first), point(last), DIPS) for first, last in zip(values[:-1], values[1:]))
-    return next((bracket for bracket in brackets if bracket), None)

@@ -60,14 +60,14 @@ def solve(matrix, pivots, right):
 
 @part
 def put(factor, source, target):
-    """target = factor source; target may be longer."""
+    """Copy factor times source to target, which may be longer."""
     for i in range(source.shape[0]):
         target[i] = factor * source[i]
 
 
 @part
 def copy_matrix(source, target):
-    """target = source. numba takes two seconds to compile an assignment of arrays."""
+    """Copy a matrix to another one of its size. numba takes two seconds to compile an assignment of arrays."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             target[i, j] = source[i, j]
@@ -75,14 +75,14 @@ def copy_matrix(source, target):
 
 @part
 def zero(vector):
-    """Every entry of a vector 0. An assignment to a slice takes longer where vectors are short."""
+    """Set every entry of a vector to 0. An assignment to a slice takes longer where vectors are short."""
     for i in range(vector.shape[0]):
         vector[i] = 0.0
 
 
 @part
 def clear(matrix):
-    """Every entry 0."""
+    """Set every entry of a matrix to 0."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0

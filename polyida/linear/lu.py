@@ -52,6 +52,7 @@ class LU:
     """
 
     def __init__(self, matrix, pivoting=False):
+        """Factor a matrix, dense or sparse."""
         sparse = hasattr(matrix, "tocsc")
         matrix = matrix.tocsc() if sparse else np.asarray(matrix)
         if not np.isfinite(matrix.data if sparse else matrix).all():
@@ -70,6 +71,7 @@ class LU:
 
 
 def _dense(matrix):
+    """(function (b, transposed) that solves by LAPACK's factor, function that returns its pivots). Raises SingularSystem."""
     from scipy.linalg import get_lapack_funcs
 
     getrf, getrs = get_lapack_funcs(("getrf", "getrs"), (matrix,))
@@ -80,6 +82,7 @@ def _dense(matrix):
 
 
 def _sparse(matrix, options):
+    """(function (b, transposed) that solves by SuperLU's factor, function that returns its pivots). Raises SingularSystem."""
     from scipy.sparse.linalg import splu
 
     try:

@@ -290,6 +290,7 @@ class StepMatrix:
     caution = 0.5
 
     def __init__(self, model: Any) -> None:
+        """Take the model; `factor` makes S."""
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
         self.S: Any = None
         self.lu: Any = None
@@ -397,7 +398,10 @@ class ExactSaddle:
         self.S = self.S if self.C is None else self.S + self.c_v * self.C
 
     def solve(self, right, below, transposed=False):
-        """(x, mu). Raises SingularSystem."""
+        """(x, mu) with `S x + B^T mu = right`, `slopes x = below`, or of the transposed system. Raises SingularSystem.
+
+        An old factor is refined by residuals of the present matrices; it is made anew where that is slow.
+        """
         if isinstance(self.S, np.ndarray):
             return self._direct(right, below, transposed)
         S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
@@ -414,6 +418,7 @@ class ExactSaddle:
         return self._direct(right, below, transposed) if x is None else x
 
     def _direct(self, right, below, transposed):
+        """(x, mu) by one factor of the whole system at this state, made at the first call."""
         if self.direct is None:
             self.counts.factorizations += 1
             self.direct = KKT(self.S, self.slopes, columns=self.B)
@@ -421,7 +426,10 @@ class ExactSaddle:
         return self.direct.solve(-right, -below, transposed)
 
     def _refine(self, S, right, below, columns, border):
-        """(x, mu), or None if the factor is too old."""
+        """(x, mu) by iterative refinement with the factor at hand; None if it converges too slowly.
+
+        S: the present matrix, transposed for that system; columns (m, n): the transpose of its columns beside S; border: its lower rows.
+        """
         t, q, _, _, lam = self.here
         x, mu, r, rows, last = np.zeros_like(right), np.zeros_like(below), right, below, np.inf
         for _ in range(CORRECTIONS):

@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from polyida.assembly.placement import GRAVITY
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.input_direction import input_direction, input_names
+from polyida.integrate.loose import FREE
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
-from polyida.integrate.static import FREE, Loading, input_direction, input_names, relaxed, start_of_unknowns, whole_load
+from polyida.integrate.static import Loading, relaxed, start_of_unknowns, whole_load
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT, negative_directions, symmetric
 from polyida.modal.modes import translations

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly.own_forces import slopes_of
 from polyida.errors import InputError
+from polyida.integrate.input_direction import input_direction, input_names
 from polyida.integrate.state import State
-from polyida.integrate.static import input_direction, input_names
 from polyida.joint.attachment import Attachment
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT

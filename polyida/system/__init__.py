@@ -7,16 +7,16 @@ the first instant of a step. It returns a status (errors.REASONS). A driver need
 
 | entry | arguments | action |
 |---|---|---|
-| RESIDUAL | q, v, a, lam, r, phi | r and phi |
+| RESIDUAL | q, v, a, lam, residual, phi | r = M a + g + B^T lam, and phi |
 | BEGIN | q, v, times | store the state at which a step begins; times: as of PREPARE |
 | CONSTRAINTS | q, dq, dv, phi, rate | phi and rate at q; of tables by increments: from those at the step's start, which phi and rate hold, and the changes dq - h v_0 and dv |
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq; no entry (address 0) if the caller of the driver computes it |
-| SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
+| SOLVE | q, lam, residual, phi, dq, dlam | `S dq + B^T dlam = -residual`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
 | RATE | q, v, rate, known | `phi_q v + phi_t`; known: True if B is that of the last REACTION of this stage |
 | PROJECT | rows, x, from_zero | change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least x with `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | status of a state: accepted or rejected |
 | ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; no entry (address 0) if they are computed when they are asked for |
-| MIDDLE | states, lam, r, phi | r in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
+| MIDDLE | states, lam, residual, phi | the residual in the middle of a step of the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
 | STRAINS | past, now, state, numbers | state = 0: begin a step whose unknowns are without strains (assembly/condensation.py), else end it: fill the rows of the strains in state |
 
 Further entries serve the s stages of Radau IIA. D is the diagonal of M over its mean, or 1: in scenes and in models of uniform units. The instant of a step's beginning is a multiple of s + 1; those of its stages follow.
@@ -26,11 +26,11 @@ Further entries serve the s stages of Radau IIA. D is the diagonal of M over its
 | PREPARE | times | take (h, t and times of the instants, s + 1) of a step; no entry (address 0) if all steps of a stretch are known before |
 | REACTION | q, mu, dv, known | dv += D^-1 B^T mu; known: True if B is that of ROWS |
 | ROWS | q, v, a, known | compute the rows of the middle stage; a is read if phi'' is a row; known: True if B is that of the last RESIDUAL |
-| TURN | r, back | rotate the residuals (s, n) into the frame of the middle stage, or corrections back; 0 without frames |
-| REAL, PAIR | r, closing, lam, dq, multipliers | the correction of a mode, radau/step.py; closing and multipliers (2, m), lam (m,) of the middle stage |
-| INERTIA | v, a, r, p, q, closing | r = C v + M a and p = M v, at the state of the factors or, in a scene, at q; closing (2, m): the rows of ROWS times v, or B v in place of a second block that is not there; p and closing may be 0 |
-| MATRICES | q, v, a, lam, slot, c | compute K, C and M of a state, or the factors with c as of SELECT, stored under a number; no entry (address 0) if the caller of the driver computes them |
-| SELECT | slot, c | use those of a number; c: of the real mode, real and imaginary part of the complex one, 0 without one |
+| TURN | residuals, back | rotate the residuals (s, n) into the frame of the middle stage, or corrections back; 0 without frames |
+| REAL, PAIR | residual, closing, lam, dq, multipliers | the correction of a mode, radau/step.py; closing and multipliers (2, m), lam (m,) of the middle stage |
+| INERTIA | v, a, force, momentum, q, closing | force = C v + M a and momentum = M v, at the state of the factors or, in a scene, at q; closing (2, m): the rows of ROWS times v, or B v in place of a second block that is not there; momentum and closing may be 0 |
+| MATRICES | q, v, a, lam, slot, eigenvalues | compute K, C and M of a state, or the factors with eigenvalues as of SELECT, stored under a number; no entry (address 0) if the caller of the driver computes them |
+| SELECT | slot, eigenvalues | use those of a number; eigenvalues: c of the real mode, real and imaginary part of the complex one, 0 without one |
 
 IDA uses the entries of one stage, with c = cj in the real mode and D = 1; in some of its forms phi'' is a row.
 
@@ -46,7 +46,7 @@ The backward sweeps of generalized-alpha and Radau IIA have their own tables (ad
 
 | entry | arguments | action |
 |---|---|---|
-| ADJOINT | right, below, bar, w, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
+| ADJOINT | right, below, bar, solution, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
 """
 
 # most instants that are prepared together: small models take less than 1 ms for hundreds of steps, and 0.1 ms between stretches

@@ -91,11 +91,36 @@ class Dense(NamedTuple):
 
 def workspace(n, m, functions, data, flags, stages=0, levels=NO_LEVELS):
     """A Dense of n coordinates and m constraints, with Slots for methods of some stages; levels: as of Slots."""
-    N = n + m
-    shapes = (2,), n, n, n, m, (n, n), n, m, (m, n), m, m, 2, (n, n), 1 + 3 * n + m, (n, n), (4, n), (N, N)
-    matrices = *map(np.zeros, shapes), np.zeros(N, np.int64), np.zeros((N, N)), np.zeros(N, np.int64), np.zeros(N)
-    kept, slots = np.zeros((stages, m, n)), workspace_of_slots(n, m, FACTORS if stages else 0, levels)
-    return Dense(functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *matrices, kept, slots)
+    size = n + m
+    return Dense(
+        functions=functions,
+        data=data,
+        flags=np.array(flags, np.int64),
+        times=np.zeros((1, 2)),
+        t=np.zeros(2),
+        q=np.zeros(n),
+        v=np.zeros(n),
+        a=np.zeros(n),
+        lam=np.zeros(m),
+        M=np.zeros((n, n)),
+        g=np.zeros(n),
+        phi=np.zeros(m),
+        B=np.zeros((m, n)),
+        phi_t=np.zeros(m),
+        phi_bias=np.zeros(m),
+        coefficients=np.zeros(2),
+        S=np.zeros((n, n)),
+        made_at=np.zeros(1 + 3 * n + m),
+        slope=np.zeros((n, n)),
+        near=np.zeros((4, n)),
+        lu=np.zeros((size, size)),
+        pivots=np.zeros(size, np.int64),
+        masses=np.zeros((size, size)),
+        mass_pivots=np.zeros(size, np.int64),
+        x=np.zeros(size),
+        kept_rows=np.zeros((stages, m, n)),
+        slots=workspace_of_slots(n, m, FACTORS if stages else 0, levels),
+    )
 
 
 def workspace_of_slots(n, m, count, levels):
@@ -163,7 +188,7 @@ def evaluate(work, function, time, out):
 
 @part
 def set_state(work, instant, q, v):
-    """Set t, q and v of the functions' arguments."""
+    """Set t, q and v of the functions' arguments, t that of an instant; earlier failures of functions are forgotten."""
     work.flags[ENDED] = DONE
     work.t[INNER], work.t[END] = work.times[instant, INNER], work.times[instant, END]
     dense.put(1.0, q, work.q)
@@ -204,28 +229,28 @@ def finite(values):
 
 
 @part
-def equilibrium(work, r):
-    """r = `M a + g + B^T lam` at work.t, work.q, work.v, work.a, work.lam with work.B."""
+def equilibrium(work, residual):
+    """Fill the residual `M a + g + B^T lam` at work.t, work.q, work.v, work.a, work.lam with work.B."""
     if work.functions[WHOLE]:
         evaluate(work, WHOLE, INNER, work.g)
-        dense.put(1.0, work.g, r)
+        dense.put(1.0, work.g, residual)
         return work.flags[ENDED]
     if work.flags[MASS_VARIES]:
         evaluate(work, MASS, INNER, work.M)
     evaluate(work, FORCE, INNER, work.g)
-    for i in range(r.shape[0]):
+    for i in range(residual.shape[0]):
         total = work.g[i]
-        for j in range(r.shape[0]):
+        for j in range(residual.shape[0]):
             total += work.M[i, j] * work.a[j]
         for k in range(work.lam.shape[0]):
             total += work.B[k, i] * work.lam[k]
-        r[i] = total
+        residual[i] = total
     return work.flags[ENDED]
 
 
 @part
 def prepare(work, first, times):
-    """Store the times of a step."""
+    """Store the times of the instants of a step that begins at the instant `first`; times: h, t and these times."""
     for i in range(1 + work.kept_rows.shape[0]):
         work.times[first + i, INNER] = work.times[first + i, END] = times[2 + i]
     return DONE
@@ -254,21 +279,21 @@ def reaction(work, instant, q, mu, dv, known):
 
 
 @part
-def residual(work, instant, q, v, a, lam, r, phi):
-    """r at the state inside the step, phi at its end."""
+def residual(work, instant, q, v, a, lam, residual, phi):
+    """Fill the residual at the time inside the step, and phi at that of its end."""
     set_state(work, instant, q, v)
     set_a_lam(work, a, lam)
     if phi.shape[0]:
         evaluate(work, PHI, END, work.phi)
         dense.put(1.0, work.phi, phi)
         evaluate_rows(work, instant, work.flags[TIED])
-    ended = equilibrium(work, r)
-    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
+    ended = equilibrium(work, residual)
+    return NOT_FINITE if ended == DONE and not (finite(residual) and finite(phi)) else ended
 
 
 @part
 def constraints(work, instant, q, dq, dv, phi, rate):
-    """phi at the end; the rate is unchanged, and the increments are not needed."""
+    """Fill phi at the end of the step, from q; the rate stays as it is, and the increments are not read."""
     if not work.lam.shape[0]:
         return DONE
     set_state(work, instant, q, work.v)
@@ -398,7 +423,7 @@ def fill_bias(work):
 
 @part
 def bias(work, instant, q, v, a, out):
-    """The second derivative of phi, with B of the last `reaction`."""
+    """out = `B a + phi_bias`, the second derivative of phi, with B of the last `reaction`."""
     set_state(work, instant, q, v)
     ended = fill_bias(work)
     evaluate_rows(work, instant, 1)
@@ -431,45 +456,58 @@ def acceleration(work, instant, q, v, a, lam):
 
 
 @part
-def potential(work, x, d, s):
-    """V at x + s d."""
+def potential(work, start, direction, share):
+    """The potential energy at start + share direction; changes work.q."""
     for i in range(work.q.shape[0]):
-        work.q[i] = x[i] + s * d[i]
+        work.q[i] = start[i] + share * direction[i]
     evaluate(work, POTENTIAL, INNER, work.x)
     return work.x[0]
 
 
 @part
-def middle(work, instant, states, lam, r, phi):
-    """r at the middle of a step, whose instant is before that of its end, and phi at the end (integrate/energy/tables.py)."""
-    n, x0, x1, x, d = work.q.shape[0], states[0], states[1], states[2], work.near[0]
-    set_state(work, instant - 1, x, states[3])
-    set_a_lam(work, states[4], lam)
-    evaluate_rows(work, instant - 1, 0)
-    equilibrium(work, r)
+def add_discrete_derivative(work, states, residual):
+    """Correct the force in the residual so that its work over the step is the change of the potential V. Returns the status.
+
+    residual += (V(q_1) - V(q_0) - integral) / (d^T M d) M d, with d = q_1 - q_0 and the integral of the force's work along d at POINTS
+    (Gonzalez 1996); the correction is left out where it is round-off. states: as of `middle`.
+    """
+    n, begin, end, at_middle, change = work.q.shape[0], states[0], states[1], states[2], work.near[0]
     for i in range(n):
-        d[i] = x1[i] - x0[i] if i < work.flags[OWN] else 0.0
-    first, last, integral = potential(work, x0, d, 0.0), potential(work, x1, d, 0.0), 0.0
-    for s, weight in POINTS:
-        integral += weight * (potential(work, x, d, s) - potential(work, x, d, -s)) / (2.0 * s)
+        change[i] = end[i] - begin[i] if i < work.flags[OWN] else 0.0
+    first, last, integral = potential(work, begin, change, 0.0), potential(work, end, change, 0.0), 0.0
+    for share, weight in POINTS:
+        integral += weight * (potential(work, at_middle, change, share) - potential(work, at_middle, change, -share)) / (2.0 * share)
     if work.flags[ENDED] != DONE:
         return work.flags[ENDED]
     metric, size = work.near[1], 0.0
     for i in range(n):
         metric[i] = 0.0
         for j in range(n):
-            metric[i] += work.M[i, j] * d[j]
-        size += d[i] * metric[i]
-    bracket = last - first - integral
-    if size > 0.0 and not abs(bracket) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
+            metric[i] += work.M[i, j] * change[j]
+        size += change[i] * metric[i]
+    missing = last - first - integral
+    if size > 0.0 and not abs(missing) <= NOISE * max(abs(first), abs(last)):  # also if it is not a number
         for i in range(n):
-            r[i] += bracket / size * metric[i]
-    ended = DONE
-    if phi.shape[0]:
-        set_state(work, instant, x1, states[3])
+            residual[i] += missing / size * metric[i]
+    return DONE
+
+
+@part
+def middle(work, instant, states, lam, residual, phi):
+    """Fill the residual at the middle of a step, and phi at its end; the middle's instant is the one before that of the end.
+
+    states: q_0, q_1, and q, v, a of the middle.
+    """
+    set_state(work, instant - 1, states[2], states[3])
+    set_a_lam(work, states[4], lam)
+    evaluate_rows(work, instant - 1, 0)
+    equilibrium(work, residual)
+    ended = add_discrete_derivative(work, states, residual)
+    if ended == DONE and phi.shape[0]:
+        set_state(work, instant, states[1], states[3])
         ended = evaluate(work, PHI, END, work.phi)
         dense.put(1.0, work.phi, phi)
-    return NOT_FINITE if ended == DONE and not (finite(r) and finite(phi)) else ended
+    return NOT_FINITE if ended == DONE and not (finite(residual) and finite(phi)) else ended
 
 
 @entry

@@ -105,7 +105,7 @@ def add_slope(work, written, function, argument, factor):
 
 @part
 def add_slopes(work):
-    """S as the sum of the model's terms at work.t, work.q, work.v, work.a, work.lam."""
+    """Fill S with the sum of the derivatives of the model's terms at work.t, work.q, work.v, work.a, work.lam. Returns the status."""
     if work.flags[dense.MASS_VARIES]:
         dense.evaluate(work, dense.MASS, dense.INNER, work.M)
     for i in range(work.S.shape[0]):
@@ -138,7 +138,7 @@ def matrices_at(work, K, C, M):
 
 @entry
 def factor(work, instant, q, v, a, lam, factors):
-    """S at a state; `solve` factors it with B."""
+    """Make S = factors[0] M + factors[1] C + K at a state; `solve` factors it with B."""
     n = work.q.shape[0]
     dense.set_state(work, instant, q, v)
     dense.set_a_lam(work, a, lam)
@@ -153,15 +153,15 @@ def factor(work, instant, q, v, a, lam, factors):
 
 
 @part
-def solve(work, instant, q, lam, r, phi, dq, dlam):
-    """dq and dlam of one Newton correction."""
+def solve(work, instant, q, lam, residual, phi, dq, dlam):
+    """Fill dq and dlam of one Newton correction: `S dq + B^T dlam = -residual`, `B dq = -phi`; S is factored with B if that is not done yet."""
     n, size = work.q.shape[0], dense.typical(work.S)
     if not work.flags[dense.FACTORED]:
         dense.bordered(work.lu, work, work.S, size)
         if not lu.factor(work.lu, work.pivots):
             return SINGULAR
         work.flags[dense.FACTORED] = 1
-    lu.put(-1.0, r, work.x)
+    lu.put(-1.0, residual, work.x)
     lu.put(-1.0, phi, work.x[n:])
     dense.solve_bordered(work, work.lu, work.pivots, size)
     lu.put(1.0, work.x[:n], dq)
@@ -252,7 +252,7 @@ def factored(slots, eigenvalue, number, matrix):
 
 @part
 def rows(work, instant, q, v, a, known):
-    """B, G, H and N of the middle stage, and the factors with them."""
+    """Compute B, G, H and N of the middle stage, and factor the matrices of the modes with them, unless nothing has changed."""
     slots, m = work.slots, work.lam.shape[0]
     if slots.state[FACTORS_MADE] and not (m and work.flags[dense.ROWS_VARY]):
         return DONE
@@ -274,11 +274,11 @@ def rows(work, instant, q, v, a, known):
 
 
 @part
-def corrected(slots, matrix, number, eigenvalue, solution, r, closing, dq, multipliers):
-    """The correction of a mode."""
+def corrected(slots, matrix, number, eigenvalue, solution, residual, closing, dq, multipliers):
+    """Fill dq (n,) and multipliers (2 m,) of a mode: its factored matrix times them is the negative of residual (n,) and closing (2 m,)."""
     n, m, size = slots.K.shape[1], slots.B.shape[0], slots.sizes[number]
     for i in range(n):
-        solution[i] = -r[i] / size
+        solution[i] = -residual[i] / size
     for level in range(slots.levels.shape[0]):
         unit = row_size(slots, eigenvalue, level)
         for e in range(level * m, (level + 1) * m):
@@ -291,40 +291,42 @@ def corrected(slots, matrix, number, eigenvalue, solution, r, closing, dq, multi
 
 
 @part
-def real(work, instant, r, closing, lam, dq, multipliers):
-    """The correction of the real mode."""
+def real(work, instant, residual, closing, lam, dq, multipliers):
+    """Fill dq and multipliers, the correction of the real mode."""
     slots = work.slots
-    corrected(slots, slots.real, 0, slots.c[0], slots.real_x, r, closing, dq, multipliers)
+    corrected(slots, slots.real, 0, slots.c[0], slots.real_x, residual, closing, dq, multipliers)
     return DONE
 
 
 @part
-def pair(work, instant, r, closing, lam, dq, multipliers):
-    """The correction of the complex mode."""
+def pair(work, instant, residual, closing, lam, dq, multipliers):
+    """Fill dq and multipliers, complex: the correction of the complex mode."""
     slots = work.slots
-    corrected(slots, slots.pair, 1, complex(slots.c[1], slots.c[2]), slots.pair_x, r, closing, dq, multipliers)
+    corrected(slots, slots.pair, 1, complex(slots.c[1], slots.c[2]), slots.pair_x, residual, closing, dq, multipliers)
     return DONE
 
 
 @part
-def inertia(work, instant, v, a, r, p, q, rows):
-    """r = C v + M a, and unless their addresses are 0: p = M v, rows = the blocks of rows times v, B v in place of a second block that is not there.
+def inertia(work, instant, v, a, force, momentum_at, q, rows_at):
+    """Fill force = `C v + M a`, and at their addresses, unless these are 0, the momentum `M v` and the constraint rows times v.
+
+    rows_at: (2 m,); B v is written in place of a second block that is not there.
 
     w2 is not 0 in IDA only, whose c is real: slots.c[0].
     """
     slots, n, m = work.slots, work.q.shape[0], work.lam.shape[0]
     k = slots.state[CHOSEN]
-    momentum = dense.vector(p, n if p else 0)
+    momentum = dense.vector(momentum_at, n if momentum_at else 0)
     for i in range(n):
-        r[i] = 0.0
+        force[i] = 0.0
         for j in range(n):
-            r[i] += slots.C[k, i, j] * v[j] + slots.M[k, i, j] * a[j]
+            force[i] += slots.C[k, i, j] * v[j] + slots.M[k, i, j] * a[j]
     for i in range(momentum.shape[0]):
         momentum[i] = 0.0
         for j in range(n):
             momentum[i] += slots.M[k, i, j] * v[j]
-    for level in range(2 if rows else 0):
-        of_H, of_B, out = 0.0, 1.0, dense.vector(rows + 8 * level * m, m)
+    for level in range(2 if rows_at else 0):
+        of_H, of_B, out = 0.0, 1.0, dense.vector(rows_at + 8 * level * m, m)
         if level < slots.levels.shape[0]:
             of_H, of_B = 2.0 * slots.levels[level, 2], slots.levels[level, 1] + slots.c[0] * slots.levels[level, 2]
         for e in range(m):
@@ -336,7 +338,7 @@ def inertia(work, instant, v, a, r, p, q, rows):
 
 @entry
 def matrices(work, instant, q, v, a, lam, slot):
-    """Evaluate K, C and M at a state."""
+    """Evaluate K, C and M at a state, and store them in a slot; the status is NO_MATRIX if they are not finite."""
     slots, n = work.slots, work.q.shape[0]
     K, C, M = slots.K[slot], slots.C[slot], slots.M[slot]
     dense.set_state(work, instant, q, v)
@@ -349,7 +351,7 @@ def matrices(work, instant, q, v, a, lam, slot):
 
 @part
 def select(work, slot, new):
-    """Use the matrices of a slot, with c of the modes."""
+    """Use the matrices of a slot; new (3,): c of the real mode, real and imaginary part of that of the complex one."""
     slots = work.slots
     same = slots.state[CHOSEN] == slot
     for i in range(3):

@@ -25,10 +25,10 @@ def begin(model, instant, q, v, times):
 
 
 @part
-def residual(model, instant, q, v, a, lam, r, phi):
-    """Fill r = M a + g + B^T lam and phi."""
+def residual(model, instant, q, v, a, lam, residual, phi):
+    """Fill residual = `M a + g + B^T lam`, and phi."""
     functions, workspace = model
-    return call(functions[table.RESIDUAL], (workspace, instant, q, v, a, lam, r, phi))
+    return call(functions[table.RESIDUAL], (workspace, instant, q, v, a, lam, residual, phi))
 
 
 @part
@@ -53,10 +53,10 @@ def bias(model, instant, q, v, a, out):
 
 
 @part
-def project(model, instant, rows, x, from_zero):
-    """Change x by the least M-norm so that B x falls by rows; from_zero: x becomes the least x with B x = B x_before - rows. B: of `rate`."""
+def project(model, instant, rows, vector, from_zero):
+    """Change a vector x by the least M-norm so that B x falls by rows; from_zero: x becomes the least one with `B x = B x_before - rows`. B: of `rate`."""
     functions, workspace = model
-    return call(functions[table.PROJECT], (workspace, instant, rows, x, from_zero))
+    return call(functions[table.PROJECT], (workspace, instant, rows, vector, from_zero))
 
 
 @part
@@ -81,17 +81,17 @@ def factor(model, instant, q, v, a, lam, numbers):
 
 
 @part
-def solve(model, instant, q, lam, r, phi, dq, dlam):
-    """Fill dq and dlam: `S dq + B^T dlam = -r`, `B dq = -phi`, with S as it was made and B of the last `residual`."""
+def solve(model, instant, q, lam, residual, phi, dq, dlam):
+    """Fill dq and dlam: `S dq + B^T dlam = -residual`, `B dq = -phi`, with S as it was made and B of the last `residual`."""
     functions, workspace = model
-    return call(functions[table.SOLVE], (workspace, instant, q, lam, r, phi, dq, dlam))
+    return call(functions[table.SOLVE], (workspace, instant, q, lam, residual, phi, dq, dlam))
 
 
 @part
-def middle(model, instant, states, lam, r, phi):
-    """Fill r in the middle of a step of the energy-momentum method and phi at its end; states: q_0, q_1, and q, v, a of the middle."""
+def middle(model, instant, states, lam, residual, phi):
+    """Fill the residual in the middle of a step of the energy-momentum method, and phi at its end; states: q_0, q_1, and q, v, a of the middle."""
     functions, workspace = model
-    return call(functions[table.MIDDLE], (workspace, instant, states, lam, r, phi))
+    return call(functions[table.MIDDLE], (workspace, instant, states, lam, residual, phi))
 
 
 @part
@@ -130,51 +130,57 @@ def rows(model, instant, q, v, a, known):
 
 
 @part
-def turn(model, instant, r, back):
+def turn(model, instant, residuals, back):
     """Rotate the residuals of the stages into the frame of the middle stage, or corrections back; nothing without frames. No status."""
     functions, workspace = model
     if functions[table.TURN]:
-        call(functions[table.TURN], (workspace, instant, r, back))
+        call(functions[table.TURN], (workspace, instant, residuals, back))
 
 
 @part
-def solve_real(model, instant, r, closing, lam, dq, multipliers):
+def solve_real(model, instant, residual, closing, lam, dq, multipliers):
     """The correction of the real mode; closing: phi and phi' as rows, lam: that of the middle stage."""
     functions, workspace = model
-    return call(functions[table.REAL], (workspace, instant, r, closing, lam, dq, multipliers))
+    return call(functions[table.REAL], (workspace, instant, residual, closing, lam, dq, multipliers))
 
 
 @part
-def solve_pair(model, instant, r, closing, lam, dq, multipliers):
+def solve_pair(model, instant, residual, closing, lam, dq, multipliers):
     """The correction of the complex mode; closing: phi and phi' as rows, lam: that of the middle stage."""
     functions, workspace = model
-    return call(functions[table.PAIR], (workspace, instant, r, closing, lam, dq, multipliers))
+    return call(functions[table.PAIR], (workspace, instant, residual, closing, lam, dq, multipliers))
 
 
 @part
-def inertia(model, instant, v, a, r, p, q, closing):
-    """Fill r = C v + M a, p = M v unless p is None, and closing (2, m), unless it is None: the rows of `rows` times v, or B v as a second block that is not there."""
+def inertia(model, instant, v, a, force, momentum, q, closing):
+    """Fill force = `C v + M a`, momentum = `M v` unless it is None, and closing (2, m), unless it is None.
+
+    closing: the blocks of constraint rows of `rows` times v, or B v in place of a second block that is not there.
+    """
     functions, workspace = model
-    return call(functions[table.INERTIA], (workspace, instant, v, a, r, p, q, closing))
+    return call(functions[table.INERTIA], (workspace, instant, v, a, force, momentum, q, closing))
 
 
 @part
-def matrices(model, instant, q, v, a, lam, slot, numbers):
-    """Make K, C and M of a state, or with numbers, as of `select`, the factors; store them under the number of a slot."""
+def matrices(model, instant, q, v, a, lam, slot, eigenvalues):
+    """Make K, C and M of a state, or the factors for eigenvalues, as of `select`; store them under the number of a slot."""
     functions, workspace = model
-    return call(functions[table.MATRICES], (workspace, instant, q, v, a, lam, slot, numbers))
+    return call(functions[table.MATRICES], (workspace, instant, q, v, a, lam, slot, eigenvalues))
 
 
 @part
-def select(model, slot, numbers):
-    """Use the matrices of a slot; numbers: c of the real mode, real and imaginary part of that of the complex one, 0 without one. No status."""
+def select(model, slot, eigenvalues):
+    """Use the matrices of a slot. No status.
+
+    eigenvalues (3,): c of the real mode, real and imaginary part of that of the complex one, 0 without one.
+    """
     functions, workspace = model
     if functions[table.SELECT]:
-        call(functions[table.SELECT], (workspace, slot, numbers))
+        call(functions[table.SELECT], (workspace, slot, eigenvalues))
 
 
 @part
-def adjoint(model, step, right, below, bar, w, multipliers, products):
-    """Solve the adjoint of a step: fill w and multipliers, and products with the tables' matrices transposed times w (adjoint/tables.py)."""
+def adjoint(model, step, right, below, bar, solution, multipliers, products):
+    """Solve the adjoint of a step: fill solution and multipliers, and products of the table's transposed matrices with it (adjoint/tables.py)."""
     functions, workspace = model
-    return call(functions[table.ADJOINT], (workspace, step, right, below, bar, w, multipliers, products))
+    return call(functions[table.ADJOINT], (workspace, step, right, below, bar, solution, multipliers, products))

@@ -41,16 +41,19 @@ class PythonTable:
     increments = saddle = None
 
     def __init__(self, model, incremental=False):
+        """Make the table of a guarded model; incremental: True if its constraints are computed by increments from the step's beginning."""
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
         self.unknowns = model.n
         self.functions, self.callbacks, self.views = np.zeros(ENTRIES, np.int64), [], {}
         self._fill()
 
     def _fill(self):
+        """Store the address of each entry in `functions`."""
         for number, function in self._entries().items():
             self.functions[number] = self._address(function)
 
     def _entries(self):
+        """{number of an entry: the method that answers it}."""
         entries = {RESIDUAL: self._residual, BEGIN: self._begin, CONSTRAINTS: self._constraints, SOLVE: self._solve}
         return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
@@ -62,6 +65,7 @@ class PythonTable:
         """The function, as a callback that stores an exception."""
 
         def called(*arguments):
+            """Call the function without the workspace; an exception is stored, and the status says so."""
             try:
                 return function(*arguments[1:]) or DONE
             except BaseException as error:  # noqa: BLE001 raise_error raises it
@@ -128,6 +132,7 @@ class PythonTable:
         return view
 
     def _at(self, instant):
+        """(time inside the step, time of its end) of an instant; they differ at a kink only."""
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
 
     def _state(self, instant, q):
@@ -139,6 +144,7 @@ class PythonTable:
         return (instant - 1) % (self.stages + 1)
 
     def _begin(self, instant, q, v, *_):
+        """Make the increments of constraints, if the model has them, for a step that begins at q, v."""
         model = self.model
         if self.incremental:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
@@ -150,6 +156,7 @@ class PythonTable:
         return [(before, end, (self.ends[0] if instant == 0 else before, inner), self.h)]
 
     def _residual(self, instant, q, v, a, lam, r, phi):
+        """Write r = `M a + g + B^T lam` and, without increments, phi. The status says whether they are finite."""
         model, (inner, end) = self.model, self._at(instant)
         q, v, a = (self._array(at, model.n).copy() for at in (q, v, a))
         rows, out = self._array(phi, model.m), self._array(r, model.n)
@@ -159,6 +166,7 @@ class PythonTable:
         return DONE if np.isfinite(out).all() and np.isfinite(rows).all() else NOT_FINITE
 
     def _constraints(self, instant, q, dq, dv, phi, rate, _):
+        """Write phi at the end, from q; with increments, phi and its rate from those at the step's beginning and the changes dq, dv."""
         model = self.model
         rows, rates = self._array(phi, model.m), self._array(rate, model.m)
         if self.increments is None:
@@ -168,6 +176,7 @@ class PythonTable:
             rows[:], rates[:] = change(self._array(dq, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
 
     def _solve(self, instant, q, lam, r, phi, dq, dlam):
+        """Write dq and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`, by the factored step matrix."""
         n, m = self.model.n, self.model.m
         state = self._array(q, n).copy(), self._array(lam, m).copy(), self._array(r, n).copy(), self._array(phi, m).copy()
         try:
@@ -177,11 +186,13 @@ class PythonTable:
         return DONE
 
     def _rate(self, instant, q, v, rate, known, *_):
+        """Write `phi_q v + phi_t`, and keep the state for `_project`."""
         model, self.rate_state = self.model, self._state(instant, q)
         self._array(rate, model.m)[:] = model.phi_rate(*self.rate_state, self._array(v, model.n).copy())
         self.saddle = None
 
     def _project(self, instant, rows, x, from_zero, *_):
+        """Change x by the least M-norm, so that B x falls by rows; from_zero: x becomes the least one with `B x = B x_before - rows`."""
         model, x = self.model, self._array(x, self.model.n)
         rows = self._array(rows, model.m) - (model.phi_q(*self.rate_state) @ x if from_zero else 0.0)
         self.saddle = self.saddle or model.mass_system(*self.rate_state)
@@ -189,6 +200,7 @@ class PythonTable:
         x[:] = change if from_zero else x + change
 
     def _accept(self, instant, q, *_):
+        """Raise StepFailure if the model rejects q at the end of the step."""
         end = self._at(instant)[1]
         if objection := self.model.rejection_reason(end, self._array(q, self.model.n).copy()):
             raise StepFailure("objection", objection, end)
@@ -206,6 +218,7 @@ class DenseTable(PythonTable):
     levels = small.NO_LEVELS
 
     def _fill(self):
+        """Make the workspace with the model's functions and what the model needs; the entries are compiled by `serve`."""
         model, needs = self.model, self.model.needs
         functions, flags = np.zeros(len(small.FUNCTIONS), np.int64), np.zeros(small.FLAGS, np.int64)
         flags[small.MASS_VARIES] = needs.mass_varies
@@ -241,6 +254,7 @@ class DenseTable(PythonTable):
         q, v, a, lam = w.q, w.v, w.a, w.lam
 
         def accepted():
+            """Raise StepFailure if the model rejects q at the end of the step."""
             if objection := model.rejection_reason(end(), q.copy()):
                 raise StepFailure("objection", objection, end())
 
@@ -273,6 +287,7 @@ class DenseTable(PythonTable):
             return vector
 
         def called():
+            """Call the function, and write its result to `out`. An exception is stored, and the status says so."""
             try:
                 q = first()
                 q.setflags(False)
@@ -294,6 +309,7 @@ class DenseTable(PythonTable):
             self.functions[list(self.entries)] = [address_of(number) for number in self.entries]
 
     def system(self, settings):
+        """The step matrix, not factored yet: its numbers are computed in the workspace."""
         return DenseMatrix(self.model, self)
 
     @contextmanager
@@ -342,6 +358,7 @@ class DenseMatrix(StepMatrix):
         self.table = table
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Compute S at a state; it is factored with B at the first solve."""
         self.table.make(t, q, v, a, lam, c_m, c_v)
         self.read()
 

@@ -76,20 +76,20 @@ def mode_values(work, at):
 
 
 @entry
-def matrices(work, instant, u, v, a, lam, slot, c):
-    """Factor S of both modes at u, in the slot; v, a and lam are not read."""
+def matrices(work, instant, moved, v, a, lam, slot, eigenvalues):
+    """Factor S of both modes at the displacements `moved`, and store the factors in the slot; v, a and lam are not read."""
     factors, bodies, turn = work.stored, work.scene.reduced, work.turn[0]
     factors.K[:], factors.M[:], factors.chosen[0] = 0.0, 0.0, slot
-    reduced_kernels.blocks(bodies, u, u, 0.0, 0.0, 1.0, factors.K)  # K
-    reduced_kernels.blocks(bodies, u, u, 1.0, 0.0, 0.0, factors.M)  # M
+    reduced_kernels.blocks(bodies, moved, moved, 0.0, 0.0, 1.0, factors.K)  # K
+    reduced_kernels.blocks(bodies, moved, moved, 1.0, 0.0, 0.0, factors.M)  # M
     for b in range(bodies.drag.shape[0]):
-        reduced_kernels.turn(bodies, b, u, turn)
-    good = factor_mode(factors, factors.real, work.real, c[0], turn, slot)
-    return DONE if good and factor_mode(factors, factors.pair, work.pair, complex(c[1], c[2]), turn, slot) else SINGULAR
+        reduced_kernels.turn(bodies, b, moved, turn)
+    good = factor_mode(factors, factors.real, work.real, eigenvalues[0], turn, slot)
+    return DONE if good and factor_mode(factors, factors.pair, work.pair, complex(eigenvalues[1], eigenvalues[2]), turn, slot) else SINGULAR
 
 
 @shared
-def factor_mode(factors, stored, mode, c, rotation, slot):
+def factor_mode(factors, stored, mode, eigenvalue, rotation, slot):
     """Factor S of a mode with the blocks at hand, and store it. False if it is singular; True without a mode."""
     if mode is None:
         return True
@@ -97,8 +97,8 @@ def factor_mode(factors, stored, mode, c, rotation, slot):
     for k in range(factors.K.shape[0]):
         for i in range(2):
             for j in range(2):
-                stored.blocks[k, i, j] = factors.K[k, i, j] + c * c * factors.M[k, i, j]
-    mode.c[C_M], mode.c[C_V] = c * c, c
+                stored.blocks[k, i, j] = factors.K[k, i, j] + eigenvalue * eigenvalue * factors.M[k, i, j]
+    mode.c[C_M], mode.c[C_V] = eigenvalue * eigenvalue, eigenvalue
     if not fill_panels(s.fronts, stored.blocks, s.panels, stored.numbers, factors.places):
         return False
     corotated.fill_compliance_columns(s, s.compliance_columns, rotation, factors.loads, stored.x)
@@ -109,23 +109,23 @@ def factor_mode(factors, stored, mode, c, rotation, slot):
 
 
 @part
-def use_stored(stored, mode, c, slot):
+def use_stored(stored, mode, eigenvalue, slot):
     """Use the factors of a slot, unless mode is None."""
     if mode is not None:
         s = mode.factored
-        mode.c[C_M], mode.c[C_V] = c * c, c
+        mode.c[C_M], mode.c[C_V] = eigenvalue * eigenvalue, eigenvalue
         put(1.0, stored.panels[slot], s.panels)
         copy_matrix(stored.columns[slot], s.compliance_columns)
         copy_matrix(stored.frames[slot], s.frame)
 
 
 @part
-def select(work, slot, c):
-    """Use the factors of a slot."""
+def select(work, slot, eigenvalues):
+    """Use the factors of a slot; eigenvalues: as of `mode_values`."""
     if work.stored.chosen[0] != slot:
         work.stored.chosen[0] = slot
-        use_stored(work.stored.real, work.real, c[0], slot)
-        use_stored(work.stored.pair, work.pair, complex(c[1], c[2]), slot)
+        use_stored(work.stored.real, work.real, eigenvalues[0], slot)
+        use_stored(work.stored.pair, work.pair, complex(eigenvalues[1], eigenvalues[2]), slot)
     return DONE
 
 
@@ -137,10 +137,10 @@ def solve(work, factor, instant, right, phi, lam, dq, dlam):
 
 
 @part
-def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
+def solve_mode(work, instant, number, factor, residual, closing, lam, dq, multipliers):
     """Solve for dq and multipliers of a mode, rows and curvature being those of the middle stage. Returns a status; DONE if factor is None.
 
-    number: REAL or PAIR. r, closing: right-hand sides of the equations of motion and of the rows; they are overwritten. With mu:
+    number: REAL or PAIR. residual, closing: right-hand sides of the equations of motion and of the rows; they are overwritten. With mu:
 
     1. closing[1] becomes c r3 - r4; a first dmu solves the system of mu (assembly/rate_multipliers.py) for it
     2. its forces are added to the right-hand side; S and B give dq and dlam
@@ -152,7 +152,7 @@ def solve_mode(work, instant, number, factor, r, closing, lam, dq, multipliers):
         return DONE
     k, links, drives, c = work.stage[instant], work.scene.links, work.drives[instant], factor.c[C_V]
     workspace, dz = factor.workspace, work.dz[k]
-    right = eliminate(workspace.elimination, work.u, r)
+    right = eliminate(workspace.elimination, work.u, residual)
     if work.tied:
         if work.anew[TIED]:
             work.anew[TIED] = 0

@@ -44,7 +44,7 @@ def test_without_halvings_the_step_fails(swinging, linear):
 @BOTH
 def test_the_history_of_a_failure_is_told(scenes, linear, monkeypatch):
     """Of steps that meet a jump, where nobody has looked at the profile before."""
-    monkeypatch.setattr(discontinuities, "_between_kinks", lambda model, begin, end, h, samples, now: [(begin, end, np.inf)])
+    monkeypatch.setattr(discontinuities, "between_kinks", lambda model, begin, end, h, samples, now: [(begin, end, np.inf)])
     scene, upper = scenes.hinged((0.0, 0.0))
     jump = pi.profile.from_function(lambda t: 0.0 if t < 0.0095 else np.pi, lambda t: 0.0, lambda t: 0.0)
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=jump, name="drive"))

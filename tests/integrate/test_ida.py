@@ -9,7 +9,7 @@ import sksundae._cy_ida
 import polyida as pi
 from polyida import problems
 from polyida.errors import InputError, StepFailure
-from polyida.integrate.ida import integrator as ida
+from polyida.integrate.ida import run as run_of_ida
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.newton import Correction
@@ -326,7 +326,7 @@ def test_a_run_into_a_collapse_keeps_instants_of_their_own_and_finite_works(form
 def test_counts_at_a_stop_do_not_depend_on_how_long_a_stretch_takes(monkeypatch):
     counts = []
     for seconds in (0.0, 60.0):
-        monkeypatch.setattr(ida, "LONGEST", seconds)
+        monkeypatch.setattr(run_of_ida, "LONGEST", seconds)
         p = problems.get("pendulum")
         run = pi.solve(p.model, 1.0, pi.IDA(), q0=p.q0, v0=p.v0, until=lambda t, q, v: q[0] - 0.5)
         assert run.status == "stopped" and run.counts.residuals > run.counts.steps

@@ -1,19 +1,21 @@
 """Generalized-alpha on index 3 (Chung and Hulbert 1993; Arnold and Bruels 2007), scaled after Bottasso and Bauchau."""
 
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.fields import above_zero, check, check_fields, must_be, none_or, optional
+from polyida.integrate.alpha.pieces import adaptive_steps, extrapolated, fixed_steps
 from polyida.integrate.alpha.step_size import ErrorControl, control_of_run, tolerances
-from polyida.integrate.alpha.steps import Steps, adaptive_steps, extrapolated, fixed_steps
+from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.discontinuities import PARTS, number_of_steps, pieces, run_interval, sampling
 from polyida.integrate.state import Counts, Integrator, State, States, Stretch
 from polyida.linear.saddle import SCALINGS, WholeMatrix
 from polyida.model import Model
-from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import flag, floats, is_flag, is_number, is_one_of, is_whole, named_keywords, one_of, settle
 
 LINEAR = ("auto", "kkt")
 FORMS = ("index3", "stabilised")
@@ -22,6 +24,21 @@ ABSOLUTE = 1e-3  # m: atol over rtol if only rtol is given, for a start at q = 0
 SHARE = 1e-3  # of the local error of a step, which Newton may leave by default
 HINT = "errors of a number of the run: pi.error_of(run, objective)"
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
+ATOL = "a length below 1 m or None, and not zero beside rtol = 0"
+EXTRAPOLATE = "True or False, and False if steps are adaptive"
+
+
+def _below_one(value):
+    """True for a number in [0, 1)."""
+    return is_number(value) and 0 <= value < 1
+
+
+def _four_numbers(label, name, value):
+    """Return the value as a tuple of four floats; InputError, with the method and the value, for anything else."""
+    numbers = floats(value)
+    if numbers is None or numbers.shape != (4,):
+        raise InputError(f"{label}: {name} = {value!r} must be four numbers, alpha_m, alpha_f, beta, gamma, or None")
+    return tuple(numbers.tolist())
 
 
 @dataclass(frozen=True)
@@ -134,21 +151,23 @@ class GeneralizedAlpha(Integrator):
     Chung, Hulbert, J. Appl. Mech. 60 (1993) 371-375; Arnold, Bruels, Multibody Syst. Dyn. 18 (2007) 185-202.
     """
 
-    h: float | None = None
-    rho_inf: float = 0.9
-    tolerance: float | None = None
-    scaling: str = "physical"
-    max_iterations: int = 25
-    start: str = "consistent"
-    linear: str = "auto"
-    form: str = "index3"
-    member: tuple | None = None
-    rtol: float | None = None
-    atol: float | None = None
-    extrapolate: bool = False
-    incremental_phi: bool = True
-    max_halvings: int = 6
-    max_num_steps: int = 1_000_000
+    h: float | None = field(default=None, metadata=must_be("a positive step in s, or None: by the error of the run", none_or(above_zero)))
+    rho_inf: float = field(default=0.9, metadata=must_be("in [0, 1); index 3 is unstable at 1", _below_one))
+    tolerance: float | None = field(
+        default=None, metadata=must_be("between 0 and 1, or None: by the local error", none_or(lambda x: is_number(x) and 0 < x < 1))
+    )
+    scaling: str = field(default="physical", metadata=check(one_of, SCALINGS))
+    max_iterations: int = field(default=25, metadata=must_be("a positive whole number", is_whole))
+    start: str = field(default="consistent", metadata=must_be('"consistent" or "plain"', lambda start: is_one_of(start, STARTS)))
+    linear: str = field(default="auto", metadata=check(one_of, LINEAR))
+    form: str = field(default="index3", metadata=check(one_of, FORMS))
+    member: tuple | None = field(default=None, metadata=check(optional, _four_numbers))
+    rtol: float | None = field(default=None, metadata=must_be("a number in [0, 1) or None", none_or(_below_one)))
+    atol: float | None = field(default=None, metadata=must_be(ATOL, none_or(_below_one)))
+    extrapolate: bool = field(default=False, metadata=must_be(EXTRAPOLATE, is_flag))
+    incremental_phi: bool = field(default=True, metadata=check(flag))
+    max_halvings: int = field(default=6, metadata=must_be("a whole number from 0 to 20", lambda count: is_whole(count, 0, 20)))
+    max_num_steps: int = field(default=1_000_000, metadata=must_be("a positive whole number", is_whole))
     second_order = trusted = writes_rows = True
 
     @classmethod
@@ -171,39 +190,21 @@ class GeneralizedAlpha(Integrator):
         return cls(h, member=(0.0, 0.0, beta, gamma), **settings)
 
     def __post_init__(self):
-        numbers = None if self.member is None else floats(self.member)
-        between_0_and_1 = self.tolerance is None or (is_number(self.tolerance) and 0 < self.tolerance < 1)
-        rtol_ok, atol_ok = (x is None or (is_number(x) and 0 <= x < 1) for x in (self.rtol, self.atol))
-        atol_ok = atol_ok and (not rtol_ok or self.rtol is self.atol is None or bool(self.rtol or self.atol))
-        fixed = self.h is not None and self.rtol is self.atol is None
-        extrapolate_ok = is_flag(self.extrapolate) and (fixed or not self.extrapolate)
-        four = "four numbers, alpha_m, alpha_f, beta, gamma, or None"
-        self._require_settings(
-            ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
-            ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            ("tolerance", between_0_and_1, "between 0 and 1, or None: by the local error"),
-            ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
-            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
-            ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
-            ("start", is_one_of(self.start, STARTS), '"consistent" or "plain"'),
-            ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
-            ("member", self.member is None or (numbers is not None and numbers.shape == (4,)), four),
-            ("rtol", rtol_ok, "a number in [0, 1) or None"),
-            ("atol", atol_ok, "a length below 1 m or None, and not zero beside rtol = 0"),
-            ("extrapolate", extrapolate_ok, "True or False, and False if steps are adaptive"),
-            ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
-            ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
-            ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
-        )
-        if numbers is not None:
-            object.__setattr__(self, "member", tuple(numbers.tolist()))
+        """Check the settings, and those that depend on each other; set what follows from them."""
+        check_fields(self, self.class_name())
+        tolerances_given = self.rtol is not None or self.atol is not None
+        if tolerances_given and not (self.rtol or self.atol):
+            raise InputError(f"{self.class_name()}: atol = {self.atol!r} must be {ATOL}")
+        if self.extrapolate and self.adaptive:
+            raise InputError(f"{self.class_name()}: extrapolate = True must be {EXTRAPOLATE}")
+        if self.member is not None:
             self.coefficients.require_damping()
             if self.h is None and not self.coefficients.has_error_estimate:
                 unknown = f"for the member {self.member}, whose local error is unknown"
                 raise InputError(f"GeneralizedAlpha: h = None must be a step in s {unknown}")
         if self.adaptive and self.h is not None:
-            object.__setattr__(self, "rtol", float(self.rtol or 0.0))
-            object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))
+            rtol = float(self.rtol or 0.0)
+            settle(self, rtol=rtol, atol=ABSOLUTE * rtol if self.atol is None else float(self.atol))
 
     @property
     def coefficients(self) -> Coefficients:
@@ -279,6 +280,7 @@ class GeneralizedAlpha(Integrator):
                 yield stretch
 
     def _engine(self, model, counts, control):
+        """The Steps that take the steps; subclasses have others."""
         return Steps(self, model, counts, control)
 
     def step_matrix(self, model: Model) -> Any:

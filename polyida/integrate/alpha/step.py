@@ -38,86 +38,69 @@ RESIDUALS, SOLVES, FACTORS = range(3)  # of the counts
 
 @pack
 class Method(NamedTuple):
-    """Numbers of the method at one h.
+    """Numbers of the method at one h."""
 
-    least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over to_a. extent: of the
-    coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
-    steps), of which atol + rtol |q| is allowed; grow: the error below which h may grow; before: weight of the change of q'' in the step
-    before, over that in this step, in the error. velocity_rows: their numbers among the rows. unknowns: coordinates that Newton's method
-    moves; those behind are relaxed strains, which the model computes at the end of a step.
-    """
-
-    h: float
-    alpha_m: float
+    h: float  # s
+    alpha_m: float  # of the family, as beta and gamma
     alpha_f: float
     beta: float
     gamma: float
-    to_a: float
-    to_v: float
-    least: float
+    to_a: float  # dq''/dq in Newton's method, 1/s^2
+    to_v: float  # dv/dq, 1/s
+    least: float  # Newton may leave `share` of the change of q'' in the step, within least and most of q'', over to_a
     most: float
     share: float
-    extent: float
-    incremental: bool
+    extent: float  # of the coordinates, m, whose round-off is that of phi
+    incremental: bool  # phi is carried by increments
     max_iterations: int
-    control: float
+    control: float  # |C| h^2 of the local error, of which atol + rtol |q| is allowed; 0: fixed steps
     rtol: float
     atol: float
-    grow: float
-    before: float
-    velocity_rows: np.ndarray
-    unknowns: int
+    grow: float  # local error over the allowed one below which h may grow
+    before: float  # weight of the change of q'' in the step before, over that in this step, in the error
+    velocity_rows: np.ndarray  # their numbers among the rows
+    unknowns: int  # coordinates that Newton's method moves; relaxed strains, behind them, follow at the end of a step
 
 
 @pack
 class Begin(NamedTuple):
-    """The state at which a step begins, and what is remembered of earlier steps.
+    """The state at which a step begins, and what is remembered of earlier steps."""
 
-    q, v, a, a_alg, change, earlier, masses, shares, places (n,), which are the rows of `past`; lam, phi, rate (m,), phi and rate = phi_q v +
-    phi_t as they are carried, the rows of `rows`; marks (MARKS,). change, earlier: of q'' in the last step and in the one before. masses,
-    shares: weights of the coordinates in the mean squares of the local error and of Newton's method. places: of |q|, which the local error is
-    relative to: masses without the integrals of states.
-    """
-
-    past: np.ndarray
-    rows: np.ndarray
-    marks: np.ndarray
-    q: np.ndarray
+    past: np.ndarray  # (9, n) whose rows are q to places
+    rows: np.ndarray  # (3, m) whose rows are lam, phi and rate
+    marks: np.ndarray  # (MARKS,)
+    q: np.ndarray  # (n,), as all up to places
     v: np.ndarray
-    a: np.ndarray
-    a_alg: np.ndarray
-    change: np.ndarray
-    earlier: np.ndarray
-    masses: np.ndarray
-    shares: np.ndarray
-    places: np.ndarray
-    lam: np.ndarray
-    phi: np.ndarray
-    rate: np.ndarray
+    a: np.ndarray  # q''
+    a_alg: np.ndarray  # the algorithmic acceleration
+    change: np.ndarray  # of q'' in the last step
+    earlier: np.ndarray  # of q'' in the step before that
+    masses: np.ndarray  # weights in the mean square of the local error
+    shares: np.ndarray  # weights in that of Newton's method
+    places: np.ndarray  # weights in that of |q|, which the local error is relative to: masses without integrals of states
+    lam: np.ndarray  # (m,)
+    phi: np.ndarray  # (m,), as it is carried
+    rate: np.ndarray  # (m,) phi_q v + phi_t, as it is carried
 
 
 @pack
 class Trial(NamedTuple):
-    """An iterate `q = q_0 + (h v_0 + moved)` of Newton's method, its residuals and its correction.
+    """An iterate `q = q_0 + (h v_0 + moved)` of Newton's method, its residuals and its correction."""
 
-    q, v, a, moved, r, dq, dv, slip (n,), which are the rows of `now`; slip is the part of q from eta, dv the change of v in the step. lam, phi,
-    rate, dlam, bias (m,); bias: the rows that slip closes.
-    """
-
-    now: np.ndarray
-    q: np.ndarray
+    now: np.ndarray  # (8, n) whose rows are q to slip
+    q: np.ndarray  # (n,), as all up to slip
     v: np.ndarray
-    a: np.ndarray
+    a: np.ndarray  # q''
     moved: np.ndarray
-    r: np.ndarray
-    dq: np.ndarray
-    dv: np.ndarray
-    slip: np.ndarray
-    lam: np.ndarray
+    r: np.ndarray  # the residual
+    dq: np.ndarray  # the correction
+    dv: np.ndarray  # change of v in the step
+    slip: np.ndarray  # the part of q from eta
+    lam: np.ndarray  # (m,), as all that follow
     phi: np.ndarray
-    rate: np.ndarray
-    dlam: np.ndarray
-    bias: np.ndarray
+    rate: np.ndarray  # phi_q v + phi_t
+    dlam: np.ndarray  # the correction of lam
+    bias: np.ndarray  # the rows that slip closes
 
 
 def empty(n, m):
@@ -168,6 +151,10 @@ def convergence(method, marks, first, last, moved, length, size, accel, change):
     """(|dq|, True if converged, True if Newton's method fails, the largest |phi| allowed), from the norms of dq, moved, q, q'' and its change.
 
     Converged: the error to be expected is below the tolerance, or dq is round-off and no longer falls.
+
+    The judges of the other methods have other norms and limits, so that each is written beside its iteration: here the tolerance is one of q'',
+    which jumps with h, and phi must be closed besides; Radau IIA takes one of q and h v over all stages, and gives up as soon as the iterations
+    left cannot reach it; the energy-momentum method takes largest entries, as its round-off decides whether energy is kept.
     """
     measured, rate = last > 0.0, marks[CONTRACTION]
     if measured:

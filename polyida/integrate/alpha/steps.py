@@ -1,4 +1,4 @@
-"""Steps of generalized-alpha on one model: stretches of the compiled loop, factors, fixed and adaptive steps of a smooth piece.
+"""Steps of generalized-alpha on one model: stretches of the compiled loop, and factors.
 
 `Steps` calls the compiled loop (alpha/step.py). `begin` sets the state and h; then each `stretch` of states takes these steps:
 
@@ -8,11 +8,8 @@
 4. `_refactor_or_fail`: a new factor for a step that failed with an old one. With a new one `_full_newton` makes a matrix in each iteration;
    if that fails too, StepFailure.
 
-`fixed_steps` halves a step that fails, `adaptive_steps` changes h by the local error; both begin with the steps of a state at rest.
+alpha/pieces.py takes fixed and adaptive steps of a smooth piece by it.
 """
-
-import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,46 +17,48 @@ from polyida.clock import loading
 from polyida.environment import allocate
 from polyida.errors import DONE, ERROR_LARGE, ERROR_SMALL, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, StepFailure
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.start import started
-from polyida.integrate.alpha.step_size import CUT, LAST_LEVEL, StepSizeController
-from polyida.integrate.discontinuities import Grid, at_kink, grid_of, inner_side, number_of_steps
-from polyida.integrate.sizes import extent, states_at_rest, weights
+from polyida.integrate.discontinuities import at_kink, inner_side
+from polyida.integrate.engine import end_of_stretch
+from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, States, Stretch, first_of
+from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.system import INSTANTS
 from polyida.system.own import PythonTable, small_table
 
 ADAPTIVE = 128  # steps of a stretch if h may change
 NEAR = 0.03  # of the model's extent: from the start of a step that goes farther Newton's method may find another motion
-SAME_H = 1e-9  # relative difference of steps that is round-off
-DIVERGED = 0.03  # of the model's extent: distance of the runs with h and h/2 beyond which they are different motions
 
 
 class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
-    factored_for: h of the factor. control: the ErrorControl of adaptive steps, or None. recorder: its `begun(state, h)` is called at every
-    beginning and `stepped(state)` for every state, of attempts that fail too; stretches then have one state. resize: "shorter" or "longer"
-    if adaptive steps should be, else None. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam
-    (count, m)], or None. first, count: prepared steps taken, and all. ended: how the last step ended, (status, True if its factor was new, t,
-    |dq|), to be handled before the next stretch, or None. waiting: stretches of one state that the recorder has not seen, last first. last: the
-    last State of the last stretch.
+    recorder: its `begun(state, h)` is called at every beginning and `stepped(state)` for every state, of attempts that fail too; stretches then
+    have one state. rows: a function of a count that returns arrays for so many frames, [q, v, a (count, n), lam (count, m)], or None.
     """
 
     chunk_bytes = 16_000_000  # of frames that one compiled stretch fills
 
     def __init__(self, settings, model, counts, control=None):
+        """Make the arrays and the table of a model; control: the ErrorControl of adaptive steps, or None."""
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.start, self.trial = step.empty(model.n, model.m)
         self.stabilised = settings.form == "stabilised" and model.m > 0
         self.incremental = settings.incremental_phi and model.has_constraint_increments
         self.table = table_of(settings, model, self.incremental, True)
-        self.caution, self.unknowns = self.table.system(settings).caution, self.table.unknowns
-        self.system = self.spare = self.factored_for = None  # the factor in use, and one that the next factor may overwrite
-        self.method = self.resize = self.recorder = None
-        self.weighed, self.factors, self.rows = False, FactorCache(), _no_rows
-        self.longest, self.pause = INSTANTS, 0
+        self.caution = self.table.system(settings).caution
+        self.unknowns = self.table.unknowns
+        self.system = None  # the factor in use
+        self.factored_for = None  # its h
+        self.spare = None  # a factor that the next one may overwrite
+        self.factors = FactorCache()  # of adaptive steps
+        self.method = None  # numbers of the method for the present h
+        self.weighed = False  # True if the weights of norms are set
+        self.resize = None  # "shorter" or "longer" if adaptive steps should be
+        self.recorder = None
+        self.rows = _no_rows
+        self.longest = INSTANTS  # steps of the next stretch of a model with switches
+        self.pause = 0  # number of counted steps after which a stretch ends
 
     def begin(self, state, h, same_factor=False):
         """Go on with steps of h from a state that `started` returned, with the present factor or one for this h.
@@ -82,9 +81,11 @@ class Steps:
         if model.needs.mass_varies or not self.weighed:
             self._weigh(weights(model, state.q))
         start.marks[:] = 0.0
-        self.resize = self.ended = self.last = None
-        self.first = self.count = 0
-        self.waiting = []
+        self.resize = None
+        self.ended = None  # how the last step ended, (status, True if its factor was new, t, |dq|), to be handled before the next stretch
+        self.last = None  # the last State of the last stretch
+        self.first = self.count = 0  # prepared steps taken, and all
+        self.waiting = []  # stretches of one state that the recorder has not seen, last first
         if not same_factor:
             self._set_system(self.factors.get(h))
         if self.recorder is not None:
@@ -176,7 +177,7 @@ class Steps:
         most = int(max(1, min(most, self.longest, self.table.longest, self.model.longest_stretch)))
         to_pause = self.pause - self.counts.steps
         h, n, m = self.method.h, self.model.n, self.model.m
-        self.times = times = grid.times(done, min(done + (to_pause if 0 < to_pause < most else most), grid.count))
+        self.times = times = grid.times(done, end_of_stretch(grid, done, most, to_pause))
         self.first, self.count = 0, len(times) - 1
         self.frames = self.rows(self.count) or allocate([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * self.count * (3 * n + m))
         self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
@@ -334,156 +335,3 @@ def _numbers(method):
 
 def _no_rows(count):
     return None
-
-
-def fixed_steps(engine, state, begin, end, count):
-    """Yield stretches of the states at the ends of `count` equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
-    settings, model, counts = engine.settings, engine.model, engine.counts
-    grid = grid_of(state, begin, end, count)
-    for state in states_at_rest(model, state, grid, counts):
-        grid = grid._replace(done=grid.done + 1)
-        state.memory["grid"] = grid.after(grid.done)
-        counts.steps += 1
-        yield Stretch.of(state)
-    level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
-    while done < grid.count:
-        failures = []
-        if level == 0:
-            try:
-                _begin_grid(engine, state, grid)
-                while done < grid.count:
-                    stretch = engine.stretch(grid, done)
-                    state, done = stretch.last, done + len(stretch)
-                    counts.steps += len(stretch)
-                    yield stretch
-                return
-            except StepFailure as failure:
-                failures.append(failure)
-                counts.rejected += 1
-        state, level = _step_in_parts(engine, state, grid, done, level, failures)
-        done, level = done + 1, level - 1
-        counts.steps += 1
-        state = _cut(state, level, grid=grid.after(done))
-        yield Stretch.of(state)
-
-
-def _begin_grid(engine, state, grid):
-    """Begin steps of a grid; from a state behind a step of the same h with the factor and the memory of Newton's method that it had."""
-    model, memory = engine.model, state.memory
-    near = 1e-12 * max(abs(state.t), abs(grid.end))
-    same_h = math.isclose(memory.get("h", 0.0), grid.h, rel_tol=SAME_H)
-    goes_on = "factored_at" in memory and same_h and not model.kinks(state.t - near, state.t + near)
-    if goes_on:
-        engine.restore_factor(memory)
-    engine.begin(started(engine.settings, model, state, grid.h, engine.system if goes_on else None), grid.h, goes_on)
-    if goes_on:
-        engine.recall(memory)
-
-
-def _step_in_parts(engine, state, grid, done, level, failures):
-    """(the State after the next step of a grid, taken in 2^level parts, the level), the first level that succeeds. Raises StepFailure.
-
-    level: that of the step before, from which the levels begin; failures: of this step so far.
-    """
-    settings = engine.settings
-    for level in range(max(1, level), settings.max_halvings + 1):
-        parts = Grid(grid.time(done), grid.time(done + 1), 2**level)
-        try:
-            engine.begin(started(settings, engine.model, _cut(state, level), parts.h), parts.h)
-            return engine.last_of(parts), level
-        except StepFailure as failure:
-            failures.append(failure)
-            engine.counts.rejected += 1
-    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
-
-
-def _cut(state, level, **memory):
-    """A state from which the method starts with a_alg = q''."""
-    return State(state.t, state.q, state.v, state.a, state.lam, {"cut": float(level), "h": 0.0} | memory)
-
-
-def adaptive_steps(engine, state, begin, end, longest, most_steps):
-    """Yield stretches of states from begin to end, with h as the local error allows, but no step above `longest`.
-
-    Raises StepFailure below the lowest level, if h is round-off of t, and if the steps counted and rejected would be more than most_steps.
-    """
-    settings, model, counts, control = engine.settings, engine.model, engine.counts, engine.control
-    most, t, failures = (end - begin) / number_of_steps(model, state, begin, end, longest), begin, []
-    controller = StepSizeController(control, float(state.memory.get("h", control.first)) or np.inf, most, longest)
-
-    def require_progress(h):
-        if counts.steps + counts.rejected >= most_steps:
-            raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
-        if h < 16 * np.spacing(abs(t)):
-            raise StepFailure("step too small", "the step has shrunk to the round-off of t", t, step=h)
-
-    for state in states_at_rest(model, state, Grid(t, end, max(1, int(np.ceil((end - t) / most * (1 - 1e-12))))), counts):
-        require_progress(state.t - t)
-        t = state.t
-        counts.steps += 1
-        state.memory.update({"sizes": np.array(control.sizes)} if control.sizes else {})
-        yield Stretch.of(state)
-    while t < end:
-        grid, moved = _next_grid(t, end, controller.h), False
-        require_progress(grid.h)
-        try:
-            engine.begin(started(settings, model, state, grid.h), grid.h)
-            done = 0
-            while done < grid.count and counts.steps + counts.rejected < most_steps and (stretch := engine.stretch(grid, done)):
-                stretch = stretch.part(0, most_steps - counts.steps - counts.rejected)
-                t, moved, done = stretch.last.t, True, done + len(stretch)
-                counts.steps += len(stretch)
-                yield stretch
-            failures = []
-        except StepFailure as failure:
-            failures.append(failure)
-        _change_level(engine, controller, failures, t)
-        state = engine.state(t) if moved else state  # not the state that `started` returned: that is behind a kink already
-
-
-def _next_grid(t, end, h):
-    """The Grid of the next steps of h; the last few up to `end` are equal."""
-    remaining = (end - t) / h
-    if remaining <= 3:
-        return Grid(t, end, max(1, int(np.ceil(remaining - 1e-9))))
-    count = int(remaining) - 1
-    return Grid(t, t + count * h, count)
-
-
-def _change_level(engine, controller, failures, t):
-    """Change the level of h after an attempt that came to t, by its failures and those before, and by its local error. Raises StepFailure."""
-    if failures:
-        _require_level(controller, CUT, failures)
-        controller.level += CUT
-    if failures or engine.resize == "shorter":
-        engine.counts.rejected += 1
-    if engine.resize == "shorter":
-        controller.reduce(engine.error)
-        _require_level(controller, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
-    elif engine.resize == "longer":
-        controller.raise_step(engine.error)
-
-
-def _require_level(controller, down, failures):
-    if controller.level + down > LAST_LEVEL:
-        raise first_of(failures, f"down to steps of {controller.h:.3g} s")
-
-
-def extrapolated(settings, model, state, t_end, counts):
-    """Yield `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h (Richardson), of order 3 to 4. Raises StepFailure, also if the runs diverge.
-
-    The runs with h and h/2 are independent. phi = 0 and energy hold to the order of the result only. A kink at the end of a step does no harm;
-    mesh modes that no step resolves gain nothing. Once the runs are different motions there is nothing to extrapolate, and the run stops.
-    """
-    plain = replace(settings, extrapolate=False)
-    coarse, fine = (States(plain.in_pieces(model, state, t_end, counts, split), counts) for split in (1, 2))
-    for one in coarse:
-        next(fine)
-        two = next(fine)
-        counts.steps -= 2
-        distance = float(np.abs(two.q - one.q).max())
-        if distance > DIVERGED * extent(model, two.q):
-            reason = f"the runs with h and h/2 are {distance:.3g} apart in q; there is nothing to extrapolate: take a shorter h"
-            raise StepFailure("extrapolation", reason, one.t, **{"|q(h) - q(h/2)|": distance})
-        x = [(4 * b - a) / 3 for a, b in ((one.q, two.q), (one.v, two.v), (one.a, two.a), (one.lam, two.lam))]
-        yield State(one.t, *x, restart=False)

@@ -36,19 +36,15 @@ UNSEEN = 2.0**-4  # share of the tolerance that Newton may leave by the contract
 
 @pack
 class Method(NamedTuple):
-    """Numbers of the method at one h.
+    """Numbers of the method at one h."""
 
-    numbers (2,): 4/h^2 and 2/h, of the step matrix; tolerance: of dq, over h^2 |a|; extent: of the model, m, whose round-off is that of q; kind:
-    what v_1 becomes; velocity_rows: their numbers among the rows.
-    """
-
-    h: float
-    numbers: np.ndarray
-    tolerance: float
+    h: float  # s
+    numbers: np.ndarray  # (2,) 4/h^2 and 2/h, of the step matrix
+    tolerance: float  # of dq, over h^2 |a|
     max_iterations: int
-    extent: float
-    kind: int
-    velocity_rows: np.ndarray
+    extent: float  # of the model, m, whose round-off is that of q
+    kind: int  # what v_1 becomes: FREE, PROJECTED or FRAMES_PROJECTED
+    velocity_rows: np.ndarray  # their numbers among the rows
 
 
 @part
@@ -129,7 +125,11 @@ def residual(model, instant, method, now, rows):
 
 @part
 def newton(model, instant, method, now, rows, marks, counts):
-    """Newton's method from the predicted end. Returns (status, the last |dq|)."""
+    """Newton's method from the predicted end. Returns (status, the last |dq|).
+
+    It ends if the error left by a correction, |dq| k/(1 - k) with the contraction k, is below the tolerance, or if dq is round-off of q; it fails
+    (REFACTOR) where it contracts slowly, unless dq is nearly round-off.
+    """
     h, before = method.h, 0.0
     for iteration in range(method.max_iterations):
         status = residual(model, instant, method, now, rows)

@@ -30,7 +30,8 @@ from polyida.model.functions import OF_STEPS
 from polyida.system import ACCELERATION, ACCEPT, FACTOR, INSTANTS, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system.dense import INNER
 from polyida.system.own import DenseTable, PythonTable, small_own
-from polyida.system.scene import DV, DX, START, VX, OneFactorScene, entries, idle, pairs, renew_slopes, rows
+from polyida.system.scene import OneFactorScene, entries
+from polyida.system.scene_functions import DV, DX, START, VX, idle, pairs, renew_slopes, rows
 
 ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
 AT_MIDDLE, AT_END = range(2)  # stages of a step: numbers of work.dz and work.rotation
@@ -88,6 +89,7 @@ class PythonOwn(MiddleTable, PythonTable):
     """The table of a user's model in Python that is large or solves its systems itself."""
 
     def _middle(self, instant, states, lam, r, phi, *_):
+        """Write r in the middle of a step, with the discrete derivative of the potential, and phi at its end."""
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
         residual, constraints = self._array(r, model.n), self._array(phi, model.m)
@@ -102,6 +104,7 @@ class DenseOwn(MiddleTable, DenseTable):
     names, entries = OF_ENERGY, (MIDDLE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT)
 
     def __init__(self, model):
+        """Choose the entries; compiled models without drives have consistent accelerations too."""
         super().__init__(model)
         self.complete = model.by_numba and not model.needs.driven
         if self.complete:
@@ -109,6 +112,8 @@ class DenseOwn(MiddleTable, DenseTable):
         self.serve()
 
     def _functions(self, work):
+        """The functions of a small model, and its potential at work.q."""
+
         def potential(*_):
             work.x[0] = self.model.potential(work.q.copy())
 
@@ -122,24 +127,24 @@ def states_of(work, at):
 
 
 @part
-def middle(work, instant, states, lam, r, phi):
-    """r of a scene at the middle of a step, whose instant is before that of its end, and phi at the end."""
+def middle(work, instant, states, lam, residual, phi):
+    """Fill the residual of a scene at the middle of a step, whose instant is the one before that of its end, and phi at the end."""
     links, points, drives, h = work.scene.links, work.points, work.drives[instant - 1], work.h[0]
     dz, rotation = work.dz[AT_END], work.rotation[AT_END]
-    least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, r, rotation)
+    least = equilibrium(work.scene, drives, h, states, lam, phi, points[DX], work.forces, residual, rotation)
     if not least > 0.0:
         return INVERTED if least <= 0.0 else NOT_FINITE
     if work.optional[RELAXING_MIDDLE] != 0:
-        call(work.optional[RELAXING_MIDDLE], (work.optional[PARTS], states[0], states[1], states[2], states[3], r))
+        call(work.optional[RELAXING_MIDDLE], (work.optional[PARTS], states[0], states[1], states[2], states[3], residual))
     joints.point_values(links, states[1], dz)
-    status = add_elements(work, drives, h, states, dz, r)
+    status = add_elements(work, drives, h, states, dz, residual)
     work.cosine[0] = joints.joint_forces(links, work.drives[instant], dz, work.level, phi, points[DV])
     return status
 
 
 @part
-def add_elements(work, drives, h, states, dz, r):
-    """Add force elements to r, and renew their slopes. Returns a status.
+def add_elements(work, drives, h, states, dz, residual):
+    """Add force elements to the residual, and renew their slopes. Returns a status.
 
     points[DX] first holds h/2 times the accelerations, then the places of the middle; dz holds those of the end.
     """
@@ -154,45 +159,47 @@ def add_elements(work, drives, h, states, dz, r):
                 half[p, k] *= 0.5 * h
         clear(work.forces)
         status = call(optional[LAW_MIDDLE], (optional[PARTS], drives, points[START], dz, points[VX], half, work.forces))
-        joints.spread(links, work.forces, r)
+        joints.spread(links, work.forces, residual)
         joints.point_values(links, states[2], points[DX])
         renew_slopes(work, drives, points[DX], points[VX])
     return status
 
 
 @entry
-def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
-    """Fill r (nodes, 2) except for force elements and relaxation. Returns the least det F at the end.
+def equilibrium(scene, drives, h, states, lam, phi, dz, forces, residual, rotation):
+    """Fill the residual (nodes, 2) except for force elements and relaxation. Returns the least det F at the end.
 
     states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
     (points, 2) are workspace; rotation (nodes, 2) as of the equilibrium of a state.
     """
     plates, um, a = scene.plates, states[2], states[4]
-    for i in range(r.shape[0]):
-        r[i, 0], r[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
+    for i in range(residual.shape[0]):
+        residual[i, 0], residual[i, 1] = -plates.weight[i, 0], -plates.weight[i, 1]
     clear(rotation)
-    few = reduced_kernels.forces_middle(scene.reduced, h, states, r, rotation)
-    kernels.hold_strains(scene.relaxation, a, r, rotation)
-    least = reduced_kernels.lesser(plates_middle(plates, h, states, r, rotation), few)
-    kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, r)
+    least_of_reduced = reduced_kernels.forces_middle(scene.reduced, h, states, residual, rotation)
+    kernels.hold_strains(scene.relaxation, a, residual, rotation)
+    least = reduced_kernels.lesser(plates_middle(plates, h, states, residual, rotation), least_of_reduced)
+    kernels.add_loads_and_joints(plates, scene.links, drives, um, a, lam, phi, dz, forces, residual)
     return least
 
 
 @part
-def plates_middle(plates, h, states, r, rotation):
-    """Add inner, inertia and damping forces of all plates to r. Returns the least det F. states: as of `equilibrium`."""
+def plates_middle(plates, h, states, residual, rotation):
+    """Add inner, inertia and damping forces of all plates to the residual. Returns the least det F. states: as of `equilibrium`."""
     u0, u1, um, vm, a, least = states[0], states[1], states[2], states[3], states[4], 1e300
     for b in range(plates.body_operator.shape[0]):
         o, n0, density = plates.body_operator[b], plates.body_node[b], plates.body_density[b]
         material = Material(plates.membrane_stiffness[b], plates.body_nu[b], plates.body_viscosity[b] / h)
         least = reduced_kernels.lesser(
-            least, viscous_midpoint.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, r, rotation)
+            least, viscous_midpoint.internal_force_midpoint(kernels.cells_of(plates, b), material, u0, u1, residual, rotation)
         )
-        elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, r)
+        elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), density, n0, a, residual)
         if plates.body_drag[b] != 0.0:
-            elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, r)
+            elements.mass_product(*kernels.on_pattern(plates, o, plates.mass), plates.body_drag[b] * density, n0, vm, residual)
         if plates.body_stabilisation[b] != 0.0:
-            elements.stabilisation_force(*kernels.on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, um, r)
+            elements.stabilisation_force(
+                *kernels.on_pattern(plates, o, plates.stabilisation), plates.body_stabilisation[b], n0, um, residual
+            )
     return least
 
 
@@ -203,6 +210,7 @@ class EnergyTable(OneFactorScene):
     """The table of a scene without Python; it makes v, a and lam of frames if no body is a plate and none is viscoelastic."""
 
     def __init__(self, model):
+        """Choose the kernels and entries that the scene needs."""
         reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.complete, options = not (model.bodies or model.strains or model.slipping), {}
         if self.complete:
@@ -235,11 +243,13 @@ class PythonScene(MiddleTable, PythonTable):
     """The table of a scene whose bodies have masses that differ in x and y, or lack some. Each force is that of the compiled table."""
 
     def __init__(self, model):
+        """Make the arrays of the middle of a step."""
         super().__init__(model)
         reduced_kernels.provide(model.arrays.reduced, reduced_kernels.MIDDLE)
         self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
 
     def _middle(self, instant, states, lam, r, phi, *_):
+        """Write r of the scene in the middle of a step and phi at its end, by the compiled functions of its parts."""
         model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
         vectors, constraints = self._array(states, 5 * model.n).copy().reshape(5, -1), self._array(phi, model.m)
         out, lam = self._array(r, model.n).copy().reshape(-1, 2), self._array(lam, model.m).copy()

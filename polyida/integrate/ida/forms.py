@@ -64,6 +64,7 @@ class System:
     exact = False
 
     def __init__(self, model, form, baumgarte_rate=0.0):
+        """Set the weights of phi, phi' and phi'' in the rows of a form, by its name in FORMS."""
         self.model, self.form, self.limits = model, FORMS[form], (-np.inf, np.inf)
         weights = [[baumgarte_rate**2, 2.0 * baumgarte_rate, 1.0]]
         self.levels = np.array(weights) if self.form.combined else np.eye(3)[list(self.form.rows)]
@@ -136,6 +137,7 @@ class AcceptedStates(Stretch):
     """
 
     def __init__(self, system, memory, work, t, y, yp, within=None):
+        """Split y and y' into q, v, a, lam and mu."""
         *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
         super().__init__(t, *state)
         self._memory, self._mu, self._work, self._within = memory, mu, work, within

@@ -1,45 +1,73 @@
 """IDA of SUNDIALS: variable-step, variable-order BDF on a stabilised form of the model's equations."""
 
 import math
-import re
-import sys
-import threading
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from traceback import extract_tb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.clock import loading
-from polyida.errors import InputError, StepFailure
+from polyida.errors import InputError
+from polyida.fields import check, check_fields, not_negative
 from polyida.integrate.discontinuities import edges, sampling, stop_times, time_limits
-from polyida.integrate.ida.forms import FORMS, AcceptedStates, System
-from polyida.integrate.ida.newton import Correction
+from polyida.integrate.ida.forms import FORMS
+from polyida.integrate.ida.run import Run
 from polyida.integrate.ida.tables import SCALINGS
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run, typical_sizes
 from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.model import Model
 from polyida.model.guarded import guard
-from polyida.system import INSTANTS
 from polyida.validation import LEAST_RTOL, floats, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
 # default rtol of a motion over that many lengths of the model; the error is about ten times
 AIM, LENGTHS, FLEXIBLE_LENGTHS = 1e-5, 3.0, 30.0
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, if atol is one number
-EXACT = 1e-8  # rtol below which a factor in single precision shows: friction that slips brings its errors of lam, 1e-7, into the motion
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
-DRIFT = 1e-2  # of the model's length: a constraint that has drifted further ends the run
-LONGEST = 5e-3  # s of computing time for a stretch of states, unless one step takes longer
-APPROACH = 3  # steps before a time at which a step must end are chosen so that they end there
-STANDSTILL = 20  # steps in a row that hardly change t and so end the run; IDA alone would not end
-STATUS = {-2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve"}
-STATUS |= {-8: "residual", -9: "residual", -12: "residual", -22: "input"}
-ERROR_LINE = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
+
+BETWEEN = f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1"
+
+
+def _must(expected, good):
+    """Metadata of a field: unless `good(value)`, the message says what is expected."""
+    return check(_require, expected, good)
+
+
+def _require(label, name, value, expected, good):
+    """Return the value. Raise InputError, "label: name value expected", unless `good(value)`."""
+    if not good(value):
+        raise InputError(f"{label}: {name} {value} {expected}")
+    return value
+
+
+def _known_form(label, name, value):
+    """Return the name of a form. Raise InputError, with all of them, for anything else."""
+    if not is_one_of(value, FORMS):
+        raise InputError(f"{label}: {name} {value!r} is unknown; there are {', '.join(FORMS)}")
+    return value
+
+
+def _positive_entries(label, name, value):
+    """Return None, a positive number, or positive numbers as a tuple of floats. Raise InputError for anything else."""
+    if value is None:
+        return None
+    if not is_number(value):
+        entries = floats(value)
+        _require(label, name, value, "must be a number, a pair or a list of numbers", lambda _: entries is not None and entries.ndim == 1)
+        value = tuple(entries.tolist())
+    entries = value if isinstance(value, tuple) else (value,)
+    return _require(label, name, value, "must be positive", lambda _: len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries))
+
+
+def _is_rtol(value):
+    """True for None and for a relative tolerance that double precision resolves."""
+    return value is None or (is_number(value) and LEAST_RTOL <= value < 1)
+
+
+OPTIONAL_RTOL = _must(BETWEEN, _is_rtol)
+NOT_NEGATIVE = _must("must be a finite number, not negative", not_negative)
 
 
 @named_keywords
@@ -94,48 +122,25 @@ class IDA(Integrator):
     Hindmarsh et al., ACM TOMS 31 (2005) 363-396; Gear, Gupta, Leimkuhler, J. Comput. Appl. Math. 12-13 (1985) 77-90.
     """
 
-    rtol: float | None = None
-    atol: float | tuple | None = None
-    max_order: int | None = None
-    form: str = "ggl2"
-    max_step: float = 0.0
-    max_num_steps: int = 200_000
-    first_step: float = 0.0
-    baumgarte_rate: float = 10.0
-    linear: str = "auto"
-    scaling: str = "characteristic"
-    ida_rtol: float | None = None
+    rtol: float | None = field(default=None, metadata=OPTIONAL_RTOL)
+    atol: float | tuple | None = field(default=None, metadata=check(_positive_entries))
+    max_order: int | None = field(default=None, metadata=_must("must be 1, 2, 3, 4 or 5", lambda k: k is None or is_whole(k, 1, 5)))
+    form: str = field(default="ggl2", metadata=check(_known_form))
+    max_step: float = field(default=0.0, metadata=NOT_NEGATIVE)
+    max_num_steps: int = field(default=200_000, metadata=_must("must be a positive whole number", is_whole))
+    first_step: float = field(default=0.0, metadata=NOT_NEGATIVE)
+    baumgarte_rate: float = field(default=10.0, metadata=NOT_NEGATIVE)
+    linear: str = field(default="auto", metadata=_must(f"must be one of {', '.join(LINEAR)}", lambda name: is_one_of(name, LINEAR)))
+    scaling: str = field(
+        default="characteristic", metadata=_must(f"must be one of {', '.join(SCALINGS)}", lambda name: is_one_of(name, SCALINGS))
+    )
+    ida_rtol: float | None = field(default=None, metadata=OPTIONAL_RTOL)
     trusted = True
 
     def __post_init__(self):
-        if not is_one_of(self.form, FORMS):
-            raise InputError(f"IDA: form {self.form!r} is unknown; there are {', '.join(FORMS)}")
-        if self.atol is not None and not is_number(self.atol):
-            entries = floats(self.atol)
-            _check("atol", self.atol, entries is not None and entries.ndim == 1, "must be a number, a pair or a list of numbers")
-            object.__setattr__(self, "atol", tuple(entries.tolist()))
-        entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
-        not_negative = "must be a finite number, not negative"
-        rtol_ok, ida_rtol_ok = (x is None or (is_number(x) and LEAST_RTOL <= x < 1) for x in (self.rtol, self.ida_rtol))
-        between = f"must lie between {LEAST_RTOL:.2g}, which double precision resolves, and 1"
-        for name, good, expected in (
-            ("linear", is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}"),
-            ("scaling", is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}"),
-            ("rtol", rtol_ok, between),
-            ("ida_rtol", ida_rtol_ok, between),
-            (
-                "ida_rtol",
-                self.rtol is None or self.ida_rtol is None,
-                f"stands beside rtol {self.rtol}: give what is asked or what is passed",
-            ),
-            ("max_order", self.max_order is None or is_whole(self.max_order, 1, 5), "must be 1, 2, 3, 4 or 5"),
-            ("max_num_steps", is_whole(self.max_num_steps), "must be a positive whole number"),
-            ("max_step", is_number(self.max_step) and self.max_step >= 0, not_negative),
-            ("first_step", is_number(self.first_step) and self.first_step >= 0, not_negative),
-            ("baumgarte_rate", is_number(self.baumgarte_rate) and self.baumgarte_rate >= 0, not_negative),
-            ("atol", len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries), "must be positive"),
-        ):
-            _check(name, getattr(self, name), good, expected)
+        check_fields(self, "IDA")
+        if self.rtol is not None and self.ida_rtol is not None:
+            raise InputError(f"IDA: ida_rtol {self.ida_rtol} stands beside rtol {self.rtol}: give what is asked or what is passed")
 
     def relative(self, model: Model, sizes: NDArray) -> float:
         """What is asked, rtol, or its default in a run of these sizes, (length, speed, time, lengths), or that which ida_rtol stands for."""
@@ -157,7 +162,8 @@ class IDA(Integrator):
         if len(self.atol) == 2:
             return rtol, *self.atol
         expected = f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}"
-        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n, expected)
+        if len(self.atol) != 2 * n:
+            raise InputError(f"IDA: atol of {len(self.atol)} entries {expected}")
         return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def _strictness(self, model):
@@ -220,207 +226,12 @@ class IDA(Integrator):
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
+        """Stretches of accepted states, one smooth piece after the other. Raises StepFailure."""
         sizes = sizes_of_run(model, state, t_end)
-        run, cells = _Run(self, model, sizes, counts, "polynomials" in state.memory), sampling(math.inf, t_end - state.t)
+        run, cells = Run(self, model, sizes, counts, "polynomials" in state.memory), sampling(math.inf, t_end - state.t)
         for begin, end in pairwise(edges(model, state.t, t_end)):
             limits = time_limits(model, begin, end)
             state = far_side(model, state, limits[0]) if limits[0] > begin else behind_samples(model, state)
             for stretch in run.piece(state, begin, stop_times(model, state, begin, end, *cells), limits):
                 yield stretch
             state = stretch.last
-
-
-def _check(name, value, good, expected):
-    if not good:
-        raise InputError(f"IDA: {name} {value} {expected}")
-
-
-class _Run:
-    """One run of IDA: the solver of the binding with its callbacks, and the counts.
-
-    looked_into: True if states within steps are asked for. standing: number of steps in a row within the round-off of t. attempts: times that the
-    present step was tried, each at another end, the last at `tried`. stop: the time that IDA does not pass.
-    """
-
-    def __init__(self, settings, model, sizes, counts, looked_into):
-        with loading:
-            from sksundae.ida import IDA as Solver
-            from sksundae.ida import IDAJacTimes
-
-        self.settings, self.model, self.counts, self.looked_into = settings, model, counts, looked_into
-        rtol, *atol = settings.tolerances(model, sizes)
-        self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
-        self.memory |= {"max_order": settings.largest_order(model)} | ({} if settings.atol else {"tolerances": np.array([rtol, *atol])})
-        self.system = System(model, settings.form, settings.baumgarte_rate)
-        self.system.exact = model.slipping and np.min(rtol) < EXACT
-        self.linear = Correction(self.system, counts, settings.largest_order(model), settings.linear, settings.scaling)
-        self.steps, self.standing, self.attempts = 0, 0, 0
-        self.tried, self.last_step = math.nan, math.nan
-        self.refused, self.not_finite = None, ""  # (t, q) at which F was not finite since the last step, and what was not
-        self.solver = Solver(
-            self._residual,
-            rtol=rtol,
-            atol=self.system.tolerances(*atol, 0.0 if settings.atol else sizes[1]),
-            max_order=settings.largest_order(model),
-            max_step=float(settings.max_step),
-            first_step=float(settings.first_step),
-            linsolver="gmres",
-            krylov_dim=5,
-            jactimes=IDAJacTimes(None, self.linear.product),
-        )
-
-    def _residual(self, t, y, yp, res):
-        self.counts.residuals += 1
-        if t != self.tried:
-            self.attempts, self.tried = self.attempts + 1, t
-        if not self.linear.residual(t, y, yp, res):
-            res[:] = math.nan
-            self.refused, self.not_finite = (t, np.array(y[: self.model.n])), self.model.not_finite
-
-    def piece(self, state, begin, times, limits):
-        """Stretches of accepted states on the smooth piece from begin to the last of `times`; a step ends at each of these.
-
-        The model's time is clamped to `limits`. A stretch takes no longer than LONGEST, because progress and Ctrl-C wait for its end.
-        """
-        self.system.limits = limits
-        y, yp = self.system.pack(state)
-        self.linear.begin(begin, y)
-        self.solver.init_step(begin, y, yp)
-        self.last_step, self.stop = math.inf, begin
-        self.t, self.q, most = begin, state.q, 1 if self.model.switching or self.looked_into else INSTANTS
-        for end in times:
-            while self.t < end:
-                states, until = [], time.perf_counter() + LONGEST
-                try:
-                    with _error_lines as printed:
-                        while self.t < end and len(states) < most and (not states or time.perf_counter() < until):
-                            self._step(end, printed, states)
-                except BaseException:
-                    if states:
-                        work = self._work()
-                        yield self._stretch(states)
-                        vars(self.counts).update(work)
-                    raise
-                if states:
-                    yield self._stretch(states)
-
-    def _stretch(self, states):
-        work, *rows = zip(*states)
-        return AcceptedStates(self.system, self.memory, work, *map(np.array, rows), self._within if self.looked_into else None)
-
-    def _within(self, end, t):
-        """The State at t in the step to `end`, by the polynomial of IDA; None if a later step has been taken."""
-        if end != self.t:
-            return None
-        result = self.solver.step(t, method="normal")
-        q, v, a, lam, _ = (None if x is None else x.copy() for x in self.system.split(result.y, result.yp))
-        self.solver.step(self.t, method="normal")  # the next step goes on from there
-        return State(t, q, v, a, lam, restart=False)
-
-    def _work(self):
-        """The counts except the steps, which are counted when the states are taken."""
-        return {name: count for name, count in vars(self.counts).items() if name != "steps"}
-
-    def _step(self, end, printed, states):
-        """Take a step. One within the round-off of t gives no state."""
-        if self.steps >= self.settings.max_num_steps:
-            raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)")
-        if self.standing >= STANDSTILL:
-            raise self._failure("step too small", "the step has shrunk to the round-off of t")
-        self.attempts, self.tried = 0, math.nan
-        stop = self._stop(end)
-        try:
-            result = self.solver.step(end, method="onestep", tstop=stop)
-        except KeyError as error:
-            if not _of_binding(error):
-                raise
-            flag = f"IDA returned the flag {error.args[0]}, of which the binding knows no text"
-            raise self._failure("ida", printed.message.rstrip(".") or flag) from None
-        if result.status < 0:
-            reason = (printed.message or result.message).rstrip(".")
-            raise self._failure(STATUS.get(result.status, "ida"), reason)
-        t, y, yp = float(result.t), result.y, result.yp
-        self.linear.accept(t, y)
-        q, self.last_step = y[: self.model.n], t - self.t
-        self.steps += 1
-        self.counts.steps += 1
-        self.counts.rejected += max(self.attempts - 1, 0)
-        self.standing = self.standing + 1 if self.last_step < 16 * math.ulp(t) else 0
-        if self.linear.objects and (objection := self.system.rejection_reason(t, q)):
-            raise self._failure("objection", objection)
-        if drift := self.system.drift(t, q, DRIFT * self.sizes[0]):
-            raise self._failure("drift", f"{drift}; a form that holds phi, or a tighter rtol, keeps it closed")
-        self.refused = self.refused if self.standing else None
-        if t > self.t:
-            self.t, self.q = t, q
-            states.append((self._work(), t, y, yp))
-
-    def _stop(self, end):
-        """The time that the next step must not pass, so that no very short step is left before `end`.
-
-        The errors of v over a very short step would be in v' and the multipliers of that step. IDA at most doubles a step, and it shortens
-        the next one already if a stop lies within it: a stop once given stays until it is reached, or the rest would be halved without end.
-        """
-        if not self.t < self.stop < end:
-            rest = end - self.t
-            pieces = next((k for k in range(1, APPROACH + 1) if rest <= k * self.last_step), 0)
-            self.stop = end - rest * (pieces - 1) / pieces if pieces else end + self.last_step
-        return self.stop
-
-    def _failure(self, status, reason):
-        """StepFailure at the last accepted state, with the step that was tried and the constraint with the largest violation."""
-        if self.refused:
-            objection = self.model.rejection_reason(*self.refused)
-            status, cause = ("objection", objection) if objection else (status, self.not_finite or "the residual is not finite")
-            reason = f"{cause}; {reason}"
-        phi = np.abs(self.model.phi(self.t, self.q))
-        tried = float(self.tried - self.t)
-        seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}
-        if phi.size:
-            seen |= {"worst constraint": self.model.constraint_name(int(phi.argmax())), "|phi|": float(phi.max())}
-        return StepFailure(status, f"IDA: {reason}", self.t, **seen)
-
-
-def _of_binding(error):
-    """True if the binding itself raised an error, not a function of a user that it called."""
-    return extract_tb(error.__traceback__)[-1].filename.endswith("_cy_ida.pyx")
-
-
-class _ErrorLines:
-    """Replaces sys.stdout while a thread is within it: the error line that the binding prints becomes a message, other text passes through.
-
-    It returns an object whose `message` is the thread's last error line, or empty.
-    """
-
-    def __init__(self):
-        self.lock, self.users, self.stream, self.printed = threading.Lock(), 0, None, threading.local()
-
-    def __enter__(self):
-        with self.lock:
-            self.users += 1
-            if sys.stdout is not self:
-                self.stream, sys.stdout = sys.stdout, self
-        self.printed.message, self.printed.line_ends = "", False
-        return self.printed
-
-    def __exit__(self, *error):
-        with self.lock:
-            self.users -= 1
-            if not self.users and sys.stdout is self:
-                sys.stdout = self.stream
-
-    def write(self, text):
-        match = ERROR_LINE.search(text)
-        if match:
-            self.printed.message, self.printed.line_ends = " ".join(match[1].split()), True
-        elif text == "\n" and getattr(self.printed, "line_ends", False):
-            self.printed.line_ends = False
-        else:
-            self.stream.write(text)
-        return len(text)
-
-    def __getattr__(self, name):
-        return getattr(self.stream, name)
-
-
-_error_lines = _ErrorLines()

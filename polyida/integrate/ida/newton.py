@@ -1,19 +1,4 @@
-"""IDA's equations and their Newton corrections, by the functions of a model's table: one compiled driver for every model.
-
-IDA asks for `J d = -F`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu), mu only if the form has it:
-
-    |  cj I     -I               B^T |  |dq  |   |r1|     q' - v + B^T mu
-    |  K      cj M + C   B^T         |  |dv  | = |r2|     M v' + g + B^T lam
-    |  P         Q                   |  |dlam|   |rc|     the form's constraint rows c(t, q, v, v')
-                                        |dmu |            P = c_q,  Q = c_v + cj c_a
-
-The first row gives dv; the rest is
-
-    |  S       B^T   D B^T | |dq  |   |r2 + D r1|     S = K + cj D,  D = cj M + C
-    |  P + cj Q      Q B^T | |dlam| = |rc + Q r1|
-                             |dmu |
-
-the system of a real mode of Radau IIA with c = cj and D = 1 for mu (polyida.system), solved by the same entries of the tables.
+"""The callbacks of IDA for a System: its residual `J^-1 F` and the factors that it needs (ida/equations.py computes both).
 
 IDA's residual is `J^-1 F`, which has the same zeros and Newton corrections as F. Its own linear system is then that of the identity, and its
 GMRES ends after one product that returns the vector. IDA gives cj only with that product, after the residual; before, it is computed from
@@ -25,184 +10,24 @@ axis, Andrews' mechanism, chains of bars and plates (`python studies/step_cost.p
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import DONE, HALF_TURN, INVERTED, NO_MATRIX, NOT_FINITE, REASONS, SINGULAR, StepFailure
-from polyida.integrate.ida.forms import INSTANT
+from polyida.integrate.ida.equations import Iterate, correction, equations
 from polyida.integrate.ida.tables import table_of
 from polyida.integrate.state import Counts
-from polyida.jit import entry, pack, part, typed
-from polyida.linear.dense import put
+from polyida.jit import typed
 from polyida.linear.lu import SingularSystem
 from polyida.model.functions import writes
-from polyida.system import CONSTRAINTS, MATRICES, RESIDUAL
-from polyida.system import instant as ask
-from polyida.system.dense import finite
+from polyida.system import MATRICES, RESIDUAL
 
-# constants of compiled code
-INTEGRATED, BENDS = range(2)  # of Iterate.flags; BENDS: phi is a row and not linear
-SLOT = 0  # of the matrices
 MAX_ORDER = 5  # of a backward differentiation formula
 CJ_H = np.cumsum(1 / np.arange(1, MAX_ORDER + 1)).tolist()  # cj h of each order, whatever the steps before
 SHORTEST = float(np.finfo(float).tiny)  # s
 SAME_CJ = 1e-3  # relative change of cj up to which the factor is kept
 LARGEST_CJ = 1e60  # 1/s: there is no factor for a larger one, of a step within the round-off of t; its powers would overflow
 LATE = 2  # iterations of one step after which the factor is made anew
-
-
-@pack
-class Iterate(NamedTuple):
-    """An iterate of a form with k blocks of m constraint rows, and its correction.
-
-    levels (k, 3): weights of phi, phi' and phi'' in each block; c (3,): cj as SELECT takes it; q, v, a, lam, mu: the iterate; first, r (n,),
-    rows (2, m): F; velocity_rows: their numbers; phi, derivative (m,), vector, force (n,), rates (2, m): workspace; dq, multipliers (2, m): the correction.
-    """
-
-    levels: np.ndarray
-    flags: np.ndarray
-    velocity_rows: np.ndarray
-    c: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    mu: np.ndarray
-    first: np.ndarray
-    r: np.ndarray
-    rows: np.ndarray
-    phi: np.ndarray
-    derivative: np.ndarray
-    vector: np.ndarray
-    force: np.ndarray
-    rates: np.ndarray
-    dq: np.ndarray
-    multipliers: np.ndarray
-
-
-@entry
-def equations(functions, workspace, iterate, y, yp):
-    """F at (y, y'). Returns a status."""
-    model, velocity_rows = (functions, workspace), iterate.velocity_rows
-    n, m, blocks = iterate.q.shape[0], iterate.lam.shape[0], iterate.levels.shape[0]
-    multipliers = yp if iterate.flags[INTEGRATED] else y
-    for i in range(n):
-        iterate.q[i], iterate.v[i], iterate.a[i] = y[i], y[n + i], yp[n + i]
-        iterate.first[i] = yp[i] - y[n + i]
-    for k in range(m):
-        iterate.lam[k] = multipliers[2 * n + k]
-        iterate.mu[k] = multipliers[2 * n + m + k] if blocks == 2 else 0.0
-    status = DONE
-    if m and (has_order(iterate, 1) or has_order(iterate, 2)):
-        status = ask.reaction(model, INSTANT, iterate.q, iterate.mu, iterate.first, 0)
-    if status == DONE:
-        status = ask.residual(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.lam, iterate.r, iterate.phi)
-    for block in range(blocks):
-        for k in range(m):
-            iterate.rows[block, k] = iterate.levels[block, 0] * iterate.phi[k]
-    if status == DONE and m and has_order(iterate, 1):
-        status = ask.rate(model, INSTANT, iterate.q, iterate.v, iterate.derivative, 1)
-        add_derivative(iterate, 1)
-    if status == DONE and velocity_rows.shape[0] and blocks == 2:
-        put(1.0, yp[:n], iterate.vector)
-        status = ask.rate(model, INSTANT, iterate.q, iterate.vector, iterate.derivative, 0)
-        for i in range(velocity_rows.shape[0]):
-            iterate.rows[0, velocity_rows[i]] = iterate.derivative[velocity_rows[i]]
-    if status == DONE and m and has_order(iterate, 2):
-        status = ask.bias(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.derivative)
-        add_derivative(iterate, 2)
-    is_finite = finite(iterate.r) and finite(iterate.rows[0]) and finite(iterate.rows[1])
-    return NOT_FINITE if status == DONE and not is_finite else status
-
-
-@part
-def has_order(iterate, order):
-    """True if the derivative of phi of that order is in the rows."""
-    return iterate.levels[0, order] != 0.0 or iterate.levels[iterate.levels.shape[0] - 1, order] != 0.0
-
-
-@part
-def add_derivative(iterate, order):
-    """Add a derivative of phi to the rows."""
-    for block in range(iterate.levels.shape[0]):
-        for k in range(iterate.derivative.shape[0]):
-            iterate.rows[block, k] += iterate.levels[block, order] * iterate.derivative[k]
-
-
-@part
-def renew_matrices(model, iterate, cj, anew, fresh):
-    """Make or select the matrices of this iterate if `anew`, and compute its rows if `fresh`. Returns a status."""
-    status, made = DONE, anew and ask.provides(model, MATRICES)
-    if made:
-        status = ask.matrices(model, INSTANT, iterate.q, iterate.v, iterate.a, iterate.lam, SLOT, None)
-    if anew:
-        iterate.c[0] = cj
-        ask.select(model, SLOT, iterate.c)
-    if status == DONE and fresh:
-        known = 0 if made else 1  # matrices may be made with differences of phi_q, so that B is not that of the last residual
-        status = ask.rows(model, INSTANT, iterate.q, iterate.v, iterate.a, known)
-    return status
-
-
-@part
-def right_side(model, iterate, cj):
-    """Make r and rows those of the system in (dq, dlam, dmu): the first block row of J is eliminated. Returns a status."""
-    for i in range(iterate.q.shape[0]):
-        iterate.vector[i] = cj * iterate.first[i]
-    status = ask.inertia(model, INSTANT, iterate.first, iterate.vector, iterate.force, None, iterate.q, iterate.rates)
-    for i in range(iterate.q.shape[0]):
-        iterate.r[i] += iterate.force[i]
-    for i in range(iterate.velocity_rows.shape[0] if iterate.levels.shape[0] == 2 else 0):
-        iterate.rows[0, iterate.velocity_rows[i]] /= cj
-    for block in range(iterate.levels.shape[0]):
-        for k in range(iterate.lam.shape[0]):
-            iterate.rows[block, k] += iterate.rates[block, k]
-    return status
-
-
-@part
-def solve(model, iterate):
-    """The correction from r and rows. Returns a status."""
-    return ask.solve_real(model, INSTANT, iterate.r, iterate.rows, iterate.lam, iterate.dq, iterate.multipliers)
-
-
-@part
-def solve_again(model, iterate):
-    """The correction that removes the curvature of phi over the present one too. Returns a status."""
-    for i in range(iterate.q.shape[0]):
-        iterate.vector[i] = iterate.q[i] + iterate.dq[i]
-    status = ask.constraints(model, INSTANT, iterate.vector, None, None, iterate.derivative, iterate.phi)
-    for k in range(iterate.lam.shape[0]):
-        iterate.rows[0, k] += iterate.derivative[k]
-    return solve(model, iterate) if status == DONE else status
-
-
-@entry
-def correction(functions, workspace, iterate, cj, anew, fresh, out):
-    """out = J^-1 F behind `equations`; anew: with the matrices of this iterate; fresh: with its rows. Returns a status."""
-    model, n, m = (functions, workspace), iterate.q.shape[0], iterate.lam.shape[0]
-    tied = iterate.levels.shape[0] == 2
-    status = renew_matrices(model, iterate, cj, anew, fresh)
-    if status == DONE:
-        status = right_side(model, iterate, cj)
-    if status == DONE:
-        status = solve(model, iterate)
-    if status == DONE and iterate.flags[BENDS] and ask.provides(model, CONSTRAINTS):
-        status = solve_again(model, iterate)
-    if status != DONE:
-        return status
-    for i in range(n):
-        out[i] = -iterate.dq[i]
-        iterate.vector[i] = iterate.first[i] + cj * iterate.dq[i]
-    if tied and m:
-        status = ask.reaction(model, INSTANT, iterate.q, iterate.multipliers[1], iterate.vector, 1)
-    for i in range(n):
-        out[n + i] = -iterate.vector[i]
-    for k in range(2 * m if tied else m):
-        change = iterate.multipliers[k // m, k % m]
-        out[2 * n + k] = -change / cj if iterate.flags[INTEGRATED] else -change
-    return status
 
 
 class Predicted:
@@ -252,23 +77,45 @@ class Correction:
     it anew in each step: Newton's method ends by the errors of q and v, and old rows leave an error in the multipliers, which IDA's
     prediction of the next step enlarges up to 2^order times.
 
-    cj: of the factor in use; NaN: there is none, or it must be made anew. expected: cj of the next correction. tried: t of the present attempt;
-    iterations: its iterations so far. A factor is made in `residual` before the functions are compiled (`factored`), in `correct` by Python, or
+    A factor is made in `residual` before the functions are compiled (`factored`), in `correct` by Python, or
     in `correction` by the table's MATRICES.
     """
 
     def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
-        self.system, self.counts, self.predicted, self.cj = system, counts, Predicted(system.model.n, order), math.nan
-        self.predicted.vector[system.model.hidden] = 0.0
+        """Make the table of the system's model and an empty iterate. order: the largest one of the formulas; linear, scaling: as of IDA."""
+        model, n, m = system.model, system.model.n, system.model.m
+        self.system, self.counts = system, counts
+        self.predicted = Predicted(n, order)
+        self.predicted.vector[model.hidden] = 0.0
         self.table, self.renews = table_of(system, linear, scaling)
         self.keeps_rows = system.rows_vary and not self.renews
-        n, m, bends = system.model.n, system.model.m, system.rows_vary and system.holds_phi and self.renews
-        shapes = (3,), (n,), (n,), (n,), (m,), (m,), (n,), (n,), (2, m), (m,), (m,), (n,), (n,), (2, m), (n,), (2, m)
-        flags = np.array([system.form.integrated, bends], np.int64)
-        self.iterate = Iterate(system.levels, flags, system.model.velocity_rows, *map(np.zeros, shapes))
-        self.equations, self.correction = typed(equations), typed(correction)
-        model = system.model
         self.objects = writes(model, "rejection_reason") and not (model.is_scene and self.table.single)
+        self.equations, self.correction = typed(equations), typed(correction)
+        self.cj = math.nan  # of the factor in use; NaN: there is none, or it must be made anew
+        self.expected = math.nan  # cj of the next correction
+        self.tried = math.nan  # t of the present attempt
+        self.iterations = 0  # of it so far
+        self.iterate = Iterate(
+            levels=system.levels,
+            flags=np.array([system.form.integrated, system.rows_vary and system.holds_phi and self.renews], np.int64),
+            velocity_rows=model.velocity_rows,
+            c=np.zeros(3),
+            q=np.zeros(n),
+            v=np.zeros(n),
+            a=np.zeros(n),
+            lam=np.zeros(m),
+            mu=np.zeros(m),
+            first=np.zeros(n),
+            r=np.zeros(n),
+            rows=np.zeros((2, m)),
+            phi=np.zeros(m),
+            derivative=np.zeros(m),
+            vector=np.zeros(n),
+            force=np.zeros(n),
+            rates=np.zeros((2, m)),
+            dq=np.zeros(n),
+            multipliers=np.zeros((2, m)),
+        )
 
     def begin(self, t, y):
         """IDA starts anew from y at t."""
@@ -282,7 +129,7 @@ class Correction:
         self.predicted.accept(t, y[: self.system.model.n])
 
     def residual(self, t, y, yp, z):
-        """z = J^-1 F, NaN if there is no inverse. False if F is not finite or the model rejects the state."""
+        """Fill z with J^-1 F, or NaN if there is no inverse. False if F is not finite or the model rejects the state."""
         anew, system = self.count_iteration(t, y), self.system
         factored = anew and not self.table.functions[RESIDUAL]  # a scene's functions are compiled for the type of its factor
         if factored:
@@ -294,7 +141,7 @@ class Correction:
         return False
 
     def F(self, t, y, yp, res):
-        """F(t, y, y') into res. False if it is not finite."""
+        """Write F(t, y, y') to res. False if it is not finite."""
         if not self.table.functions[RESIDUAL]:
             self.cj = 1.0
             self._factor(t, y, yp)
@@ -303,7 +150,7 @@ class Correction:
         return finite
 
     def evaluate(self, t, y, yp):
-        """True if F could be evaluated."""
+        """Evaluate F at (t, y, y') in the iterate. False if a smaller step may help; raises for other failures."""
         table = self.table
         if not table.functions[RESIDUAL]:
             return False
@@ -321,7 +168,7 @@ class Correction:
             raise StepFailure(*REASONS[ended], t)
 
     def correct(self, t, y, yp, anew, z, factored=False):
-        """z = J^-1 F behind `evaluate`, NaN if there is no inverse; anew: with the matrices of this iterate, which may be factored."""
+        """Fill z with J^-1 F behind `evaluate`, or NaN if there is no inverse; anew: with the matrices of this iterate, which may be factored."""
         table, ended = self.table, SINGULAR
         if anew:
             self.counts.add(factors=1)
@@ -337,6 +184,7 @@ class Correction:
             self.cj, z[:] = math.nan, math.nan
 
     def _factor(self, t, y, yp):
+        """Factor the matrices at (t, y, y') for cj by the table in Python; cj becomes NaN if they are singular."""
         work = Counts()  # without the tangents and factorizations, which `correct` counts
         try:
             self.table.make(0, 1.0 / self.cj, np.concatenate([np.ravel(x) for x in self.system.at(t, y, yp)]), work)
@@ -357,5 +205,7 @@ class Correction:
         return anew and not math.isnan(self.cj)
 
     def product(self, t, y, yp, res, vector, result, cj):
-        """The vector itself; cj is that of the next iteration."""
-        result[:], self.expected = vector, cj if abs(cj - self.cj) > SAME_CJ * cj else self.expected
+        """The product of the preconditioned system, the identity: result = vector. IDA gives cj here, which the next iteration then has."""
+        result[:] = vector
+        if abs(cj - self.cj) > SAME_CJ * cj:
+            self.expected = cj

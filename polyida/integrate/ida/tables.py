@@ -47,6 +47,7 @@ class FormRows:
     """The rows of a System at a state, like radau/matrices.py's Rows: on_q = P, on_v = Q, both = P + cj Q; B: phi_q if it is known."""
 
     def __init__(self, system, cj, t, q, v, a, lam, B=None):
+        """Evaluate B and, if the form has derivatives of phi, its first and second derivative along the motion (t, q, v, a)."""
         model, self.tied = system.model, system.form.stabilised
         self.B = B = dense(model.phi_q(t, q)) if B is None else B
         self.columns, self.G, m = matrices.columns_at(model, t, q, lam, B), B if self.tied else B[:0], len(B)
@@ -99,6 +100,7 @@ class WholeForm(WholeModes):
         self.system = system
 
     def _sizes(self, c, s):
+        """Factors (of rows, of columns) of the whole matrix; multipliers are not integrated here."""
         n, form = self.model.n, self.system.form
         rows, columns = sizes(self.scaling, form, n, self.model.m, c, s)
         columns[2 * n :] *= c if form.integrated else 1.0
@@ -120,11 +122,13 @@ class PythonForm(PythonStages):
         self.times[:] = t
 
     def _bias(self, instant, q, v, a, bias, *_):
+        """Write the second derivative of phi, `B a + phi_bias`, with B of the last REACTION."""
         model, at = self.model, self._state(instant, q)
         v, a = (self._array(x, model.n).copy() for x in (v, a))
         self._array(bias, model.m)[:] = self.B[0] @ a + model.phi_bias(*at, v)
 
     def _made_rows(self, t, q, v, a):
+        """The FormRows at a state; a: address of the accelerations. B is that of the last REACTION if derivatives of phi are rows."""
         B = self.B[0] if self.system.levels[:, 1:].any() else None
         at = t, q, v, self._array(a, self.model.n).copy(), self.factored.lam
         return FormRows(self.system, self.factored.c[0], *at, B)

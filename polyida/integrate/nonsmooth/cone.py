@@ -39,27 +39,23 @@ CHANGES = 20  # for each row, of the sets of the problem with given bounds
 
 @pack
 class Cone(NamedTuple):
-    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries.
+    """The laws of k rows: their bounds of friction are c + mu |l + L p|, |.| over the row's pressing entries."""
 
-    kind (k,): CONTACT or FRICTION. c, mu (k,): of friction. sign (k,): 0, or the sign of the rate of a row that slips. start (k + 1,): first
-    pressing entry of each row. l (entries,), L (entries, k): of the pressing entries.
-    """
-
-    kind: np.ndarray
-    c: np.ndarray
-    mu: np.ndarray
-    sign: np.ndarray
-    start: np.ndarray
-    l: np.ndarray  # noqa: E741
-    L: np.ndarray
+    kind: np.ndarray  # (k,) CONTACT or FRICTION
+    c: np.ndarray  # (k,) constant of friction
+    mu: np.ndarray  # (k,) its coefficient
+    sign: np.ndarray  # (k,) 0, or the sign of the rate of a row that slips
+    start: np.ndarray  # (k + 1,) first pressing entry of each row
+    l: np.ndarray  # noqa: E741 (entries,) of the pressing entries
+    L: np.ndarray  # (entries, k)
 
 
 @part
-def friction_bound(cone, forces, i, slope):
-    """The bound c(p) of friction row i at the forces p; fills its slope dc/dp (k,)."""
+def friction_bound(cone, forces, row, slope):
+    """The bound c(p) of a row of friction at the forces p; fills its slope dc/dp (k,)."""
     slope[:] = 0.0
     square = 0.0
-    for e in range(cone.start[i], cone.start[i + 1]):
+    for e in range(cone.start[row], cone.start[row + 1]):
         value = cone.l[e]
         for j in range(forces.shape[0]):
             value += cone.L[e, j] * forces[j]
@@ -68,28 +64,28 @@ def friction_bound(cone, forces, i, slope):
             slope[j] += value * cone.L[e, j]
     norm = np.sqrt(square)
     for j in range(forces.shape[0]):
-        slope[j] *= cone.mu[i] / norm if norm > 0.0 else 0.0
-    return cone.c[i] + cone.mu[i] * norm
+        slope[j] *= cone.mu[row] / norm if norm > 0.0 else 0.0
+    return cone.c[row] + cone.mu[row] * norm
 
 
 @part
-def row_status(cone, forces, u, rho, i, limit):
-    """The status of row i with the rate u; limit: its bound of friction."""
-    trial = forces[i] - rho * u
-    if cone.kind[i] == CONTACT:
+def row_status(cone, forces, rate, rho, row, limit):
+    """The status of a row by its force and rate; limit: its bound of friction."""
+    trial = forces[row] - rho * rate
+    if cone.kind[row] == CONTACT:
         return CLOSED if trial > 0.0 else OPEN
-    if cone.sign[i] != 0.0:
-        return SLIPS_UP if cone.sign[i] > 0.0 else SLIPS_DOWN
+    if cone.sign[row] != 0.0:
+        return SLIPS_UP if cone.sign[row] > 0.0 else SLIPS_DOWN
     return SLIPS_DOWN if trial > limit else SLIPS_UP if trial < -limit else STICKS
 
 
 @part
-def row_rate(delassus, free_rates, forces, i):
-    """(rate of row i, the largest of its terms)."""
-    u, scale = free_rates[i], abs(free_rates[i])
+def row_rate(delassus, free_rates, forces, row):
+    """(the rate of a row, G p + b, the largest of its terms)."""
+    u, scale = free_rates[row], abs(free_rates[row])
     for j in range(forces.shape[0]):
-        u += delassus[i, j] * forces[j]
-        scale = max(scale, abs(delassus[i, j] * forces[j]))
+        u += delassus[row, j] * forces[j]
+        scale = max(scale, abs(delassus[row, j] * forces[j]))
     return u, scale
 
 
@@ -193,7 +189,7 @@ def solve_box_lcp(delassus, free_rates, low, high, forces, matrix, right):
 
 @part
 def sweep(delassus, free_rates, cone, forces, slope):
-    """One projected Gauss-Seidel sweep."""
+    """Solve the rows one after the other, each with the others fixed and projected onto its bounds: one projected Gauss-Seidel sweep."""
     k = forces.shape[0]
     for i in range(k):
         u, _ = row_rate(delassus, free_rates, forces, i)

@@ -33,18 +33,14 @@ HALVINGS = 40  # of the share of restitution that keeps the energy
 
 
 class Group(NamedTuple):
-    """Rows with laws that take part in a cone problem: their numbers, those among all rows of the model, and its arrays, which each problem fills.
+    """Rows with laws that take part in a cone problem, and its arrays, which each problem fills."""
 
-    friction: True for rows of friction. entries, equations: of the entries of `cone.l` and `cone.L` that are multipliers of equations, and the
-    numbers of these.
-    """
-
-    rows: np.ndarray
-    of_model: np.ndarray
-    friction: np.ndarray
+    rows: np.ndarray  # their numbers among the rows with laws
+    of_model: np.ndarray  # their numbers among all rows of the model
+    friction: np.ndarray  # True for rows of friction
     cone: Cone
-    entries: np.ndarray
-    equations: np.ndarray
+    entries: np.ndarray  # of `cone.l` and `cone.L` that are multipliers of equations
+    equations: np.ndarray  # numbers of these equations
 
 
 class Problem(NamedTuple):
@@ -77,6 +73,7 @@ class Contacts:
     """
 
     def __init__(self, model):
+        """Split the rows of a model by its laws."""
         laws = model.row_laws
         self.model = model
         self.rows = np.array([law.row for law in laws], np.int64)

@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.radau.loop import EXTRA, LEAST, USED, H, Record
-from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, MISSES
+from polyida.integrate.radau.step_arrays import AGE, CONTRACTION, ERROR, LAST, MISSES
 from polyida.integrate.radau.tableau import through
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, Stretch
@@ -28,6 +28,7 @@ class Collocation(NamedTuple):
     stages: tuple
 
     def __call__(self, t):
+        """The State at a time t of the step."""
         s = (t - self.t) / self.h
         rest = through(self.c, s)
         moved = s / self.c * rest  # q - q_0 and v - v_0 are zero at the start
@@ -108,6 +109,7 @@ class StepState(State):
     """The State at the end of step k. Its memory and polynomial are assembled on first use."""
 
     def __init__(self, s, k):
+        """Take t, q and v, and a and lam if the driver computed them, from the record of the stretch s."""
         r = s.record
         vars(self).update(t=float(r.t[k]), q=r.q[k], v=r.v[k], _stretch=s, _k=k)
         if s.motion is None:

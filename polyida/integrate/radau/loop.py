@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
-from polyida.integrate.radau import step
+from polyida.integrate.radau import step, step_end
+from polyida.integrate.radau.step_arrays import AGE, CONTRACTION, ERROR, FACTORS, LAST, MARKS, UNKNOWN
 from polyida.jit import entry, pack, part, shared
 from polyida.linear.dense import copy_matrix, put
 from polyida.linear.lu import FACTORS as SLOTS
@@ -29,7 +30,7 @@ ROUND_OFF = 2.0**-53  # of v, which is e over h
 MAKE, RESTORE, PAUSE, STEP_TOO_SHORT, TOO_MANY_STEPS = range(100, 105)
 H, EXTRA, LEAST, USED, READY = range(5)  # rows of FactorSlots.table
 LEVEL, TIME, FAILED, STEP, TARGET, REMAINING = range(6)  # of Control.now
-REJECTED = 4  # of the counts, after those of step.py
+REJECTED = 4  # of the counts, after those of step_arrays.py
 COUNTS = 5
 # adaptive steps are `first` 2^(k/2), k any whole number, so that steps recur and their factors are used again
 SAFETY = 0.65
@@ -40,59 +41,51 @@ CUT = 4.0  # levels down after a failed step
 
 @pack
 class Control(NamedTuple):
-    """Settings and state of the step size controller.
+    """Settings and state of the step size controller."""
 
-    adaptive: True if steps follow the local error; h: the step of equal steps; first: the step at level 0; most, end: the largest step and the
-    end of the piece; most_steps: limit of the number of steps, rejected ones included. now: LEVEL of the step size; TIME reached; FAILED,
-    attempts since the last accepted step; STEP and TARGET, length and end of the attempt; REMAINING, steps until the limit.
-    """
-
-    adaptive: bool
-    h: float
-    first: float
-    most: float
-    end: float
-    most_steps: float
-    now: np.ndarray
+    adaptive: bool  # True if steps follow the local error
+    h: float  # s: of equal steps
+    first: float  # s: the step at level 0
+    most: float  # s: the largest step
+    end: float  # s: the end of the piece
+    most_steps: float  # limit of the number of steps, rejected ones included
+    now: np.ndarray  # (6,) LEVEL of the step; TIME reached; FAILED attempts since the last step; STEP, TARGET: length, end of the attempt; REMAINING steps
 
 
 @pack
 class FactorSlots(NamedTuple):
     """Factors of the few steps h that were used last, for adaptive steps that return to them.
 
-    table (5, slots): H, the step, 0 if the slot is free; EXTRA, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
-    number of the last use; READY, 1 if the factor exists. states (slots, 1 + 3 n + m): t, q, v, a and lam at which the factor was made.
+    Rows of the table: H, the step, 0 if the slot is free; EXTRA, iterations beyond LEAST so far; LEAST, the fewest iterations of one step; USED,
+    number of the last use; READY, 1 if the factor exists.
     """
 
-    table: np.ndarray
-    states: np.ndarray
+    table: np.ndarray  # (5, slots)
+    states: np.ndarray  # (slots, 1 + 3 n + m) t, q, v, a and lam at which the factors were made
 
 
 @pack
 class Record(NamedTuple):
-    """Results of the steps of a stretch, each array (steps, ...): states, stages, and what Memory and Control hold after each step.
+    """Results of the steps of a stretch: states, stages, and what Memory and Control hold after each step."""
 
-    t: with equal steps, their ends when the stretch begins. made (MADE, .): number of the step for which the driver made a factor, its slot, and the state as in FactorSlots; infinite without one.
-    """
-
-    t: np.ndarray
-    q: np.ndarray
+    t: np.ndarray  # (steps,) with equal steps, their ends when the stretch begins
+    q: np.ndarray  # (steps, n) q, v, a at the ends
     v: np.ndarray
     a: np.ndarray
-    lam: np.ndarray
-    e: np.ndarray
+    lam: np.ndarray  # (steps, m)
+    e: np.ndarray  # (steps, s, n) e, v - v_0 and v' of the stages
     dv: np.ndarray
     stages_a: np.ndarray
-    stages_lam: np.ndarray
-    miss_e: np.ndarray
-    miss_lam: np.ndarray
-    mu: np.ndarray
-    phi_start: np.ndarray
-    marks: np.ndarray
-    level: np.ndarray
-    slots: np.ndarray
-    counts: np.ndarray
-    made: np.ndarray
+    stages_lam: np.ndarray  # (steps, s, m)
+    miss_e: np.ndarray  # (steps, s, n) the newest prediction errors, as miss_lam and mu
+    miss_lam: np.ndarray  # (steps, s, m)
+    mu: np.ndarray  # (steps, s, m), or (steps, s, 0) without mu
+    phi_start: np.ndarray  # (steps, 2, m)
+    marks: np.ndarray  # (steps, MARKS)
+    level: np.ndarray  # (steps,) of the step size
+    slots: np.ndarray  # (steps, 4, slots) of FactorSlots.table, without READY
+    counts: np.ndarray  # (steps, COUNTS)
+    made: np.ndarray  # (MADE, 3 + 3 n + m) number of the step for which a factor was made, its slot, and its state; infinite without one
 
 
 def record(count, stages, n, m, tied):
@@ -100,7 +93,7 @@ def record(count, stages, n, m, tied):
     motion = (count,), (count, n), (count, n), (count, n), (count, m)
     each, closing = (count, stages, n), (count, stages, m)
     inner = each, each, each, closing, each, closing, (count, stages, m if tied else 0), (count, 2, m)
-    sizes = (*motion, *inner, (count, step.MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
+    sizes = (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))
     return Record(*map(np.empty, sizes), np.full((MADE, 3 + 3 * n + m), np.inf))
 
 
@@ -172,7 +165,7 @@ def mark_used(slots, slot, marks):
         most = max(most, slots.table[USED, other])
     if slots.table[USED, slot] < most or most == 0.0:
         slots.table[USED, slot] = most + 1.0
-        marks[step.CONTRACTION], marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
+        marks[CONTRACTION], marks[AGE] = UNKNOWN[0], UNKNOWN[1]
 
 
 @entry
@@ -196,7 +189,7 @@ def reserve_slot(slots, h, begin, memory):
     put(1.0, memory.v, state[1 + n :])
     put(1.0, memory.a, state[1 + 2 * n :])
     put(1.0, memory.lam, state[1 + 3 * n :])
-    memory.marks[step.CONTRACTION], memory.marks[step.AGE] = step.UNKNOWN[0], step.UNKNOWN[1]
+    memory.marks[CONTRACTION], memory.marks[AGE] = UNKNOWN[0], UNKNOWN[1]
     return slot
 
 
@@ -219,7 +212,7 @@ def newton_tolerance(method, h, memory):
         return method.tolerance
     if method.share > 0.0:
         return method.share * allowed_error(method, memory)
-    error = memory.marks[step.ERROR]
+    error = memory.marks[ERROR]
     if error < 0.0:
         return EXACT * method.length
     round_off = max(NOTHING * method.length, ROUND_OFF * h * np.sqrt(step.mean_square(memory.shares, memory.v)))
@@ -266,9 +259,9 @@ def attempt(functions, workspace, first, method, arrays, now, fresh):
         return MAKE, 0.0
     slots.table[LEAST, slot] = min(slots.table[LEAST, slot], float(iterations))
     slots.table[EXTRA, slot] += max(0.0, iterations - slots.table[LEAST, slot])
-    status, error = step.project_end(model, first, method, arrays, h), 0.0
+    status, error = step_end.project_end(model, first, method, arrays, h), 0.0
     if status == DONE and method.estimates_error:
-        status, error = step.local_error(model, first, method, arrays, h)
+        status, error = step_end.local_error(model, first, method, arrays, h)
     return status, error
 
 
@@ -294,6 +287,39 @@ def record_step(log, number, target, level, arrays):
     put(1.0, arrays.counts, log.counts[number])
 
 
+@part
+def choose_step(control, memory, log, taken, counts):
+    """Set STEP and TARGET of the next attempt. Returns DONE, or STEP_TOO_SHORT or TOO_MANY_STEPS of adaptive steps.
+
+    taken: steps of the stretch so far.
+    """
+    now, begin = control.now, control.now[TIME]
+    if not control.adaptive:
+        now[STEP], now[TARGET] = control.h, log.t[taken]
+        return DONE
+    now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
+    h = step_of_level(control.first, now[LEVEL])
+    h, now[TARGET] = next_step(begin, control.end, h, memory.marks[LAST] if memory.marks[LAST] > 0.0 else h)
+    now[STEP] = h
+    if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
+        return STEP_TOO_SHORT
+    return TOO_MANY_STEPS if taken + counts[REJECTED] >= now[REMAINING] else DONE
+
+
+@part
+def new_factors(model, at, method, arrays, now, made, taken):
+    """Make the factors of the attempted step, and write its number, the slot and the state to a row of Record.made. Returns a status."""
+    slots, memory = arrays.slots, arrays.memory
+    slot = reserve_slot(slots, now[STEP], clamp(method, now[TIME]), memory)
+    made[0], made[1] = taken, slot
+    put(1.0, slots.states[slot], made[2:])
+    arrays.counts[FACTORS] += 1
+    status = make_factors(model, at, arrays.tableau, memory, arrays.work, slot)
+    if status != DONE:
+        slots.table[H, slot] = slots.table[USED, slot] = 0.0
+    return status
+
+
 @entry
 def take_steps(functions, workspace, first, method, arrays, control, fresh, log):
     """Take steps until the record is full, a factor is missing, or a step fails: (number of steps, status). PAUSE: `made` is full.
@@ -302,55 +328,38 @@ def take_steps(functions, workspace, first, method, arrays, control, fresh, log)
     if the factor of the first step was made for it.
     """
     model, now = (functions, workspace), control.now
-    tableau, memory, trial, work = arrays.tableau, arrays.memory, arrays.trial, arrays.work
-    slots, counts = arrays.slots, arrays.counts
-    most, apart, taken, made = log.t.shape[0], tableau.c.shape[0] + 1, 0, 0
-    while taken < most and (not control.adaptive or now[TIME] < control.end):
-        h, target, begin = control.h, now[TIME], now[TIME]
-        if control.adaptive:
-            now[LEVEL] = level_within(control.first, now[LEVEL], control.most)
-            h = step_of_level(control.first, now[LEVEL])
-            h, target = next_step(begin, control.end, h, memory.marks[step.LAST] if memory.marks[step.LAST] > 0.0 else h)
-            if now[FAILED] > 0.0 and (h < MIN_STEP * (np.nextafter(abs(begin), np.inf) - abs(begin)) or now[FAILED] >= FAILURES):
-                now[STEP] = h
-                return taken, STEP_TOO_SHORT
-            if taken + counts[REJECTED] >= now[REMAINING]:
-                now[STEP] = h
-                return taken, TOO_MANY_STEPS
-        else:
-            target = log.t[taken]
-        now[STEP], now[TARGET] = h, target
-        at = first if ask.provides(model, PREPARE) else first + taken * apart
+    memory, trial, work = arrays.memory, arrays.trial, arrays.work
+    stages, taken, made = arrays.tableau.c.shape[0], 0, 0
+    while taken < log.t.shape[0] and (not control.adaptive or now[TIME] < control.end):
+        status = choose_step(control, memory, log, taken, arrays.counts)
+        if status != DONE:
+            return taken, status
+        at = first if ask.provides(model, PREPARE) else first + taken * (stages + 1)
         status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
         if status == MAKE and ask.provides(model, MATRICES) and made < MADE:
-            slot = reserve_slot(slots, h, clamp(method, begin), memory)
-            log.made[made, 0], log.made[made, 1] = taken, slot
-            put(1.0, slots.states[slot], log.made[made, 2:])
+            status = new_factors(model, at, method, arrays, now, log.made[made], taken)
             made += 1
-            status, counts[step.FACTORS] = make_factors(model, at, tableau, memory, work, slot), counts[step.FACTORS] + 1
             fresh = status == DONE  # a constant True would be another type, and `attempt` be compiled again
             if fresh:
                 status, error = attempt(functions, workspace, at, method, arrays, now, fresh)
-            else:
-                slots.table[H, slot] = slots.table[USED, slot] = 0.0
         if status == MAKE and ask.provides(model, MATRICES):
             return taken, PAUSE
-        allowed = allowed_error(method, memory) if control.adaptive else np.inf
+        h, allowed = now[STEP], allowed_error(method, memory) if control.adaptive else np.inf
         rejected = status == DONE and not error <= allowed  # so is one that is not a number
         if status == DONE and not rejected:
-            status = step.end_state(model, at, h, memory, trial, work)
+            status = step_end.end_state(model, at, h, memory, trial, work)
         if status != DONE:
             return taken, status
         if control.adaptive and (rejected or h >= step_of_level(control.first, now[LEVEL]) * (1.0 - 1e-9)):
-            now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, tableau.c.shape[0] + 1.0)
+            now[LEVEL] = next_level(level_within(control.first, now[LEVEL], h), error / allowed, stages + 1.0)
         if rejected:
-            counts[REJECTED] += 1
+            arrays.counts[REJECTED] += 1
             now[FAILED] += 1.0
             fresh = False
             continue
-        step.advance(h, error, memory, trial, work)
-        fresh, now[TIME], now[FAILED] = False, target, 0.0
-        record_step(log, taken, target, now[LEVEL], arrays)
+        step_end.advance(h, error, memory, trial, work)
+        fresh, now[TIME], now[FAILED] = False, now[TARGET], 0.0
+        record_step(log, taken, now[TARGET], now[LEVEL], arrays)
         taken += 1
     return taken, DONE
 

@@ -53,6 +53,7 @@ class Rows:
     """
 
     def __init__(self, model, t, q, v, lam, lift):
+        """Evaluate B, and H by differences of it along the motion if there is mu."""
         self.B, self.tied = dense(model.phi_q(t, q)), lift is not None
         self.columns = columns_at(model, t, q, lam, self.B)
         level = np.zeros_like(self.B)
@@ -99,6 +100,7 @@ class Matrices:
     """
 
     def __init__(self, model, modes, h, made_at, linear="auto"):
+        """Store the state; `make` evaluates the matrices there and factors them."""
         self.linear = linear
         self.model, self.modes, self.made_at = model, modes, made_at
         self.c = [mode.value / h for mode in modes]

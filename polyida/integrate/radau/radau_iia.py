@@ -1,24 +1,27 @@
 """Radau IIA of order 5 and 3 (Hairer and Wanner 1996) on the stabilised index-2 form, or on index 3."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from polyida.fields import above_zero, check, check_fields, must_be, none_or, not_negative
 from polyida.integrate.discontinuities import PARTS, pieces, run_interval, sampling, time_limits
-from polyida.integrate.radau.steps import Steps, adaptive_steps, fixed_steps, stored_controller
+from polyida.integrate.radau.pieces import adaptive_steps, fixed_steps, stored_controller
+from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import relative_tolerance, rtol_message, sizes_of_run
 from polyida.integrate.start import behind_samples, far_side
 from polyida.integrate.state import Counts, Integrator, State, States
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
-from polyida.validation import LEAST_RTOL, is_flag, is_number, is_one_of, is_whole, named_keywords
+from polyida.validation import LEAST_RTOL, flag, is_number, is_whole, named_keywords, one_of
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")
 DEFAULT_RTOL = 1e-5  # for a motion over at most FREE_LENGTHS of its own length; the error is then about ten times that
 FREE_LENGTHS = 30.0
 FIRST_STEP_SHARE = 0.3  # of length over speed: the first step for rtol = 1
+RTOL = f"between {LEAST_RTOL:.2g}, which double precision resolves, and 1, or None: by the run"
 
 
 @named_keywords
@@ -86,20 +89,24 @@ class RadauIIA(Integrator):
     loses 0.41 J in 10 s at 5 ms, and generalized-alpha 0.005 J at 1 ms (studies/energy.py).
     """
 
-    rtol: float | None = None
-    atol: float | None = None
-    h: float | None = None
-    stages: int = 3
-    form: str = "ggl"
-    project: bool = True
-    linear: str = "auto"
-    scaling: str = "physical"
-    tolerance: float | None = None
-    max_iterations: int = 12
-    max_step: float = 0.0
-    first_step: float = 0.0
-    max_halvings: int = 6
-    max_num_steps: int = 1_000_000
+    rtol: float | None = field(default=None, metadata=must_be(RTOL, none_or(lambda rtol: is_number(rtol) and LEAST_RTOL <= rtol < 1)))
+    atol: float | None = field(
+        default=None, metadata=must_be("a positive number (of q), or None: rtol times the model's length", none_or(above_zero))
+    )
+    h: float | None = field(default=None, metadata=must_be("a positive step in s, or None: by the local error", none_or(above_zero)))
+    stages: int = field(default=3, metadata=must_be("2 or 3", lambda stages: is_whole(stages, 2, 3)))
+    form: str = field(default="ggl", metadata=check(one_of, FORMS))
+    project: bool = field(default=True, metadata=check(flag))
+    linear: str = field(default="auto", metadata=check(one_of, LINEAR))
+    scaling: str = field(default="physical", metadata=check(one_of, SCALINGS))
+    tolerance: float | None = field(
+        default=None, metadata=must_be("a positive number (of q), or None: by rtol and atol", none_or(above_zero))
+    )
+    max_iterations: int = field(default=12, metadata=must_be("a positive whole number", is_whole))
+    max_step: float = field(default=0.0, metadata=must_be("a step in s, or 0", not_negative))
+    first_step: float = field(default=0.0, metadata=must_be("a step in s, or 0", not_negative))
+    max_halvings: int = field(default=6, metadata=must_be("a whole number from 0 to 20", lambda count: is_whole(count, 0, 20)))
+    max_num_steps: int = field(default=1_000_000, metadata=must_be("a positive whole number", is_whole))
     trusted = True
 
     @property
@@ -108,25 +115,7 @@ class RadauIIA(Integrator):
         return 2 * self.stages - 1
 
     def __post_init__(self):
-        positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
-        length = lambda x: is_number(x) and x >= 0  # noqa: E731
-        rtol_ok = self.rtol is None or (is_number(self.rtol) and LEAST_RTOL <= self.rtol < 1)
-        self._require_settings(
-            ("rtol", rtol_ok, f"between {LEAST_RTOL:.2g}, which double precision resolves, and 1, or None: by the run"),
-            ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
-            ("h", positive(self.h), "a positive step in s, or None: by the local error"),
-            ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
-            ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
-            ("project", is_flag(self.project), "True or False"),
-            ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
-            ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
-            ("tolerance", positive(self.tolerance), "a positive number (of q), or None: by rtol and atol"),
-            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
-            ("max_step", length(self.max_step), "a step in s, or 0"),
-            ("first_step", length(self.first_step), "a step in s, or 0"),
-            ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
-            ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
-        )
+        check_fields(self, self.class_name())
 
     @property
     def adaptive(self) -> bool:
@@ -172,9 +161,12 @@ class RadauIIA(Integrator):
         return States(self._stretches(model, state, t_end, counts), counts)
 
     def _stretches(self, model, state, t_end, counts):
+        """Stretches of accepted states, one piece between kinks after the other. Raises StepFailure."""
         sizes, run = sizes_of_run(model, state, t_end), run_interval(state, t_end)
-        engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
-        controller, longest = stored_controller(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
+        engine = Steps(self, model, counts, sizes, run)
+        most_steps = counts.steps + counts.rejected + self.max_num_steps
+        controller = stored_controller(state, self._first(sizes, t_end - state.t))
+        longest = self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
         h, fine = (self.h, PARTS) if self.h else sampling(longest, np.ptp(run))

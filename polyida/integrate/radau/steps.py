@@ -1,6 +1,6 @@
 """Steps of Radau IIA on one model: calls of the compiled driver, new factors when it needs them, and States from its results.
 
-`fixed_steps` and `adaptive_steps` integrate a smooth piece of a run. Both use `Steps`: `begin` restores the factors and the norm of a state's
+radau/pieces.py takes fixed and adaptive steps of a smooth piece of a run by `Steps`: `begin` restores the factors and the norm of a state's
 memory, `start_from` the stages of its last step, and `_stretches` repeats
 
 1. the compiled loop (radau/loop.py), until its record is full or it asks for a factor;
@@ -16,15 +16,13 @@ import numpy as np
 
 from polyida.clock import loading
 from polyida.errors import DONE, REFACTOR, StepFailure
-from polyida.integrate.discontinuities import PULSE, Grid, grid_of, number_of_steps
-from polyida.integrate.radau import loop, step
+from polyida.integrate.radau import loop, step_arrays
 from polyida.integrate.radau.accepted import StretchData, StretchStates
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
-from polyida.integrate.sizes import ROUND_OFF, states_at_rest, weights
+from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import Stretch, first_of
 from polyida.linear.lu import SingularSystem
 from polyida.system import ACCELERATION, STEPS
 
@@ -40,25 +38,26 @@ def new_control(t, level=0.0):
 class Steps:
     """The method on one model. `begin` starts from a state; `step`, `take_fixed` and `take_adaptive` continue.
 
-    limits: bounds of the model's times, beside kinks. sizes: the model's (length, speed) for tolerances; run: stored in the memory of states.
-    estimates_error: True if the local error is computed. state: the State that `memory` holds, None while it may hold another. factor_states: copy
-    of slots.states that the States of a stretch share; None if it must be copied again.
+    sizes: the model's (length, speed) for tolerances; run: [begin, end] of the run, stored in the memory of states.
     """
 
     def __init__(self, settings, model, counts, sizes, run=None):
+        """Make the arrays and the table of a model."""
         self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
-        self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
+        self.tableau = radau(settings.stages)
+        self.limits = -np.inf, np.inf  # bounds of the model's times, beside kinks
         rows_vary = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.tied = settings.form == "ggl" and rows_vary
         self.moves_v = (settings.form == "ggl" or settings.project) and (rows_vary or (model.compiled and model.m > 0))
-        self.estimates_error = settings.adaptive or settings.tolerance is None
+        self.estimates_error = settings.adaptive or settings.tolerance is None  # the local error is computed
         self.table = _table(settings, model, self.tableau, self.tied)
-        self.memory, self.trial, self.scratch = step.empty(settings.stages, model.n, model.m, self.tied)
+        self.memory, self.trial, self.scratch = step_arrays.empty(settings.stages, model.n, model.m, self.tied)
         self.slots = loop.FactorSlots(np.zeros((5, loop.SLOTS)), np.zeros((loop.SLOTS, 1 + 3 * model.n + model.m)))
-        self.state = None
+        self.state = None  # the State that `memory` holds, None while it may hold another
+        self.factor_states = None  # copy of slots.states that the States of a stretch share; None if it must be copied again
         self.done = np.zeros(loop.COUNTS, np.int64)
-        tableau = step.compiled_tableau(self.tableau)
-        self.arrays = step.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
+        tableau = step_arrays.compiled_tableau(self.tableau)
+        self.arrays = step_arrays.Arrays(tableau, self.memory, self.trial, self.scratch, self.slots, self.done)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
         self.most = max(1, min(STEPS, most, 1 if model.switching else STEPS))
 
@@ -81,9 +80,10 @@ class Steps:
         if self.tied and self.table.lifts:
             self.table.set_lift(lift(model, self.shares))
         self.table.evaluate_constants(state.t, state.q)
-        table[:], self.state, self.factor_states = 0.0, None, None
+        table[:] = 0.0
+        self.state = self.factor_states = None
         measured = "newton" in memory and "switched" not in memory  # behind a switch the equations are others
-        self.memory.marks[[step.CONTRACTION, step.AGE]] = memory["newton"] if measured else step.UNKNOWN
+        self.memory.marks[[step_arrays.CONTRACTION, step_arrays.AGE]] = memory["newton"] if measured else step_arrays.UNKNOWN
         if "newton" in memory:
             for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
                 table[[loop.H, loop.EXTRA, loop.LEAST, loop.USED], slot] = [*price, slot + 1.0]
@@ -105,9 +105,9 @@ class Steps:
         start.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
         if known:
             start.stages_v[:], start.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
-        start.marks[step.LAST], start.marks[step.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
-        start.marks[step.MISSES :] = memory.get("misses", 0.0) if known else 0.0
-        if start.marks[step.MISSES]:
+        start.marks[step_arrays.LAST], start.marks[step_arrays.ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        start.marks[step_arrays.MISSES :] = memory.get("misses", 0.0) if known else 0.0
+        if start.marks[step_arrays.MISSES]:
             start.miss_e[:], start.miss_lam[:], start.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.has_constraint_increments:
             start.phi_start[:] = start_values(model, state, self.clamp(state.t))
@@ -122,7 +122,7 @@ class Steps:
         newton = {"tolerance": float(settings.tolerance or 0.0), "max_iterations": settings.max_iterations, "renewal": self.table.renewal}
         newton["share"] = min(loop.SHARE, rtol**loop.ERROR_POWER) if settings.adaptive else 0.0
         of_model = {"extent": float(model.extent or 1.0), "least": ROUND_OFF * float(sizes[0]), "velocity_rows": model.velocity_rows}
-        return step.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
+        return step_arrays.Method(low=float(self.limits[0]), high=float(self.limits[1]), **form, **errors, **newton, **of_model)
 
     def step(self, state, h, t):
         """The State at t after one step of h. Raises StepFailure."""
@@ -178,7 +178,7 @@ class Steps:
                 yield states
             vars(self.counts).update(self.counts_at(before, self.done[None], 0))
             self.state = self.state or state
-            if self.done[step.FACTORS]:
+            if self.done[step_arrays.FACTORS]:
                 self.factor_states = None
             taken, count = taken + accepted, count - accepted
             first += accepted * (self.settings.stages + 1) * table.prepared
@@ -244,7 +244,10 @@ class Steps:
         if ended in (loop.STEP_TOO_SHORT, loop.TOO_MANY_STEPS):
             return StepFailure("stuck" if ended == loop.STEP_TOO_SHORT else "too many steps", "", float(control.now[loop.TIME]))
         if ended == REFACTOR:
-            seen = {"last |dq|": float(self.scratch.progress[step.MOVED]), "contraction": float(self.scratch.progress[step.SPEED])}
+            seen = {
+                "last |dq|": float(self.scratch.progress[step_arrays.MOVED]),
+                "contraction": float(self.scratch.progress[step_arrays.SPEED]),
+            }
         return StepFailure(*self.table.end_reason(ended, self, control), t, **seen)
 
 
@@ -257,94 +260,3 @@ def _table(settings, model, tableau, tied):
         return SceneStages(model, tableau, tied)
     kind = partial(WholeModes, scaling=settings.scaling) if settings.linear == "kkt" else Matrices
     return table_of(model, settings.linear, tableau, tied, kind)
-
-
-def fixed_steps(engine, settings, model, state, begin, end, most, counts):
-    """Yield stretches of the states at the ends of equal steps; a step that fails is repeated in 2, 4, ... parts. Raises StepFailure."""
-    grid = _grid(model, state, begin, end, most)
-    for state in states_at_rest(model, state, grid, counts):
-        grid = grid._replace(done=grid.done + 1)
-        state.memory.update(radau_grid=grid.after(grid.done), **engine.run_memory)
-        counts.steps += 1
-        yield Stretch.of(state)
-    if "rest" in state.memory:  # what is known of steps before is not in it
-        engine.begin(state)
-    while grid.done < grid.count:
-        done = grid.done
-        try:
-            for states in engine.take_fixed(state, grid):
-                done, state = done + len(states), states.last
-                yield states
-            return
-        except StepFailure as failure:
-            counts.rejected, grid = counts.rejected + 1, grid._replace(done=done)
-            state = _step_in_parts(engine, settings, state, grid, failure, counts)
-            counts.steps += 1
-            grid = grid._replace(done=grid.done + 1)
-            state.memory.update(radau_grid=grid.after(grid.done))
-            yield Stretch.of(state)
-
-
-def _grid(model, state, begin, end, most):
-    """The stored Grid of the state if its steps suit `most`, else a new one."""
-    known = grid_of(state, begin, end, 0, "radau_grid")
-    if known.count and known.h <= most * (1 + 1e-9) and (known.h > 0.5 * most or known.count <= PULSE):
-        return known
-    return Grid(begin, end, number_of_steps(model, state, begin, end, most))
-
-
-def _step_in_parts(engine, settings, state, grid, first, counts):
-    """The state after the next step of the grid, taken in parts. Raises StepFailure."""
-    failures = [first]
-    for level in range(1, settings.max_halvings + 1):
-        parts, reached = Grid(grid.time(grid.done), grid.time(grid.done + 1), 2**level), state
-        try:
-            for k in range(parts.count):
-                reached = engine.step(reached, parts.h, parts.time(k + 1))
-            return reached
-        except StepFailure as failure:
-            counts.rejected += 1
-            failures.append(failure)
-    raise first_of(failures, f"the step in 2 to {2**settings.max_halvings} parts fails too")
-
-
-def adaptive_steps(engine, settings, model, state, begin, end, most, counts, controller, most_steps):
-    """Yield stretches of states from begin to end with error-controlled steps of at most `most`. Raises StepFailure.
-
-    controller: [first step, level], updated.
-    """
-    first, most, failures = float(controller[0]), _largest_step(model, state, begin, end, most), []
-    control = loop.Control(True, 0.0, first, most, end, float(most_steps), new_control(begin, controller[1]))
-    now = control.now
-    position_memory = lambda taken, k, level: {"ladder": np.array([first, level]), "radau_piece": np.array([end, most])}  # noqa: E731
-    while state.t < end:
-        try:
-            for states in engine.take_adaptive(state, control, position_memory):
-                failures, controller[1], state = [], now[loop.LEVEL], states.last
-                yield states
-        except StepFailure as failure:
-            rejected = int(now[loop.FAILED]) - len(failures)
-            failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected
-            if failure.status == "stuck":
-                raise first_of(failures, f"down to steps of {now[loop.STEP]:.3g} s") from None
-            if failure.status == "too many steps":
-                reason = f"more than {settings.max_num_steps} steps (max_num_steps)"
-                raise StepFailure(failure.status, reason, state.t, step=float(now[loop.STEP])) from None
-            failures.append(failure)
-            counts.rejected += 1
-            now[loop.FAILED] += 1
-            now[loop.LEVEL] = loop.cut(first, now[loop.LEVEL], now[loop.STEP])
-
-
-def _largest_step(model, state, begin, end, most):
-    """The largest step of the piece, so that loads are sampled behind a kink too; of a continued piece the stored one."""
-    piece = state.memory.get("radau_piece")
-    if piece is not None and piece[0] == end and "stages_e" in state.memory and piece[1] <= most * (1 + 1e-9):
-        return float(piece[1])
-    return (end - begin) / number_of_steps(model, state, begin, end, min(most, end - begin))
-
-
-def stored_controller(state, first):
-    """[first step, level] of the state, or level 0 with `first`, s."""
-    stored = state.memory.get("ladder")
-    return [float(first), 0.0] if stored is None else [float(stored[0]), float(stored[1])]

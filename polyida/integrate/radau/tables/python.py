@@ -78,6 +78,7 @@ class PythonStages(Stages, PythonTable):
         return [(self.t, t, (begin, t), step) for t, step in zip(ends, self.tableau.c * self.h)]
 
     def _reaction(self, instant, q, mu, dv, known, *_):
+        """Add D^-1 B^T mu to dv; known: B is that of the rows of the middle stage."""
         model, k, dv = self.model, self._stage(instant), self._array(dv, self.model.n)
         if known:
             dv += self.factored.rows.G.T @ self._array(mu, model.m)
@@ -86,6 +87,7 @@ class PythonStages(Stages, PythonTable):
         dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
     def _rate(self, instant, q, v, rate, known, *_):
+        """Write `phi_q v + phi_t`; known: B is that of the last REACTION of this stage."""
         model = self.model
         if known:  # PROJECT does not follow
             of_t = model.phi_t(*self._state(instant, q))
@@ -97,6 +99,7 @@ class PythonStages(Stages, PythonTable):
         return self._tried(partial(super()._project, *arguments), InputError, np.linalg.LinAlgError)
 
     def _rows(self, instant, q, v, a, *_):
+        """Make the rows of the middle stage and border the factors with them, unless the border is the same as before."""
         needs, matrices = self.model.needs, self.factored
         if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.rows_turn:
             at = *self._state(instant, q), self._array(v, self.model.n).copy()
@@ -122,6 +125,7 @@ class PythonStages(Stages, PythonTable):
         return self._correct(len(self.tableau.modes) - 1, complex, *arguments)
 
     def _correct(self, mode, kind, r, closing, lam, dq, multipliers, _):
+        """Write dq and multipliers of a mode; kind: float or complex, the type of its arrays."""
         n, m = self.model.n, self.model.m
         r, dq, closing, multipliers = (
             self._array(at, size * (1 + (kind is complex))).view(kind)
@@ -136,6 +140,7 @@ class PythonStages(Stages, PythonTable):
         return self._tried(solve)
 
     def _inertia(self, instant, v, a, r, p, q, rows):
+        """Write r = `C v + M a`, and at their addresses, unless these are 0, p = `M v` and the constraint rows times v."""
         n, m = self.model.n, self.model.m
         v, a, matrices = self._array(v, n).copy(), self._array(a, n).copy(), self.factored
         self._array(r, n)[:] = matrices.inertia(v, a)
@@ -146,6 +151,7 @@ class PythonStages(Stages, PythonTable):
             self._array(rows, 2 * m)[:] = np.concatenate(blocks)[: 2 * m]
 
     def _acceleration(self, instant, q, v, a, lam, *_):
+        """Write a and lam that are consistent with q and v; the status says if constraints depend on each other."""
         model = self.model
         try:
             accelerations = consistent_acceleration(model, *self._state(instant, q), self._array(v, model.n).copy())

@@ -13,11 +13,12 @@ from polyida.assembly.scene_step_matrix import SceneStepMatrix
 from polyida.errors import DONE, HALF_TURN, INVERTED, RAISED, REASONS, SINGULAR
 from polyida.integrate.discontinuities import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
-from polyida.integrate.radau.step import compiled_tableau
+from polyida.integrate.radau.step_arrays import compiled_tableau
 from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem
-from polyida.system.scene import FUNCTIONS, Scene, entries, entry_address
+from polyida.system.scene import Scene, entries, entry_address
 from polyida.system.scene_factors import empty_factor, factors_of_modes, makes_factors, matrices, scene_factors
+from polyida.system.scene_functions import FUNCTIONS
 
 RENEWAL = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 PYTHON_RENEWAL = 4000.0  # the same for the Python code around a new factor, times the number of coordinates
@@ -43,6 +44,7 @@ class SceneStages(Scene):
     longest, lifts = of.STEPS, False
 
     def __init__(self, model, tableau, tied):
+        """Choose the arrays, kernels and entries that the stages of a step need; tied: True if there is mu."""
         self.tableau, self.tied, s, apart = tableau, tied, tableau.stages, tableau.stages + 1
         small, instants = model.n_nodes <= FEW_NODES and not model.slipping, np.arange(of.STEPS * apart)
         self.single = s == 1 or not makes_factors(model)
@@ -98,6 +100,7 @@ class SceneStages(Scene):
             self.functions[of.PREPARE] = entry_address(FUNCTIONS[of.PREPARE], self.type_for())
 
     def _prepare(self, model, first, times, *_):
+        """Evaluate loads and motors of one step, as the callback PREPARE; an exception is stored."""
         try:
             h, t, _, *at = (ctypes.c_double * (3 + self.tableau.stages)).from_address(times)
             self._take_loads(np.array([t]), np.array([at]), h)
@@ -107,6 +110,7 @@ class SceneStages(Scene):
         return DONE
 
     def _take_loads(self, starts, times, h):
+        """Store loads and motors of steps of h that begin at `starts` (k,), with stages at `times` (k, s)."""
         drives, gains = stage_tables(self.model, starts, times, inner_side(self.model, starts[0], -h), self.tableau.c * h)
         shape = drives.shape
         self.w["drives"][: shape[0] * shape[1]].reshape(shape)[:] = drives
