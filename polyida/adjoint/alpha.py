@@ -39,8 +39,7 @@ class AlphaAdjoint(RunAdjoint):
         """Make the beginnings of all segments again, and A at each stretch, if they are needed."""
         super().__init__(run, objective, names, memory_limit)
         self.sweeps = FactorCache()
-        self.ready = {}
-        self.ahead = {}
+        self.ready, self.ahead = {}, {}
         self.longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
         if self.stabilised or self.events.speeds or self.observes:

@@ -67,8 +67,7 @@ class ExactSteps(PythonTable, AdjointTable):
     def scale(self, h):
         """Set the step h."""
         to_v, to_a = self.of_h
-        self.to_v = to_v / h
-        self.to_a = to_a / h**2
+        self.to_v, self.to_a = to_v / h, to_a / h**2
 
     def set_states(self, t, q, v, a, lam, mu=None):
         """Set the stages of some steps, (count, s, .) each, or (count, .) for one stage."""
@@ -192,10 +191,7 @@ class OneStageSteps(ExactSteps):
         saddle.at(float(t[0]), q[0], v[0], a[0], lam[0])
         if self.model.velocity_rows.size:
             saddle.B = dense(saddle.B)
-        self.K = saddle.K
-        self.M = saddle.M
-        self.B = saddle.B
-        self.C = saddle.C
+        self.K, self.M, self.B, self.C = saddle.K, saddle.M, saddle.B, saddle.C
         self.cuts = np.array([n, n + m])
         self._evaluate_rows(t, q, v, mu)
         if self.row_v is not None:

@@ -139,8 +139,7 @@ class CheckpointedStates:
 
     def __init__(self, again, recorder):
         self.again = again
-        self.checkpoints = recorder.checkpoints
-        self.end = recorder.last
+        self.checkpoints, self.end = recorder.checkpoints, recorder.last
         self.states = {} if recorder.states is None else recorder.states
 
     def vectors(self, first, end):

@@ -74,10 +74,7 @@ class _Motions:
                 )
             self.happenings = Happenings(run.model, run.events.causes, declared(run.integrator))
             first = replace(first, lam=first.lam[self.happenings.mode.columns])
-        self.jumps = []
-        self.starts = []
-        self.modes = []
-        self.resets = []
+        self.jumps, self.starts, self.modes, self.resets = [], [], [], []
         change, apply = self.happenings._change, self.happenings._apply
         self.happenings._change = lambda state, fired: self._changed(change, state, fired)
         self.happenings._apply = lambda event, state: self._applied(event, state, apply(event, state))

@@ -27,8 +27,7 @@ class TotalsOfModes:
     def __init__(self, totals, motions, m):
         """Leave out the parameters that have no slope in this run."""
         self.totals, self.m = totals, m
-        self.parameters = totals.parameters
-        self.own = totals.own
+        self.parameters, self.own = totals.parameters, totals.own
         self._known = {}
         self.laws = bool(motions.whole.row_laws)
         if self.laws:

@@ -353,9 +353,7 @@ class EventTimeSensitivity:
         self.model = model
         self.edges = np.array([*edges(model, begin, end)])
         self.speeds = {name: self._speeds(kinks) for name, kinks in moving.items() if kinks}
-        self.times = []
-        self.slopes = []
-        self.step_slopes = []
+        self.times, self.slopes, self.step_slopes = [], [], []
 
     def empty(self):
         """The same kinks and speeds without slopes, for another objective."""

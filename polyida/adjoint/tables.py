@@ -2,6 +2,10 @@
 
 The table of a model solves the adjoint of one step after another (entry ADJOINT of polyida/system): `dense_steps.py` for small models,
 `scene_table.py` for scenes, by refinement with an older factor, and `exact_steps.py` for any model, with a factor of each step.
+
+The entry gets right (s, columns, n) and below (s, columns, m), the right sides of the equations of w and of the rows, and the adjoint of v
+at the end of the step, b_v (columns, n), of generalized-alpha that of q. It fills w (s, columns, n), the multipliers (1 or 2, s, columns,
+m), mu* and, where the steps have mu, kappa, and the products (3, s, columns, n) with the transposed matrices, their parts of q*, v* and a*.
 """
 
 from contextlib import suppress

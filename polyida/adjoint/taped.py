@@ -135,11 +135,7 @@ class TapedModel:
     def __init__(self, model, tape):
         self.model, self.tape = model, tape
         self.entries = []
-        self.n = model.n
-        self.m = model.m
-        self.needs = model.needs
-        self.kinks = model.kinks
-        self.velocity_rows = model.velocity_rows
+        self.n, self.m, self.needs, self.kinks, self.velocity_rows = model.n, model.m, model.needs, model.kinks, model.velocity_rows
         self._none = np.zeros(self.n), np.zeros(self.m)
 
     def sampled(self, t, q, v):

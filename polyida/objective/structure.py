@@ -142,9 +142,7 @@ class _Mode:
         """Read the mode with this number; square: its omega^2."""
         self.model, state = guard(modes.model), modes.state
         self.square = square
-        self.t = state.t
-        self.q = state.q
-        self.lam = state.lam
+        self.t, self.q, self.lam = state.t, state.q, state.lam
         self.x = modes.shapes[number]
         self.by_square = 1.0 / (8 * np.pi**2 * abs(modes.frequencies[number]))
         self.still = np.zeros(self.model.n)
