@@ -222,7 +222,8 @@ def error_of(
         The quantity J, one of `pi.objective`.
     again : bool
         True: solve the run again with h / 2 and 2 h, h / 4 for orders above 2, or 1/10 and 1/100 of the tolerances, with three more fields
-        in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
+        in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest in the
+        reference configuration.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional

@@ -92,7 +92,8 @@ def changed(settings, **values):
 
 
 def solved_again(run, model, settings, objective, places=None):
-    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin as drawn.
+    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin in the
+    reference configuration.
     Raises InputError if it fails.
     """
     if run.plan.get("output") or run.status == "stopped":

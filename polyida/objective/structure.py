@@ -74,11 +74,11 @@ APART = 1e-6  # of omega^2: nearer frequencies are equal, and their shapes are n
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Frequency(Objective):
-    """Frequency of an undamped mode, Hz: one of `pi.modes`; of a run or an equilibrium that of its model at rest.
+    """Frequency of an undamped mode, Hz: one of `pi.modes`; of a run or an equilibrium that of its reference configuration.
 
         d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
 
-    At rest is q = 0 at t = 0 without loads, as in `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` includes the
+    That is q = 0 at t = 0 without loads, as in `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` includes the
     motion of the equilibrium with each parameter; any other state is fixed.
 
     Parameters
