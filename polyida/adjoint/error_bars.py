@@ -201,6 +201,7 @@ class ErrorBars:
 
 
 def _number(error):
+    """An error as text; a dash for none."""
     return "-" if error is None else f"{error:+.3e}"
 
 

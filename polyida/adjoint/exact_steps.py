@@ -37,7 +37,8 @@ ITERATIONS = 8  # at most, for what eta turns with q
 
 def of_stages(function, *states):
     """The block-diagonal matrix of function(*state) at each stage."""
-    return block_diag([csr_array(function(*state)) for state in zip(*states)], format="csr")
+    blocks = [csr_array(function(*state)) for state in zip(*states)]
+    return blocks[0] if len(blocks) == 1 else block_diag(blocks, format="csr")
 
 
 class ExactSteps(PythonTable, AdjointTable):

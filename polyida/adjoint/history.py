@@ -171,6 +171,7 @@ def every_step(run):
 
 
 def _stored_in_double(run):
+    """True if frames are stored in double precision."""
     return run.plan.get("precision", "double") == "double"
 
 

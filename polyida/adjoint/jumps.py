@@ -106,10 +106,12 @@ class _Motions:
         self.starts.append(State(state.t, state.q, state.v, state.a, state.lam[mode.columns]))
 
     def _noted(self, impact, arguments):
+        """Note the results and arguments of an impact of contacts."""
         self.impact = impact(*arguments), arguments
         return self.impact[0]
 
     def _applied(self, event, state, result):
+        """Note the Reset of an event and its cause."""
         self.resets.append(self.happenings.reset)
         self.causes.append((event, state))
         return result
@@ -235,6 +237,7 @@ class _UserFunction:
             ]
 
     def _at(self, t, q, v, a, lam):
+        """The function of the event at a state, (1,)."""
         return np.array([self.happenings.value(self.event, State(t, q, v, a, lam))])
 
     def rate(self, state):
@@ -269,6 +272,7 @@ class _Part:
         self.end = None
 
     def slopes(self, run):
+        """The part itself: it gives the Slopes of slices of frames."""
         return self
 
     def __call__(self, part):

@@ -111,6 +111,7 @@ def solved_again(run, model, settings, objective, places=None):
 
 
 def _placed(x, n, before, after):
+    """q or v of the other model, zero at coordinates that the run does not have."""
     result = np.zeros((n // 2, 2))
     result[after] = x.reshape(-1, 2)[before]
     return result.ravel()

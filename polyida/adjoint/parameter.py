@@ -231,4 +231,5 @@ def _with_values(part, change):
 
 
 def _same(one, other):
+    """True if two values, or all entries of two tuples, are the same objects."""
     return one is other or isinstance(one, tuple) and len(one) == len(other) and all(x is y for x, y in zip(one, other))

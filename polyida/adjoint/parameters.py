@@ -166,6 +166,7 @@ class PointMassNumber(PartParameter):
         return slopes and float(np.vdot(self._at_point(slopes.left[None]), self._at_point(slopes.right[None])).real)
 
     def _at_point(self, x):
+        """x (k, n) at the point, (k,) complex."""
         pairs, weights = self.model.pairs_and_weights(self.model.parts[self.part].at)
         return complex_of_pairs(x.reshape(len(x), -1, 2)[:, pairs]) @ weights
 
@@ -259,6 +260,7 @@ class FieldNumber(PartParameter):
         return self._slope(lambda value: function(self.replaced(value)))
 
     def _slope(self, function):
+        """The derivative of a function of the number, one-sided at a bound."""
         return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, self.bounds))
 
     def _part(self, value):
@@ -304,6 +306,7 @@ def _named_numbers(part):
 
 
 def _with_path(part, path, keys):
+    """Yield (names of the fields, number) of the fields with these keys."""
     for key in keys:
         yield (*path, key), reduce(getattr, (*path, key), part)
 
@@ -321,9 +324,11 @@ def _scene_parameters(model):
     """Yield the Parameters of all parts of a scene."""
 
     def slopes(t, q, adjoint):
+        """MotionSlopes of the start."""
         return motion_slopes(model, t, q, adjoint)
 
     def changes(t, q, adjoint):
+        """MotionSlopes of the start, None if no parameter of the scene changes it."""
         return slopes(t, q, adjoint) if moves_at(model, t, q) else None
 
     yield from field_parameters(model)

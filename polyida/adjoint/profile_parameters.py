@@ -152,10 +152,12 @@ def _turned_vectors(model):
 
 
 def _cross(a, b):
+    """The cross products of plane vectors as complex numbers."""
     return (a.conj() * b).imag
 
 
 def _dot(a, b):
+    """The scalar products of plane vectors as complex numbers."""
     return (a.conj() * b).real
 
 
@@ -262,6 +264,7 @@ class ProfileNumber(Parameter):
         return self.slope(AdjointMultipliers(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
     def _slopes(self, orders, t):
+        """Slopes (k, orders) of the profile in the number at times t."""
         return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
 
     @cached_property
@@ -296,6 +299,7 @@ class PolynomialCoefficients(ProfileNumber):
     """The coefficients of a polynomial, (k,)."""
 
     def _slopes(self, orders, t):
+        """Slopes (k, orders, coefficients) of the polynomial at times t."""
         units = [polynomial(unit) for unit in np.eye(len(self.value))]
         return np.stack([np.stack([over(unit, t, order) for order in orders], axis=1) for unit in units], axis=2)
 

@@ -357,6 +357,7 @@ def residual_v(model, t, q, v, w):
 
 
 def _products(model, t, q, v, lam, w):
+    """The Scratch with the products of a compiled scene at a state."""
     from polyida.adjoint.products import products_at
 
     return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))

@@ -411,6 +411,7 @@ class _Store:
         self.read = len(self.known)
 
     def _key(self, x, sharp):
+        """What identifies an evaluation: x and the numbers of the densities."""
         return np.asarray(x, float).tobytes(), (float(sharp.q), float(sharp.beta or 0.0))
 
     def get(self, x, sharp):

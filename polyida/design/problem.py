@@ -138,10 +138,12 @@ def evaluated(case: Case, setting: Setting, objectives: list[Objective]) -> tupl
 
 
 def _built(setting, case, name, value):
+    """The model of a case with another value of an argument."""
     return setting.model(case, **{name: value})
 
 
 def _slopes(one, found, x, setting):
+    """dJ/dx of a map of variables; 0 if the case does not have its parameter."""
     known = one.name in found or any(name in found for name in one.parameters(None))
     return one.slopes(found, x, setting.sharp) if known else np.zeros(one.size)
 

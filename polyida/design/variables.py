@@ -115,6 +115,7 @@ class DensityMap:
         return self._densities(x, sharp)[0]
 
     def _densities(self, x, sharp):
+        """(rho, its derivative in the filtered densities) of the cells."""
         blurred = np.clip(self.blur @ x, 0.0, 1.0)
         rho, rate = (blurred, 1.0) if sharp.beta is None else project(blurred, sharp.beta)
         return np.where(self.free, rho, 1.0), np.where(self.free, rate, 0.0)

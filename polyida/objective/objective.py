@@ -109,6 +109,7 @@ def _sum(a, b):
 
 
 def _value(x, arguments):
+    """The value of a function, or the array itself."""
     return x(*arguments) if callable(x) else x
 
 
@@ -318,6 +319,7 @@ def run_of(part: str, subject: Any) -> Any:
 
 
 def _one_frame(model, state, modes=None):
+    """A state as a run of one frame."""
     frames = (np.asarray(x, float)[None] for x in (state.t, state.q, state.v, state.a, state.lam))
     return OneFrame(model, *frames, modes)
 

@@ -179,9 +179,11 @@ class TimeMean(Objective):
         return result
 
     def _of(self, run):
+        """The function of Frames for a run."""
         return self._evaluator(guard(run.model, type(self).__name__), _span(run))
 
     def _sizes(self, run, evaluate, moves=None):
+        """The values s of all frames, or beside them at `moves`, (frames,)."""
         step = frames_at_once(run.q.shape[1])
         parts = [slice(k, k + step) for k in range(0, len(run.t), step)]
         return np.concatenate([evaluate(Frames(run, part, None if moves is None else moves[part]))[0]() for part in parts])
@@ -201,6 +203,7 @@ def _usable_rates(run, t):
 
 
 def _span(run):
+    """The mean time between frames, s."""
     return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
 
 
@@ -384,6 +387,7 @@ class Deviation(TimeMean):
         return evaluate
 
     def _at(self, t):
+        """The place of the path at t, (2,)."""
         advice = "; it must be a function of time"
         return self._place(call_user(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
 
