@@ -26,12 +26,15 @@ import numpy as np
 from polyida.adjoint.alpha import AlphaAdjoint
 from polyida.adjoint.lost_phases import LAGS, WIDTHS, add_shifted
 from polyida.adjoint.mesh_error import MeshError
-from polyida.adjoint.parameter import AdjointMultipliers, equation_values
+from polyida.errors import DONE, REASONS, StepFailure
 from polyida.integrate.alpha.start import motor_jump, started
+from polyida.integrate.alpha.steps import table_of
 from polyida.integrate.discontinuities import at_kink
+from polyida.jit import entry
 from polyida.model.differences import beside, near_points, step_integrals
 from polyida.objective.objective import OneFrame, terms_of
 from polyida.objective.peak_stress import PeakStress
+from polyida.system import instant as ask
 
 FAST = 0.45  # share of modes whose phase is lost from which on an estimate is not trusted
 CANCELLED = 1e-3  # of the sum of the sizes of the steps' errors: below, terms of higher order may be larger than the sum
@@ -52,6 +55,33 @@ def truncation(h, coefficients, accelerations, at, weights, ahead):
     return tau * np.array([h * h, h])[:, None, None]
 
 
+@entry
+def left_over(functions, workspace, states, multipliers, residual, phi):
+    """(`sum w . r + mu . phi + kappa . rate`, status) of prepared steps.
+
+    functions, workspace: of the model's table (system/instant.py). states: q, v, a, lam (count, .); multipliers: w, mu, kappa (count, .), kappa
+    (0, m) without rates. residual (n,), phi (m,): scratch.
+    """
+    model, total = (functions, workspace), 0.0
+    q, v, a, lam = states
+    w, mu, kappa = multipliers
+    for k in range(q.shape[0]):
+        status = ask.residual(model, k, q[k], v[k], a[k], lam[k], residual, phi)
+        if status != DONE:
+            return total, status
+        for i in range(residual.shape[0]):
+            total += w[k, i] * residual[i]
+        for i in range(phi.shape[0]):
+            total += mu[k, i] * phi[i]
+        if kappa.shape[0]:
+            status = ask.rate(model, k, q[k], v[k], phi, 0)
+            if status != DONE:
+                return total, status
+            for i in range(phi.shape[0]):
+                total += kappa[k, i] * phi[i]
+    return total, DONE
+
+
 class AlphaErrors(AlphaAdjoint):
     """Backward sweep over a run that sums the parts of its error."""
 
@@ -64,7 +94,7 @@ class AlphaErrors(AlphaAdjoint):
         super().__init__(run, objective, [], memory_limit)
         self.run, self.objective = run, objective
         self.plain = replace(self.settings, start="plain")
-        self.equations = equation_values(self.model)
+        self.table, self.system = table_of(self.settings, self.model, False), None  # what evaluates residuals
         count = len(self.history.frames) - 1
         self.times = np.concatenate([np.asarray(self.history.states(k, k + 1)[0]) for k in (0, count)])  # first and last of the run
         breaks, self.far = self._breaks(near_side)
@@ -140,10 +170,7 @@ class AlphaErrors(AlphaAdjoint):
         self.t[first:end] = begin + h
         self._shift(begin + 0.5 * h, h, tau, np.asarray(keep), first == piece[0], piece == self.pieces[-1])
         _, q, v, a, lam = self.history.states(first + 1, end + 1)
-        kappa = result.kappa if self.model.velocity_rows.size else None
-        work = AdjointMultipliers(t, q, v, a, lam, result.w, result.mu, kappa)
-        weights = np.concatenate([x.ravel() for x in work[5:] if x is not None])
-        self.newton += float(weights @ self.equations(work))
+        self.newton += self._left_over(segment.h, begin[0], t, q, v, a, lam, result)
         for name, mesh in self.meshes.items():
             mesh.add(*(x.reshape(count, -1, 2) for x in (q, v, result.w)), slopes.energies.get(name, np.zeros(count)))
         for one in (slopes.lam, slopes.a):
@@ -151,6 +178,23 @@ class AlphaErrors(AlphaAdjoint):
                 sizes = np.abs(one).sum(axis=1)
                 self.of_forces = self.of_forces + sizes.sum()
                 self.at_instants = max(self.at_instants, sizes.max())
+
+    def _left_over(self, h, begin, t, q, v, a, lam, result):
+        """What Newton's method left of the equations of some steps, times their multipliers."""
+        n, m, table = self.model.n, self.model.m, self.table
+        states = tuple(np.ascontiguousarray(x, float) for x in (q, v, a, lam))
+        kappa = result.kappa if self.model.velocity_rows.size else np.zeros((0, m))
+        multipliers = tuple(np.ascontiguousarray(x, float) for x in (result.w, result.mu, kappa))
+        table.prepare(np.append(begin, t), (begin, t[-1]), h)
+        if self.system is None:  # a table works with a factor, though no residual needs it
+            self.system = table.system(self.settings)
+            table.factor(self.system, t[0], *(x[0].copy() for x in states), *self.settings.coefficients.rates(h))
+        with table.at_work(self.system) as at:
+            total, ended = left_over(*at, states, multipliers, np.empty(n), np.empty(m))
+        table.raise_error()
+        if ended != DONE:
+            raise StepFailure(*REASONS[ended], t[0])
+        return total
 
     def observe_start(self, segment, adjoints):
         """Add what the velocities deviate from consistent ones where a piece begins."""

@@ -55,6 +55,10 @@ class ExactSteps(PythonTable, AdjointTable):
         self.counts, self.tied, self.columns = counts, tied, columns
         self.stages = len(to_v)
         super().__init__(model)
+        n, m, s, kinds = model.n, model.m, self.stages, 1 + tied
+        self.of_psi = np.tile(np.isin(np.arange(m), model.velocity_rows), s).astype(float)[:, None]
+        shapes = (s, columns, n), (s, columns, m), (columns, n), (s, columns, n), (kinds, s, columns, m), (3, s, columns, n)
+        self.shapes = [(int(np.prod(shape)), shape) for shape in shapes]  # of the arguments of `_solve`
         self.lift = diags_array(np.tile(lift, self.stages)) if tied else None
         self.scale(1.0)
 
@@ -81,12 +85,10 @@ class ExactSteps(PythonTable, AdjointTable):
 
     def _solve(self, k, right, below, b_v, w, multipliers, products):
         """The entry ADJOINT: fill w, multipliers and products of step k."""
-        n, m, s, count, kinds = self.model.n, self.model.m, self.stages, self.columns, 1 + self.tied
-        shapes = (s, count, n), (s, count, m), (count, n), (s, count, n), (kinds, s, count, m), (3, s, count, n)
-        arrays = (right, below, b_v, w, multipliers, products)
-        right, below, b_v, w, multipliers, products = (self._array(x, int(np.prod(size))).reshape(size) for x, size in zip(arrays, shapes))
+        arrays = zip((right, below, b_v, w, multipliers, products), self.shapes)
+        right, below, b_v, w, multipliers, products = (self._array(x, size).reshape(shape) for x, (size, shape) in arrays)
         self.factor_at(*(x[k] for x in self.states))
-        for c in range(count):
+        for c in range(self.columns):
             w[:, c], multipliers[:, :, c], products[:, :, c] = self._column(k, c, right[:, c], below[:, c], b_v[c])
 
     def factor_at(self, t, q, v, a, lam, mu):
@@ -125,14 +127,13 @@ class ExactSteps(PythonTable, AdjointTable):
 
     def _evaluate_rows(self, t, q, v, mu):
         """Set row_q and row_v, the slopes of phi, or psi, in q and in u; row_v is None without velocity rows."""
-        self.row_q, self.row_v, rows = self.B, None, self.model.velocity_rows
-        if not rows.size:
+        self.row_q, self.row_v = self.B, None
+        if not self.model.velocity_rows.size:
             return
-        of_psi = np.tile(np.isin(np.arange(self.model.m), rows), self.stages).astype(float)[:, None]
         self.u = v - (self.lift @ (self.B.T @ mu.ravel())).reshape(v.shape) if self.tied else v
-        self.row_v = self.B * of_psi
+        self.row_v = self.B * self.of_psi
         rate_q = of_stages(self.model.phi_rate_q, t.tolist(), q, self.u)
-        self.row_q = self.B - self.row_v + (dense(rate_q) if isinstance(self.B, np.ndarray) else rate_q) * of_psi
+        self.row_q = self.B - self.row_v + (dense(rate_q) if isinstance(self.B, np.ndarray) else rate_q) * self.of_psi
 
     def _column(self, k, c, right, below, b_v):
         """(w (s, n), multipliers (kinds, s, m), products (3, s, n)) of column c in step k, from right (s, n), below (s, m) and b_v (n,)."""

@@ -80,18 +80,18 @@ class Frames:
 
     @cached_property
     def q(self):
-        """(count, n)."""
+        """Coordinates, (count, n)."""
         q = np.asarray(self.run.q[self.part], float)
         return q if self.moves is None else q + self.moves[:, None] * np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def v(self):
-        """(count, n)."""
+        """Velocities, (count, n)."""
         return np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def lam(self):
-        """(count, m)."""
+        """Multipliers, (count, m)."""
         return np.asarray(self.run.lam[self.part], float)
 
 
