@@ -195,6 +195,7 @@ class RunWithEvents:
     """A run with located events that is solved again; its events take the parts of the other model."""
 
     def __init__(self, run):
+        """Read the first state of the run and its initial velocities."""
         first = self._equations(run, run.model)
         self.run = run
         self.state = State(float(run.t[0]), run.q[0], run.v[0], run.a[0], run.lam[0])

@@ -156,6 +156,7 @@ class _RowFunction:
     """The function of a row with a law before its event: `back(c)` gives c g_q, c g_v, a model and its entries for parameters; rate: g'."""
 
     def __init__(self, whole, mode, number, status):
+        """Take the row's law with this number, and its status before the event."""
         self.whole, self.mode, self.status = whole, mode, status
         self.law = whole.row_laws[number]
         self.gap = self.law.is_contact and status != CLOSED

@@ -76,6 +76,7 @@ class StepRecorder:
     """
 
     def __init__(self, state, limits, first=0):
+        """Begin at a state with the number `first`, without segments."""
         self.limits, self.first = limits, first
         self.times = [state.t]
         self.segments = []

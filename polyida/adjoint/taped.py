@@ -133,6 +133,7 @@ class TapedModel:
     is_scene = False  # it gives no dense phi_q
 
     def __init__(self, model, tape):
+        """Take what a method asks of a model beside its functions."""
         self.model, self.tape = model, tape
         self.entries = []
         self.n, self.m, self.needs, self.kinks, self.velocity_rows = model.n, model.m, model.needs, model.kinks, model.velocity_rows

@@ -193,6 +193,7 @@ class _Solids:
     """Models of a design on meshes of solid cells, {plate: mesh}, and their runs."""
 
     def __init__(self, design, build, maps):
+        """Take the sizes of the design and the functions that build its models."""
         self.build, self.maps = build, maps
         self.problem = design.problem
         self.setting = self.problem.setting(design.x, design.sharp)

@@ -236,6 +236,7 @@ class BuiltSizeMap(SizeMap):
     """Maps a variable (1,) to an argument of the function that builds the model, and slopes back; `Problem` gives the parameter."""
 
     def __init__(self, variable):
+        """Map the variable to the argument of its name."""
         self.variable = variable
         self.name = variable.name
         self.size = 1

@@ -186,6 +186,7 @@ class Reaction:
     """
 
     def __init__(self, model, name, t, q, lam, chosen):
+        """Take the places of the sides, and compute the reaction in the frames."""
         self.model, self.t, self.lam, self.chosen = model, t, lam, chosen
         self.of = model.reaction_of(name)
         self.places = [(place, model.place(place, q)) for place in self.of.needed]

@@ -122,6 +122,7 @@ class CellStress:
     """The stress of the cells of a body at displacements u (nodes, 2) of all meshes."""
 
     def __init__(self, body, power=1.0):
+        """Take the moduli of a body and the share of its cells' factors."""
         modulus, nu = body.plate.material.in_plane
         self.power = power
         self.share = body.factors[0] ** (power - 1.0)
