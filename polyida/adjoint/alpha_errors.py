@@ -1,6 +1,6 @@
 """Errors of a quantity of a run of generalized-alpha, from time steps and from Newton's method, by the multipliers of its adjoint.
 
-The multipliers of generalized-alpha's equations (alpha.py) weigh what these equations leave. Exact states put into the steps leave nothing
+The multipliers of generalized-alpha's equations (alpha_sweep.py) weigh what these equations leave. Exact states put into the steps leave nothing
 in r, phi and the recursion of A, with A made by it again; only Newmark's formulas leave
 
     tau_v = int a dt - h ((1 - gamma) A_0 + gamma A_1),    tau_q = int (t_1 - t) a dt - h^2 ((1/2 - beta) A_0 + beta A_1)
