@@ -11,8 +11,8 @@ import numpy as np
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.history import step_history, stored_state
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau import exact_steps, step_start_state
-from polyida.adjoint.radau import step_history as radau_history
+from polyida.adjoint.radau_history import exact_steps, step_start_state
+from polyida.adjoint.radau_history import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.adjoint.seen_places import with_parts_of
 from polyida.errors import InputError
@@ -46,7 +46,8 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     """Return the relative error of `pi.gradient(run, objective)` against differences of fourth order.
 
     Each parameter is changed by about one and two thousandths of it, up and down, and the run, equilibrium or modes are computed again; an
-    array is changed along one random direction. If the parameter moves a kink, J may have a kink too, and the slope is the mean of both sides.
+    array is changed along one random direction. If the parameter moves a kink, J may have a kink too, and the slope is the mean of both
+    sides.
 
     Parameters
     ----------
@@ -71,16 +72,16 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
 
     Notes
     -----
-    A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of switches
-    are held, so that parameters change by a hundredth of what they do elsewhere: behind a stiff contact the differences are less accurate than the
-    gradient. The error therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction),
-    and that of the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
+    A run repeats the same steps with a Newton tolerance of 1e-11 or less; its pieces between kinks stretch as the kinks move. Times of
+    switches are held, so that parameters change by a hundredth of what they do elsewhere: behind a stiff contact the differences are less
+    accurate than the gradient. The error therefore contains that of the run's own tolerance (with adaptive RadauIIA up to 70 rtol for
+    PeakStress and PeakReaction), and that of the differences if the motion is strongly nonlinear (1e-4 in a soft plate with large motions).
 
-    A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that of the
-    steps over 1e-3.
+    A run with located events is solved again as a whole, with its own steps: the error contains that of the method and, with `rtol`, that
+    of the steps over 1e-3.
 
-    A parameter that is zero and must not be negative is changed upwards only. Parameters are left out if they move a kink into or out of the
-    run (a motor that ends with it), or if they change the constraints at the start.
+    A parameter that is zero and must not be negative is changed upwards only. Parameters are left out if they move a kink into or out of
+    the run (a motor that ends with it), or if they change the constraints at the start.
     """
     if not is_whole(seed, 0):
         raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")
@@ -91,25 +92,37 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     objective, replayed = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
     random, errors = np.random.default_rng(seed), {}
     change = CHANGE * (HELD if isinstance(replayed, ReplayedRun) and replayed.model.switching else 1.0)
-    step = STEP * change / CHANGE
     for name in slopes:
-        bounds, moves_kinks = EVERYWHERE, False
-        if name == "v0":
-            direction, compute = _direction(run.v[0], random), lambda change: replayed.frames(run.model, change)
-        else:
-            parameter, direction = known[name], _direction(known[name].value, random)
-            compute = lambda change, p=parameter: replayed.frames(p.replaced(p.value + change))  # noqa: E731
-            bounds, moves_kinks = parameter.bounds, isinstance(run, Trajectory) and bool(parameter.kinks(float(run.t[0]), float(run.t[-1])))
-            if not all(replayed.can_start(parameter.replaced(parameter.value + s * direction)) for s, _ in central(step) if s > bounds[0]):
-                continue
-        value = lambda s, direction=direction, compute=compute: objective(compute(s * direction))  # noqa: E731
-        if moves_kinks:
-            difference = sum(weight * (value(s * change) - value(-s * change)) for s, weight in ONE_SIDED) / (2 * change)
-        else:
-            difference = float(along(value, step, bounds))
-        slope = float(np.sum(slopes[name] * direction))
-        errors[name] = abs(slope - difference) / max(abs(difference), MIN_CHANGE * abs(slopes.value), 1e-300)
+        parameter = None if name == "v0" else known[name]
+        direction = _direction(run.v[0] if parameter is None else parameter.value, random)
+        if parameter is None or _can_change(replayed, parameter, direction, STEP * change / CHANGE):
+            difference = _difference(run, objective, replayed, parameter, direction, change)
+            slope = float(np.sum(slopes[name] * direction))
+            errors[name] = abs(slope - difference) / max(abs(difference), MIN_CHANGE * abs(slopes.value), 1e-300)
     return errors
+
+
+def _can_change(replayed, parameter, direction, step):
+    """True if runs with all values of the parameter that a difference takes can start."""
+    places = [s for s, _ in central(step) if s > parameter.bounds[0]]
+    return all(replayed.can_start(parameter.replaced(parameter.value + s * direction)) for s in places)
+
+
+def _difference(run, objective, replayed, parameter, direction, change):
+    """dJ along a direction of a parameter, None for the initial velocities, by runs that are solved again.
+
+    change: relative change of the parameter. If the parameter moves a kink, the mean of the slopes on both sides.
+    """
+
+    def value(s):
+        """J with the parameter changed by s times the direction."""
+        if parameter is None:
+            return objective(replayed.frames(run.model, s * direction))
+        return objective(replayed.frames(parameter.replaced(parameter.value + s * direction)))
+
+    if parameter is not None and isinstance(run, Trajectory) and parameter.kinks(float(run.t[0]), float(run.t[-1])):
+        return sum(weight * (value(s * change) - value(-s * change)) for s, weight in ONE_SIDED) / (2 * change)
+    return float(along(value, STEP * change / CHANGE, EVERYWHERE if parameter is None else parameter.bounds))
 
 
 def _direction(value, random):
@@ -129,7 +142,9 @@ class ReplayedRun:
     history_of = staticmethod(step_history)
 
     def __init__(self, run):
-        self.run, self.model = run, guard(run.model)
+        """Read the steps of the run and its first state."""
+        self.run = run
+        self.model = guard(run.model)
         self.history = self.history_of(run, self.model)
         self.state = stored_state(self.history, 0)
         self.given_v, self.by_bodies = given_velocity(self.model, self.state)
@@ -180,8 +195,10 @@ class RunWithEvents:
     """A run with located events that is solved again; its events take the parts of the other model."""
 
     def __init__(self, run):
+        """Read the first state of the run and its initial velocities."""
         first = self._equations(run, run.model)
-        self.run, self.state = run, State(float(run.t[0]), run.q[0], run.v[0], run.a[0], run.lam[0])
+        self.run = run
+        self.state = State(float(run.t[0]), run.q[0], run.v[0], run.a[0], run.lam[0])
         self.given_v, self.by_bodies = given_velocity(first, self.state)
 
     @staticmethod
@@ -212,6 +229,7 @@ class ReplayedRadauRun(ReplayedRun):
     history_of = staticmethod(radau_history)
 
     def _replay(self, model, state, times):
+        """The states of the run of another model and initial state; times: function of their numbers."""
         states, engine = [state], exact_steps(model, self.run.integrator, state, float(self.run.t[-1]), Counts())
         for k in range(1, len(self.history.frames)):
             state, t = step_start_state(model, states[-1]), times(k)
@@ -224,7 +242,8 @@ class ReplayedState:
     """An Equilibrium, or Modes, that is computed again; state: the equilibrium, or the state of the modes."""
 
     def __init__(self, subject):
-        self.subject, self.state = subject, subject.state if isinstance(subject, Modes) else subject
+        self.subject = subject
+        self.state = subject.state if isinstance(subject, Modes) else subject
 
     def frames(self, model):
         """The result for another model: from the same initial guess, or modes about the same state if it is no equilibrium."""

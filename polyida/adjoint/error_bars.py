@@ -62,7 +62,8 @@ class ErrorBars:
     reasons : dict of str to tuple of str
         {part: why its estimate is missing or not trusted}; "again" and "mesh_again" too.
     fast_share : float
-        Largest relative change of `time` by another phase of the vibrations whose phase is lost with steps of this size; above 0.45 it is not trusted.
+        Largest relative change of `time` by another phase of the vibrations whose phase is lost with steps of this size; above 0.45 it is
+        not trusted.
     t : (steps,) float, s
         Ends of the steps.
     steps : (steps,) float
@@ -147,6 +148,7 @@ class ErrorBars:
             return axis
 
     def __repr__(self):
+        """A line for each part of the error, with the reasons why it is not trusted."""
         lines = [f"ErrorBars: J = {self.value:.9g}, corrected {self.corrected:.9g}"]
         for part in PARTS:
             why = "; ".join(self.reasons.get(part, ()))
@@ -199,6 +201,7 @@ class ErrorBars:
 
 
 def _number(error):
+    """An error as text; a dash for none."""
     return "-" if error is None else f"{error:+.3e}"
 
 
@@ -219,8 +222,9 @@ def error_of(
     objective : Objective
         The quantity J, one of `pi.objective`.
     again : bool
-        True: solve the run again with h / 2 and 2 h, h / 4 for orders above 2, or 1/10 and 1/100 of the tolerances, with three more fields in
-        each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest as drawn.
+        True: solve the run again with h / 2 and 2 h, h / 4 for orders above 2, or 1/10 and 1/100 of the tolerances, with three more fields
+        in each reduced plate (`pi.missing_fields`), and with half the cells of full plates that begin at rest in the
+        reference configuration.
     memory_limit : float, bytes
         As of `pi.gradient`.
     progress : function or bool, optional
@@ -234,17 +238,17 @@ def error_of(
     Raises
     ------
     InputError
-        For another type of run, objective or integrator; for runs with located events, whose times have errors of their own; for runs of which
-        `pi.gradient` has no adjoint; and if a further run fails.
+        For another type of run, objective or integrator; for runs with located events, whose times have errors of their own; for runs of
+        which `pi.gradient` has no adjoint; and if a further run fails.
 
     Notes
     -----
-    The error of time is that of the equations of the meshes. Its estimate has the ratio 1 to the error if the steps resolve the motion that J
-    depends on; lost phases of vibrations are recognised by `fast_share`. Vibrations that are damped away within a step are not seen. A
+    The error of time is that of the equations of the meshes. Its estimate has the ratio 1 to the error if the steps resolve the motion that
+    J depends on; lost phases of vibrations are recognised by `fast_share`. Vibrations that are damped away within a step are not seen. A
     UserObjective is taken for what its function computes; means over time of `pi.objective` are compared with the integral.
 
-    The cost is that of `pi.gradient` and of one residual of each step; `studies/error_bars.py` measures it. It is twice that of a run in which
-    contacts open: the estimate is trusted if both slopes that their forces have there lead to about the same.
+    The cost is that of `pi.gradient` and of one residual of each step; `studies/error_bars.py` measures it. It is twice that of a run in
+    which contacts open: the estimate is trusted if both slopes that their forces have there lead to about the same.
 
     Examples
     --------
@@ -263,32 +267,40 @@ def error_of(
         model = run.known_model("error_of")
         if run.events.given or len(run.events):
             raise InputError("error_of: the run has events or impacts, whose times have errors of their own that are not estimated")
-        if not isinstance(run.integrator, GeneralizedAlpha):
-            if not again:
-                name = type(run.integrator).__name__
-                raise InputError(f"error_of: {name} has no estimate by an adjoint; give again=True, which solves the run again")
-            if len(run) < 2 or not run.success:
-                raise InputError("error_of: the run has no step, or failed")
-            bars = ErrorBars(
-                objective(run), reasons={part: (f"{type(run.integrator).__name__} has no estimate",) for part in ("newton", "mesh")}
-            )
-        else:
+        if isinstance(run.integrator, GeneralizedAlpha):
             adjoint_of("error_of", run)
             with backward(progress, run) as tell:
                 bars = _estimate(run, objective, memory_limit, tell)
-        if not again:
-            return bars
-        second, changes = time_again(run, objective, bars.value), {}
-        bars = replace(bars, again=second.error, time=second.error if bars.time is None else bars.time, reasons=_verdicts(bars, second))
-        if any(isinstance(model.parts[placed.name], Reduced) for placed in model.reduced_bodies):
-            changes["modes"] = _modes_again(run, objective) - bars.value
-        if model.is_scene and model.bodies:
-            changes |= _mesh_again(run, objective, bars)
-        return replace(bars, **changes)
+        else:
+            bars = _without_estimate(run, objective, again)
+        return _with_other_runs(run, model, objective, bars) if again else bars
+
+
+def _without_estimate(run, objective, again):
+    """The ErrorBars of a run of an integrator without an estimate by an adjoint. Raises InputError unless it is solved again."""
+    name = type(run.integrator).__name__
+    if not again:
+        raise InputError(f"error_of: {name} has no estimate by an adjoint; give again=True, which solves the run again")
+    if len(run) < 2 or not run.success:
+        raise InputError("error_of: the run has no step, or failed")
+    return ErrorBars(objective(run), reasons={part: (f"{name} has no estimate",) for part in ("newton", "mesh")})
+
+
+def _with_other_runs(run, model, objective, bars):
+    """The ErrorBars with what other runs say: with other steps, more deformation fields and fewer cells. Raises InputError if one fails."""
+    second, changes = time_again(run, objective, bars.value), {}
+    bars = replace(bars, again=second.error, time=second.error if bars.time is None else bars.time, reasons=_verdicts(bars, second))
+    if any(isinstance(model.parts[placed.name], Reduced) for placed in model.reduced_bodies):
+        changes["modes"] = _modes_again(run, objective) - bars.value
+    if model.is_scene and model.bodies:
+        changes |= _mesh_again(run, objective, bars)
+    return replace(bars, **changes)
 
 
 def _verdicts(bars, second):
-    """Reasons of bars and of an Again: it is the estimate of time where there is no other, and contradicts an estimate if it is trusted itself."""
+    """Reasons of bars and of an Again: it is the estimate of time where there is no other, and contradicts an estimate if it is trusted
+    itself.
+    """
     of_time = bars.reasons.get("time", ())
     if bars.time is None:
         of_time = second.reasons
@@ -346,20 +358,12 @@ def _estimate(run, objective, memory_limit, progress):
         together([near], lambda t: None)
         if abs(near.of_time()[0] - time) > FAST * abs(time):
             why += (f"contacts open, where forces have two slopes: with those of the near side it is {_number(near.of_time()[0])}",)
-    cells = {name: mesh.parts.sum(axis=0) for name, mesh in sweep.meshes.items()}
-    left_out = sweep.reasons_of_mesh()
-    sums = np.sum([mesh.parts.sum(axis=1) for mesh in sweep.meshes.values()], axis=0) if cells else np.zeros(2)
-    works, gaps = np.sum([np.abs(mesh.three).sum(axis=1) for mesh in sweep.meshes.values()], axis=0) if cells else (0.0, 0.0)
-    if gaps * np.abs(sums).max() > REMAINDER * works * abs(sums.sum()):
-        left_out = (
-            f"the errors of shape functions and of their integration cancel, {100 * abs(sums.sum()) / np.abs(sums).max():.0f} % are left, and "
-            f"strains vary so much within cells that either is known to {100 * gaps / works:.0f} %",
-        )
+    mesh, cells, left_out = _mesh_estimate(sweep)
     return ErrorBars(
         value=sweep.objective_slopes.value,
         time=time,
         newton=sweep.newton,
-        mesh=float(sums.sum()) if cells else None,
+        mesh=mesh,
         reasons={"time": why, "mesh": left_out},
         cells=cells,
         fast_share=share,
@@ -368,3 +372,19 @@ def _estimate(run, objective, memory_limit, progress):
         h=run.integrator.fixed_step() or None,
         counts=sweep.counts,
     )
+
+
+def _mesh_estimate(sweep):
+    """(error of the meshes or None, {plate: shares of its cells}, reasons why it is missing or not trusted) of AlphaErrors."""
+    left_out = sweep.reasons_of_mesh()
+    if not sweep.meshes:
+        return None, {}, left_out
+    of_integration, of_gaps = np.sum([mesh.parts.sum(axis=1) for mesh in sweep.meshes.values()], axis=0)
+    works, gaps = np.sum([np.abs(mesh.three).sum(axis=1) for mesh in sweep.meshes.values()], axis=0)
+    error, largest = of_integration + of_gaps, max(abs(of_integration), abs(of_gaps))
+    if gaps * largest > REMAINDER * works * abs(error):
+        left_out = (
+            f"the errors of shape functions and of their integration cancel, {100 * abs(error) / largest:.0f} % are left, and "
+            f"strains vary so much within cells that either is known to {100 * gaps / works:.0f} %",
+        )
+    return float(error), {name: mesh.parts.sum(axis=0) for name, mesh in sweep.meshes.items()}, left_out

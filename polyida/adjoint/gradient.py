@@ -44,27 +44,21 @@ from polyida.validation import named_keywords, require_bytes
 OF_LAWS = "there is no adjoint of impacts and stick yet"
 ELASTIC = (Frequency, PeakStress, StrainEnergy)
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
+Names = Sequence[str] | None
+Progress = Callable[[float], object] | bool | None
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
 
 
 @overload
-def gradient(
-    run: Any,
-    objective: Objective,
-    parameters: Sequence[str] | None = None,
-    memory_limit: float = MEMORY_LIMIT,
-    progress: Callable[[float], object] | bool | None = None,
-) -> Gradient: ...
+def gradient(run: Any, objective: Objective, parameters: Names = ..., memory_limit: float = ..., progress: Progress = ...) -> Gradient:
+    """Of one objective: its Gradient."""
 
 
 @overload
 def gradient(
-    run: Any,
-    objective: Sequence[Objective],
-    parameters: Sequence[str] | None = None,
-    memory_limit: float = MEMORY_LIMIT,
-    progress: Callable[[float], object] | bool | None = None,
-) -> list[Gradient]: ...
+    run: Any, objective: Sequence[Objective], parameters: Names = ..., memory_limit: float = ..., progress: Progress = ...
+) -> list[Gradient]:
+    """Of several objectives: a list of their Gradients."""
 
 
 @named_keywords
@@ -88,9 +82,10 @@ def gradient(
         From `pi.objective`. Several share one backward sweep: frames are read once, steps taken again once, factors made once.
     parameters : list of str, optional
         Names. By default all whose slopes cost next to nothing: of plates `stiffness` and `mass` (factors of each cell), `E`, `thickness`,
-        `rho`, and `prony` of viscoelastic ones; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`, `motor.duration`, `load.amplitude`);
-        velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also the numbers of bodies, plates,
-        forces and driven joints, such as `spring.stiffness`; not the places of bodies, lengths of joints, and laws of contact and friction.
+        `rho`, and `prony` of viscoelastic ones; `mass` of point masses; the numbers of the profiles of motors and loads (`motor.end`,
+        `motor.duration`, `load.amplitude`); velocities of bodies and `v0`; of a user's model what its `parameters` names. By name also the
+        numbers of bodies, plates, forces and driven joints, such as `spring.stiffness`; not the places of bodies, lengths of joints, and
+        laws of contact and friction.
     memory_limit : float, bytes
         Memory for the steps of the run. A longer run keeps checkpoints and is solved a third time between them.
     progress : function or bool, optional
@@ -107,34 +102,35 @@ def gradient(
     InputError
         For another type of run, objective or integrator, for an unknown parameter or one that moves the constraints of a held state, for a
         run that continues from a state of another run, for frames between steps (`output`, `until`, `extrapolate`), and for
-        forces that jump where a gap switches; for impacts of time stepping, and events without an adjoint (Notes); for velocity rows in form "stabilised", in equilibria and in modes.
+        forces that jump where a gap switches; for impacts of time stepping, and events without an adjoint (Notes); for velocity rows in
+        form "stabilised", in equilibria and in modes.
 
     Notes
     -----
-    The gradient is exact for the steps of the run up to the error that Newton's tolerance left: below 1e-9 in q and up to 2e-7 in lam and a at
-    a tolerance of 1e-10; about 1e-4 and 2e-2 at the default of GeneralizedAlpha (studies/gradient_errors.py); 1e-8 to 1e-6 at the default of
-    RadauIIA with fixed steps. With adaptive steps of RadauIIA the error is about rtol, and up to 70 times that for PeakStress and PeakReaction,
-    since Newton's method leaves more of stiff modes. A tolerance of rtol^2 of the model's length leaves at most 3 rtol for 20 to 50 % more
-    solves, `tolerance=1e-12` at most 1e-6 for 50 to 70 %.
+    The gradient is exact for the steps of the run up to the error that Newton's tolerance left: below 1e-9 in q and up to 2e-7 in lam and a
+    at a tolerance of 1e-10; about 1e-4 and 2e-2 at the default of GeneralizedAlpha (studies/gradient_errors.py); 1e-8 to 1e-6 at the
+    default of RadauIIA with fixed steps. With adaptive steps of RadauIIA the error is about rtol, and up to 70 times that for PeakStress
+    and PeakReaction, since Newton's method leaves more of stiff modes. A tolerance of rtol^2 of the model's length leaves at most 3 rtol
+    for 20 to 50 % more solves, `tolerance=1e-12` at most 1e-6 for 50 to 70 %.
 
-    The cost does not depend on the number of parameters: 0.9 to 1.7 runs of plates by generalized-alpha (studies/gradient_over_run.py), more
-    runs of small models, whose steps take microseconds, and of RadauIIA. A run whose frames are not all of its steps is solved again from its
-    start.
+    The cost does not depend on the number of parameters: 0.9 to 1.7 runs of plates by generalized-alpha (studies/gradient_over_run.py),
+    more runs of small models, whose steps take microseconds, and of RadauIIA. A run whose frames are not all of its steps is solved again
+    from its start.
 
-    Times of kinks that depend on a parameter are differentiated; the steps between two kinks stretch evenly. A run that is solved again with
-    adaptive steps chooses other steps: its means over time differ by up to some hundredths in parameters that move a kink.
+    Times of kinks that depend on a parameter are differentiated; the steps between two kinks stretch evenly. A run that is solved again
+    with adaptive steps chooses other steps: its means over time differ by up to some hundredths in parameters that move a kink.
 
-    A run with located events is solved again, motion by motion from one event to the next, and the slopes jump at the events as the motion does
-    (saltation). The value and the slopes are those of these motions, which differ from the run by the error of the method. Included are contact,
-    constant friction and sticking rows, and events of the user, whatever they do; a part counts in the motions in which it acts. Refused are
-    slip with friction that pressure gives, events at one time that do not cause each other, an event that ends the run, and parameters that move
-    kinks. Functions of the user are taken to depend on no parameter but by what the state gives them: its vectors, and `position`, `velocity`
-    and `reaction`. Models of the user in `then` share the parameters of equal names and values.
+    A run with located events is solved again, motion by motion from one event to the next, and the slopes jump at the events as the motion
+    does (saltation). The value and the slopes are those of these motions, which differ from the run by the error of the method. Included
+    are contact, constant friction and sticking rows, and events of the user, whatever they do; a part counts in the motions in which it
+    acts. Refused are slip with friction that pressure gives, events at one time that do not cause each other, an event that ends the run,
+    and parameters that move kinks. Functions of the user are taken to depend on no parameter but by what the state gives them: its vectors,
+    and `position`, `velocity` and `reaction`. Models of the user in `then` share the parameters of equal names and values.
 
-    The following are held constant. (1) A given initial state (`solve(..., state=pi.static(model))`), and the start of a run at which a motor
-    begins. (2) The times at which contacts and other gaps switch, which is right if the forces are continuous there. The slopes are then as
-    accurate as the steps in the contact: for a bar on a stop of 1e6 N/m^1.5, dJ/dstiffness has an error of 7 % with GeneralizedAlpha(h=5e-3),
-    0.1 % with rtol=1e-6, 8 % with RadauIIA(rtol=1e-6) and 0.1 % with rtol=1e-8.
+    The following are held constant. (1) A given initial state (`solve(..., state=pi.static(model))`), and the start of a run at which a
+    motor begins. (2) The times at which contacts and other gaps switch, which is right if the forces are continuous there. The slopes are
+    then as accurate as the steps in the contact: for a bar on a stop of 1e6 N/m^1.5, dJ/dstiffness has an error of 7 % with
+    GeneralizedAlpha(h=5e-3), 0.1 % with rtol=1e-6, 8 % with RadauIIA(rtol=1e-6) and 0.1 % with rtol=1e-8.
 
     The model is used as it is now: if it was changed after its run, the gradient is another one. A run that failed gives a warning; J is
     then that of its frames.
@@ -146,23 +142,9 @@ def gradient(
     """
     several = isinstance(objective, (list, tuple))
     objectives: list = list(objective) if several else [objective]  # type: ignore[arg-type]
-    if not objectives:
-        raise InputError("gradient: the list of objectives is empty; give at least one")
-    for one in objectives:
-        if not isinstance(one, Objective):
-            raise InputError(
-                f"gradient: {one!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
-            )
+    _require_objectives(objectives)
     names = _names(parameters)
-    model = run.model if isinstance(run, (Trajectory, Equilibrium, Modes)) else None
-    relaxing = [body.name for body in model.all_bodies if body.prony] if model is not None and model.is_scene else []
-    if relaxing:
-        names_of = ", ".join(map(repr, relaxing))
-        if not isinstance(run, Trajectory):
-            raise InputError(f"gradient: {names_of}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
-        for _, one in (term for each in objectives for term in terms_of(each)):
-            if isinstance(one, ELASTIC):
-                raise InputError(f"gradient: {type(one).__name__} is of elastic bodies, and {names_of} viscoelastic")
+    _require_elastic(run, objectives)
     if progress is not None:
         require_progress("gradient", progress)
     require_bytes("gradient", memory_limit)
@@ -176,7 +158,43 @@ def gradient(
     return gradients if several else gradients[0]
 
 
+def _require_objectives(objectives):
+    """Raise InputError for an empty list, and for what is no objective."""
+    if not objectives:
+        raise InputError("gradient: the list of objectives is empty; give at least one")
+    for one in objectives:
+        if not isinstance(one, Objective):
+            raise InputError(
+                f"gradient: {one!r:.80} is no objective; use one of polyida.objective, or objective.UserObjective(value, slopes)"
+            )
+
+
+def _names(parameters):
+    """The requested names and Parameters as a list, None for all. Raises InputError for anything else."""
+    if parameters is None:
+        return None
+    names = list(parameters) if np.iterable(parameters) and not isinstance(parameters, str) else None
+    if names is None or not all(isinstance(name, (str, Parameter)) for name in names):
+        raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
+    return names
+
+
+def _require_elastic(run, objectives):
+    """Raise InputError for viscoelastic plates in a state that is no run, and for objectives of elastic bodies in their runs."""
+    model = run.model if isinstance(run, (Trajectory, Equilibrium, Modes)) else None
+    relaxing = [body.name for body in model.all_bodies if body.prony] if model is not None and model.is_scene else []
+    if not relaxing:
+        return
+    names = ", ".join(map(repr, relaxing))
+    if not isinstance(run, Trajectory):
+        raise InputError(f"gradient: {names}: equilibria and modes of viscoelastic plates have no adjoint yet, runs have")
+    for _, one in (term for each in objectives for term in terms_of(each)):
+        if isinstance(one, ELASTIC):
+            raise InputError(f"gradient: {type(one).__name__} is of elastic bodies, and {names} viscoelastic")
+
+
 def _gradients_of_run(run, objectives, names, memory_limit, progress):
+    """The Gradient of each objective of a run; one that depends on no frame takes no sweep."""
     kind = adjoint_of("gradient", run)
     moving = [one for one in objectives if one.of_frames]
     if len(moving) < len(objectives):
@@ -223,18 +241,10 @@ def adjoint_of(part, run):
 
 
 def _require_no_velocity_rows(part, model, what, other):
+    """Raise InputError if the model has a velocity row; what: the runs that have no adjoint with one, other: those that have."""
     if model.velocity_rows.size:
         name = model.constraint_name(int(model.velocity_rows[0]))
         raise InputError(f"{part}: {name} is a velocity row, for which {what} no adjoint; {other}")
-
-
-def _names(parameters):
-    if parameters is None:
-        return None
-    names = list(parameters) if np.iterable(parameters) and not isinstance(parameters, str) else None
-    if names is None or not all(isinstance(name, (str, Parameter)) for name in names):
-        raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
-    return names
 
 
 def gradients_of_state(subject, objectives, names=None):

@@ -71,13 +71,18 @@ class HistoryLimits(NamedTuple):
 class StepRecorder:
     """Records the segments and steps of a run; failed attempts are removed.
 
-    states: {number: State} of all steps, or None if they exceed the memory. checkpoints: the states from which a run can continue. times: of
-    the states from number `first` on.
+    states: {number: State} of all steps, or None if they exceed the memory. checkpoints: the states from which a run can continue. times:
+    of the states from number `first` on.
     """
 
     def __init__(self, state, limits, first=0):
-        self.limits, self.first, self.times, self.segments, self.has_memory = limits, first, [state.t], [], "a_alg" in state.memory
-        self.states, self.checkpoints = {first: state}, {first: state}
+        """Begin at a state with the number `first`, without segments."""
+        self.limits, self.first = limits, first
+        self.times = [state.t]
+        self.segments = []
+        self.has_memory = "a_alg" in state.memory
+        self.states = {first: state}
+        self.checkpoints = {first: state}
 
     @property
     def last(self):
@@ -134,7 +139,8 @@ class CheckpointedStates:
     """
 
     def __init__(self, again, recorder):
-        self.again, self.checkpoints, self.end = again, recorder.checkpoints, recorder.last
+        self.again = again
+        self.checkpoints, self.end = recorder.checkpoints, recorder.last
         self.states = {} if recorder.states is None else recorder.states
 
     def vectors(self, first, end):
@@ -166,6 +172,7 @@ def every_step(run):
 
 
 def _stored_in_double(run):
+    """True if frames are stored in double precision."""
     return run.plan.get("precision", "double") == "double"
 
 
@@ -202,9 +209,9 @@ def frame_reader(run):
 def replayed_history(run, model, memory_limit, accepted, repeats):
     """The StepHistory of a run that is solved again.
 
-    accepted: function (run, model, StepRecorder) that yields the states behind the first one of the recorder, and records all steps. repeats:
-    True if the states behind a checkpoint are the same bit by bit. Raises InputError if forces jump at a switch, if frames are no states of the
-    steps, and if memory is short.
+    accepted: function (run, model, StepRecorder) that yields the states behind the first one of the recorder, and records all steps.
+    repeats: True if the states behind a checkpoint are the same bit by bit. Raises InputError if forces jump at a switch, if frames are no
+    states of the steps, and if memory is short.
     """
     begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
     recorder = StepRecorder(begin, HistoryLimits.of(model, memory_limit, repeats))

@@ -1,8 +1,8 @@
 """Error of a quantity of a run from the meshes of full plates of Wachspress elements, as a sum over cells.
 
-Wachspress cells are not Galerkin: one point for each triangle of the fan integrates their strain energy too small, which cancels most of the error
-of their stiffness. With w the multipliers of r, E Green's strain, D = sym(F^T grad w), S = C : (E + viscosity E'), the run put into the
-equations of an elastic plate leaves, for each step,
+Wachspress cells are not Galerkin: one point for each triangle of the fan integrates their strain energy too small, which cancels most of
+the error of their stiffness. With w the multipliers of r, E Green's strain, D = sym(F^T grad w), S = C : (E + viscosity E'), the run put
+into the equations of an elastic plate leaves, for each step,
 
     -[(S* - S) : (D* - D)]_3  +  [S : D]_3  -  [S : D]_element
 
@@ -22,7 +22,7 @@ from polyida.element.elements import fan_points, wachspress_of_three
 from polyida.element.kernels import _differences, _gradient, _workspace, lame
 from polyida.element.material import second_piola, strain, two_state_strain
 from polyida.element.operator import Cells, Material, build
-from polyida.jit import entry
+from polyida.jit import entry, fast
 from polyida.jit.intrinsics import LANES, lane, load, load2, load3, spread, store, traced
 from polyida.mesh import topology
 from polyida.objective.peak_stress import add_cell_energies
@@ -76,9 +76,9 @@ def add_work(total, weight, x, y, lam_bar, two_mu):
 class Fits(NamedTuple):
     """The cells with three points and the linear fits to their neighbours.
 
-    cells, lane_cells: of the ReferenceOperator; places (points, 2, LANES): of its points from the cells' centroids; near (cells + 1,): first of
-    the neighbours of a cell and of their shares (., 3) in its fit. fields (points, 3, 3, LANES): E, E + viscosity E' and D of a frame; means
-    (cells, 3, 3): of these.
+    cells, lane_cells: of the ReferenceOperator; places (points, 2, LANES): of its points from the cells' centroids; near (cells + 1,):
+    first of the neighbours of a cell and of their shares (., 3) in its fit. fields (points, 3, 3, LANES): E, E + viscosity E' and D of a
+    frame; means (cells, 3, 3): of these.
     """
 
     cells: Cells
@@ -92,22 +92,28 @@ class Fits(NamedTuple):
 
 
 @entry
-def cell_errors(fits, material, u, v, multipliers, factor, out):
+def cell_errors(fits, material, displacements, velocities, multipliers, factor, out):
     """out (2, cells) += the parts with three points of one frame: those of the fields, and of the gaps to the fits.
 
-    u, v, multipliers w (nodes, 2). factor: dJ/dW.
+    displacements, velocities, multipliers w (nodes, 2). factor: dJ/dW.
     """
-    cells, lane_cells, places, near, neighbours, shares, fields, means = fits
-    differences, sums, fit, at = _workspace(cells.layout, 6, 0), np.empty(9 * LANES), np.empty(27 * LANES), 0
-    (lam_bar, two_mu), third = lame(material), 3 * LANES
+    evaluate_fields(fits, material, displacements, velocities, multipliers)
+    add_errors(fits, material, factor, out)
+
+
+@fast
+def evaluate_fields(fits, material, displacements, velocities, multipliers):
+    """Fill fits.fields with E, E + viscosity E' and D at the points, and fits.means with their means over the cells."""
+    cells, lane_cells, fields, third, at = fits.cells, fits.lane_cells, fits.fields, 3 * LANES, 0
+    differences, sums = _workspace(cells.layout, 6, 0), np.empty(9 * LANES)
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         size, total = 2 * m * LANES, spread(0.0)
         of_w, of_v = differences[size:], differences[2 * size :]
-        _differences(u, cells.corners, first, 0, m, differences)
+        _differences(displacements, cells.corners, first, 0, m, differences)
         _differences(multipliers, cells.corners, first, 0, m, of_w)
         if material.viscosity != 0.0:
-            _differences(v, cells.corners, first, 0, m, of_v)
+            _differences(velocities, cells.corners, first, 0, m, of_v)
         sums[:] = 0.0
         for p in range(cells.layout[b, 1]):
             g, weight = cells.layout[b, 3] + p * size, load(cells.weights, cells.layout[b, 4] + p * LANES)
@@ -125,20 +131,19 @@ def cell_errors(fits, material, u, v, multipliers, factor, out):
         for k in range(LANES):
             if lane(total, k) > 0.0:
                 for i in range(9):
-                    means[lane_cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
-    at = 0
+                    fits.means[lane_cells[b * LANES + k], i // 3, i % 3] = sums[i * LANES + k] / lane(total, k)
+
+
+@fast
+def add_errors(fits, material, factor, out):
+    """Add the works of the fields and of their gaps to the fits to out (2, cells). factor: dJ/dW."""
+    cells, lane_cells, fields, third, at = fits.cells, fits.lane_cells, fits.fields, 3 * LANES, 0
+    (lam_bar, two_mu), fit = lame(material), np.empty(27 * LANES)
     for b in range(cells.layout.shape[0]):
         total, gaps = spread(0.0), spread(0.0)
-        fit[:] = 0.0
-        for k in range(LANES):
-            cell = lane_cells[b * LANES + k]
-            for n in range(near[cell], near[cell + 1]):
-                for i in range(9):
-                    x = means[neighbours[n], i // 3, i % 3]
-                    for j in range(3):
-                        fit[((i // 3 * 3 + j) * 3 + i % 3) * LANES + k] += shares[n, j] * x
+        fill_fit(fits, b, fit)
         for p in range(cells.layout[b, 1]):
-            weight, place = load(cells.weights, cells.layout[b, 4] + p * LANES), load2(places, 2 * at * LANES)
+            weight, place = load(cells.weights, cells.layout[b, 4] + p * LANES), load2(fits.places, 2 * at * LANES)
             e, x, y = load3(fields, 3 * at * third), load3(fields, (3 * at + 1) * third), load3(fields, (3 * at + 2) * third)
             over_x = gap(load3(fit, 3 * third), load3(fit, 4 * third), load3(fit, 5 * third), place, x)
             over_y = gap(load3(fit, 6 * third), load3(fit, 7 * third), load3(fit, 8 * third), place, y)
@@ -154,10 +159,24 @@ def cell_errors(fits, material, u, v, multipliers, factor, out):
             out[1, lane_cells[b * LANES + k]] += lane(gaps, k)
 
 
+@fast
+def fill_fit(fits, block, fit):
+    """Fill fit, (3 fields, value and two slopes, 3 components, LANES), with the linear fits of the cells of a block."""
+    fit[:] = 0.0
+    for k in range(LANES):
+        cell = fits.lane_cells[block * LANES + k]
+        for n in range(fits.near[cell], fits.near[cell + 1]):
+            for i in range(9):
+                x = fits.means[fits.neighbours[n], i // 3, i % 3]
+                for j in range(3):
+                    fit[((i // 3 * 3 + j) * 3 + i % 3) * LANES + k] += fits.shares[n, j] * x
+
+
 class MeshError:
     """The shares of the cells of a plate in the error of its mesh. body: the placed plate."""
 
     def __init__(self, body):
+        """Build the cells with three points and the fits to their neighbours."""
         mesh, self.body = body.mesh, body
         modulus, nu = body.plate.material.in_plane
         self.moduli = body.plate.thickness * modulus / (1 - nu**2), nu
@@ -170,7 +189,8 @@ class MeshError:
         places = np.ascontiguousarray(np.concatenate(places))
         scratch = np.empty((len(places), 3, 3, LANES)), np.empty((mesh.n_cells, 3, 3))
         self.fits = Fits(three.cells(), three.lane_cells, places, *_fits(mesh), *scratch)
-        self.three, self.of_energy = np.zeros((2, mesh.n_cells)), np.zeros(mesh.n_cells)
+        self.three = np.zeros((2, mesh.n_cells))
+        self.of_energy = np.zeros(mesh.n_cells)
         self.of_element = np.zeros(len(body.operator.lane_cells))
 
     def add(self, q, v, w, factor):

@@ -1,7 +1,7 @@
 """Sums of slopes in the parameters of a run whose model changes: each part counts in the motions in which it acts.
 
-A joint that an event adds holds on to the position of that moment. Its rows depend on this position as on a parameter, whose bar goes to the
-state at the event.
+A joint that an event adds holds on to the position of that moment. Its rows depend on this position as on a parameter, whose adjoint goes
+to the state at the event.
 """
 
 import numpy as np
@@ -26,7 +26,10 @@ class TotalsOfModes:
     """
 
     def __init__(self, totals, motions, m):
-        self.totals, self.parameters, self.own, self.m, self._known = totals, totals.parameters, totals.own, m, {}
+        """Leave out the parameters that have no slope in this run."""
+        self.totals, self.m = totals, m
+        self.parameters, self.own = totals.parameters, totals.own
+        self._known = {}
         self.laws = bool(motions.whole.row_laws)
         if self.laws:
             return
@@ -61,7 +64,9 @@ class TotalsOfModes:
                 totals.sums[name] = totals.sums[name] + parameter.of_model(function)
 
     def in_places(self, entries, held):
-        """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry has one."""
+        """{key: slope of (mode, entries for parameters) in the position that a joint holds on to}; held: those known so far, 0 if no entry
+        has one.
+        """
         result = dict.fromkeys(held, 0.0)
         for mode, of_mode in entries:
             for hold in self.known(mode)[1] if of_mode else ():
@@ -86,12 +91,14 @@ class _LawTotals:
     """The Totals of the whole model, for a mode of its rows with laws."""
 
     def __init__(self, totals, mode, m):
-        self.totals, self.mode, self.m, self.add_own = totals, mode, m, totals.add_own
+        self.totals, self.mode, self.m = totals, mode, m
+        self.add_own = totals.add_own
 
     def prepare(self, works):
         """Nothing: `add` gives the whole model others."""
 
     def add(self, multipliers):
+        """Add the slopes of AdjointMultipliers of the mode, as those of all rows."""
         wide = spread([multipliers], self.mode.columns, self.m)[0]
         if isinstance(self.mode, Slips):
             wide = wide._replace(lam=np.array([self.mode.spread(lam, self.m) for lam in multipliers.lam]))
@@ -99,10 +106,13 @@ class _LawTotals:
 
 
 class _ModeTotals:
-    """The Totals of a run, for one of its modes. held: {(joint, time at which it was added): bar of the position that it holds on to}."""
+    """The Totals of a run, for one of its modes. held: {(joint, time at which it was added): adjoint of the position that it holds on
+    to}.
+    """
 
     def __init__(self, totals, held, parameters, holds):
-        self.totals, self.held, self.parameters, self.holds, self.add_own = totals, held, parameters, holds, totals.add_own
+        self.totals, self.held, self.parameters, self.holds = totals, held, parameters, holds
+        self.add_own = totals.add_own
 
     def prepare(self, works):
         """Compute together what the parameters of the mode share."""
@@ -120,11 +130,12 @@ class _ModeTotals:
 class Hold:
     """The position that a joint of a mode holds on to. key: (its name, the time).
 
-    The rows depend on it by the places of the joint's sides alone. ways (k, n): an orthonormal basis of the directions that move these; modes: those
-    with the position moved along each of them, with their weights in a difference.
+    The rows depend on it by the places of the joint's sides alone. ways (k, n): an orthonormal basis of the directions that move these;
+    modes: those with the position moved along each of them, with their weights in a difference.
     """
 
     def __init__(self, mode, name):
+        """Find the directions of q that move the places of the joint."""
         at, joint, whole = mode.since[name], mode.parts[name], mode.whole
         self.key = name, float(at[0])
         sides = [side for side in (joint.a, joint.b) if side.body is not None]

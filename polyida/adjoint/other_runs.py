@@ -1,9 +1,9 @@
 """The error of the time steps of a quantity J from runs with other steps, and whether these runs earn trust.
 
 One other run gives a number for any J, also where steps do not resolve the motion: of 790 such numbers 145 were wrong by more than a factor
-of two. Two other runs give two differences. With constant steps of order p <= 2 these are of runs with 2 h, h and h / 2, whose ratio must be
-about 2^p. Methods of higher order take long steps, and 2 h may be too long; with a tolerance errors fall unevenly. There both other runs are
-finer, and the last one must change the error by little.
+of two. Two other runs give two differences. With constant steps of order p <= 2 these are of runs with 2 h, h and h / 2, whose ratio must
+be about 2^p. Methods of higher order take long steps, and 2 h may be too long; with a tolerance errors fall unevenly. There both other runs
+are finer, and the last one must change the error by little.
 """
 
 from copy import copy
@@ -92,8 +92,9 @@ def changed(settings, **values):
 
 
 def solved_again(run, model, settings, objective, places=None):
-    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin as drawn. Raises
-    InputError if it fails.
+    """J of the run solved again. places: (pairs of q, pairs of the other model's q) if that has more coordinates, False to begin in the
+    reference configuration.
+    Raises InputError if it fails.
     """
     if run.plan.get("output") or run.status == "stopped":
         raise InputError("error_of: again=True needs a run without `output` and `until`")
@@ -110,6 +111,7 @@ def solved_again(run, model, settings, objective, places=None):
 
 
 def _placed(x, n, before, after):
+    """q or v of the other model, zero at coordinates that the run does not have."""
     result = np.zeros((n // 2, 2))
     result[after] = x.reshape(-1, 2)[before]
     return result.ravel()

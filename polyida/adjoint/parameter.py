@@ -64,6 +64,7 @@ class CachedByMultipliers:
             self._last = works, self.together(self.model, works)
 
     def __call__(self, work):
+        """The result for AdjointMultipliers: the cached one, or a new one."""
         for known, result in zip(*self._last):
             if known is work:
                 return result
@@ -76,8 +77,8 @@ class Parameter:
     """A number, or an array of numbers, of a model.
 
     name: such as "arm.E". value: a float or an array. model: whose parameter it is. only_by_name: True if `gradient` takes it only if it is
-    named, because its slope needs differences of models or another parameter is equivalent; reason: why. changes_coordinates: True if the same
-    q may be another position with another value. bounds: interval in which the value may change.
+    named, because its slope needs differences of models or another parameter is equivalent; reason: why. changes_coordinates: True if the
+    same q may be another position with another value. bounds: interval in which the value may change.
     """
 
     name: str
@@ -106,8 +107,8 @@ class Parameter:
         """A copy of the model with another value of this parameter. Raises InputError if no model has this value."""
         raise NotImplementedError
 
-    def start(self, t: float, q: NDArray, bar: NDArray) -> Any:
-        """The slope of `bar . initial_velocity(t, q)`, of the shape of the value; None if it does not depend on the parameter."""
+    def start(self, t: float, q: NDArray, adjoint: NDArray) -> Any:
+        """The slope of `adjoint . initial_velocity(t, q)`, of the shape of the value; None if it does not depend on the parameter."""
         return None
 
     def kinks(self, t0: float, t1: float) -> dict[float, float]:
@@ -149,6 +150,7 @@ def equation_values(model):
     table = small_table(model) if model.by_numba and small_own(model) else None
 
     def values(work):
+        """The values of the equations at all entries, by compiled code if there is any."""
         state, (w, *rows) = [np.ascontiguousarray(x, float) for x in work[:5]], work[5:]
         results = [np.zeros(np.shape(w)), *(np.zeros((0 if x is None else len(x), model.m)) for x in rows)]
         if table:
@@ -228,4 +230,5 @@ def _with_values(part, change):
 
 
 def _same(one, other):
+    """True if two values, or all entries of two tuples, are the same objects."""
     return one is other or isinstance(one, tuple) and len(one) == len(other) and all(x is y for x, y in zip(one, other))

@@ -1,27 +1,19 @@
-"""The parameters of a model by name: of a scene's parts, with slopes by formulas or differences, and of a user's model."""
+"""The parameters of a model by name: of a scene's parts, with slopes by formulas or differences, and of a user's model
+(user_parameters.py).
+"""
 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial, reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameter import (
-    AdjointMultipliers,
-    CachedByMultipliers,
-    Parameter,
-    PartParameter,
-    SharedStates,
-    equation_values,
-    select_entries,
-    total,
-    with_field,
-    with_part,
-)
+from polyida.adjoint.parameter import CachedByMultipliers, Parameter, PartParameter, SharedStates, total, with_field, with_part
 from polyida.adjoint.profile_parameters import element_work, in_time, over, profile_parameters, profile_works
 from polyida.adjoint.relaxation import relaxation_works, series_parameters
+from polyida.adjoint.user_parameters import user_model_parameters
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
@@ -29,16 +21,12 @@ from polyida.assembly.placement import gravity_over
 from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import FieldBody, PointMass
-from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
-from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
-from polyida.model.functions import writes
-from polyida.model.guarded import guard, unguarded
-from polyida.validation import complex_of_pairs, floats, is_number, read_only
+from polyida.validation import complex_of_pairs, is_number
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 
@@ -47,8 +35,8 @@ FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 class CellFactors(PartParameter):
     """Factors of the stiffness or mass of each cell, (cells,).
 
-    path: ("stiffness",) or ("mass",). by_cell: function of AdjointMultipliers -> {plate: slope (cells,)}. starts: function (t, q, bar) -> the
-    same of the initial velocities, or None.
+    path: ("stiffness",) or ("mass",). by_cell: function of AdjointMultipliers -> {plate: slope (cells,)}. starts: function (t, q, adjoint)
+    -> the same of the initial velocities, or None.
     """
 
     by_cell: CachedByMultipliers
@@ -62,9 +50,9 @@ class CellFactors(PartParameter):
         """`w_e . f_e` or `w_e^T M_e (a + drag v - gravity)` of each cell e at factor 1."""
         return self.by_cell(work)[self.part]
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Slope by the masses, if joints change the given motions or a body has a spin about its centre of mass."""
-        slopes = self.starts(t, q, bar) if self.path == ("mass",) else None
+        slopes = self.starts(t, q, adjoint) if self.path == ("mass",) else None
         return slopes and slopes[self.part]
 
     def replaced(self, value):
@@ -88,22 +76,23 @@ class PlateNumber(PartParameter):
         """Sum of the works over p."""
         return sum(each(work) for each in self.works) / self.value
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Slope by the masses of all cells."""
-        slopes = self.starts(t, q, bar)
+        slopes = self.starts(t, q, adjoint)
         return slopes and float(self.model.factors[self.part][1] @ slopes[self.part]) / self.value
 
 
 def plate_parameters(model, slopes, relaxing):
-    """Yield the parameters of all full plates of a scene. slopes: function (t, q, bar) -> MotionSlopes of the start; relaxing: of
+    """Yield the parameters of all full plates of a scene. slopes: function (t, q, adjoint) -> MotionSlopes of the start; relaxing: of
     AdjointMultipliers -> `relaxation_works`."""
     together = partial(_stiffness_works, relaxing), _mass_works
     stiffness, mass = (
         CachedByMultipliers(lambda model, work, each=each: each(model, SharedStates([work]))[0], model, each) for each in together
     )
 
-    def starts(t, q, bar):  # {plate: slope of the start's velocities in its cells' masses}, or None
-        if (motion := slopes(t, q, bar)) is None:
+    def starts(t, q, adjoint):  # {plate: slope of the start's velocities in its cells' masses}, or None
+        """{plate: slopes of the start's velocities in the masses of its cells}, None if these do not matter."""
+        if (motion := slopes(t, q, adjoint)) is None:
             return None
         both = ((motion.right, motion.left), (motion.centres_right, motion.centres_left))
         return mass_work(model, *(np.stack(each) for each in zip(*both)))
@@ -162,7 +151,7 @@ class LoadForce(PartParameter):
 
 @dataclass(frozen=True, eq=False)
 class PointMassNumber(PartParameter):
-    """A point mass, kg. slopes: function (t, q, bar) -> MotionSlopes of the start."""
+    """A point mass, kg. slopes: function (t, q, adjoint) -> MotionSlopes of the start."""
 
     slopes: Callable
 
@@ -171,12 +160,13 @@ class PointMassNumber(PartParameter):
         w, a = (self._at_point(x) for x in (work.w, work.a))
         return float(np.vdot(w, a - complex_of_pairs(gravity_over(self.model.gravity, work.t))).real)
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Slope if joints change the given motions, in the metric of M."""
-        slopes = self.slopes(t, q, bar)
+        slopes = self.slopes(t, q, adjoint)
         return slopes and float(np.vdot(self._at_point(slopes.left[None]), self._at_point(slopes.right[None])).real)
 
     def _at_point(self, x):
+        """x (k, n) at the point, (k,) complex."""
         pairs, weights = self.model.pairs_and_weights(self.model.parts[self.part].at)
         return complex_of_pairs(x.reshape(len(x), -1, 2)[:, pairs]) @ weights
 
@@ -195,7 +185,8 @@ def load_parameters(model, slopes):
 class InitialMotion(PartParameter):
     """Initial velocity (2,), m/s, or spin, rad/s, of a body.
 
-    place: index in the motions of all bodies. slopes: function (t, q, bar) -> MotionSlopes. only_by_name: True if the body was given no motion.
+    place: index in the motions of all bodies. slopes: function (t, q, adjoint) -> MotionSlopes. only_by_name: True if the body was given no
+    motion.
     """
 
     place: int | slice
@@ -207,9 +198,9 @@ class InitialMotion(PartParameter):
         """Zero: no equation depends on it."""
         return np.zeros_like(self.value) if np.ndim(self.value) else 0.0
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Slope of the velocities that the joints make of the given motions."""
-        return self.slopes(t, q, bar).motions[self.place]
+        return self.slopes(t, q, adjoint).motions[self.place]
 
 
 def motion_parameters(model, slopes):
@@ -256,26 +247,27 @@ class FieldNumber(PartParameter):
             return self._slope(lambda value: element_work(own, self._part(value), work).sum())
         return self._slope(lambda value: total(self.replaced(value), work))
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Differences of the initial velocities, if the scene starts in motion."""
         if isinstance(self.model.parts[self.part], ForceElement) or not moves_at(self.model, t, q):
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that they are, which the run has told
-            return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
+            return self._slope(lambda value: adjoint @ self.replaced(value).initial_velocity(t, q))
 
     def of_model(self, function):
-        """Differences."""
+        """The slope of a function of the model, by differences."""
         return self._slope(lambda value: function(self.replaced(value)))
 
     def _slope(self, function):
+        """The derivative of a function of the number, one-sided at a bound."""
         return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, self.bounds))
 
     def _part(self, value):
         """A copy of the part with another number.
 
-        A reduced plate keeps its fields; if they depend on the number (nu), it gets those of its new span that are nearest to the old ones, so that
-        the motion does not depend on the choice.
+        A reduced plate keeps its fields; if they depend on the number (nu), it gets those of its new span that are nearest to the old ones,
+        so that the motion does not depend on the choice.
         """
         part: Any = self.model.parts[self.part]
         placed = next((placed for placed in self.model.reduced_bodies if placed.user is part), None)
@@ -314,99 +306,9 @@ def _named_numbers(part):
 
 
 def _with_path(part, path, keys):
+    """Yield (names of the fields, number) of the fields with these keys."""
     for key in keys:
         yield (*path, key), reduce(getattr, (*path, key), part)
-
-
-class UserModelParameter(Parameter):
-    """An attribute of a user's model, a number or an array."""
-
-    @cached_property
-    def _values(self):
-        """{value: `equation_values` of the copy of the model with it}."""
-        return {}
-
-    def slope(self, work):
-        """The model's residual_p and phi_p if it has them, else differences of copies of the model."""
-        result, own = np.zeros(np.shape(self.value)), unguarded(self.model)
-        if writes(own, "residual_p"):
-            result = result + self._by_model_functions("residual_p", work.w, *work[:5])
-            work = work._replace(w=np.zeros_like(work.w))
-        if writes(own, "phi_p") and work.mu is not None:
-            result = result + self._by_model_functions("phi_p", work.mu, *work[:2])
-            work = work._replace(mu=None)
-        near = work.t if writes(own, "kinks") else np.zeros(0)
-        for t in np.unique(near).tolist():
-            result = result + self._by_differences(select_entries(work, near == t), t)
-        result = result if len(near) else result + self._by_differences(work, None)
-        return result if result.ndim else float(result)
-
-    def _by_model_functions(self, function, factors, times, *states):
-        """Slope of entries by a function of the model (residual_p, phi_p); the guarded one is called only if its results are wrong."""
-        which = np.flatnonzero(factors.any(axis=1))
-        at = list(zip(times[which].tolist(), *(read_only(x[which]) for x in states)))
-        shape, own = (len(which), factors.shape[1], *np.shape(self.value)), unguarded(self.model)
-        slopes = floats([getattr(own, function)(self.name, *state) for state in at])
-        if slopes is None or slopes.shape != shape:
-            slopes = np.array([getattr(guard(self.model), function)(self.name, *state) for state in at]).reshape(shape)
-        return np.tensordot(factors[which], slopes, 2)
-
-    def _by_differences(self, work, t):
-        """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
-        work = AdjointMultipliers(*work[:6], *(None if x is None or not x.any() else x for x in work[6:]))
-        work = work if work.w.any() else work._replace(w=np.zeros((0, work.w.shape[1])))
-        weights = np.concatenate([x.ravel() for x in work[5:] if x is not None])
-        if not weights.any():
-            return 0.0
-
-        def values(model):
-            key = np.asarray(model.parameter(self.name), float).tobytes()
-            evaluate = self._values.get(key) or equation_values(guard(model))
-            if t is None:  # the same few values for all entries
-                self._values[key] = evaluate
-            return evaluate(work)
-
-        return np.tensordot(weights, self.model.slope_p(self.name, values, t), 1)
-
-    def of_model(self, function):
-        """Differences of copies of the model."""
-        slope = self.model.slope_p(self.name, lambda model: np.array([function(model)]))[0]
-        return slope if np.ndim(slope) else float(slope)
-
-    def replaced(self, value):
-        """A copy of the model with the attribute changed."""
-        return self.model.replaced(self.name, value)
-
-    def start(self, t, q, bar):
-        """Differences of the model's initial velocities."""
-        slope = bar @ self.model.slope_p(self.name, lambda model: guard(model).initial_velocity(t, q))
-        return slope if slope.any() else None
-
-    def kinks(self, t0, t1):
-        """Differences of the model's kinks."""
-        if np.ndim(self.value):
-            return {}
-        step = NEARBY * (abs(self.value) or 1.0)
-        near = [self.replaced(self.value + s).kinks(t0, t1) for s in (-step, step)]
-        known = self.model.kinks(t0, t1)
-        if not len(near[0]) == len(near[1]) == len(known):
-            raise InputError(f"{self.name}: the model's kinks between {t0:g} and {t1:g} s come and go where it changes a little")
-        moved = np.subtract(near[1], near[0]) / (2 * step)
-        return {kink: speed for kink, speed in zip(known, moved.tolist()) if speed}
-
-
-def user_model_parameters(model: Any) -> list[Parameter]:
-    """The Parameters of the names in a user's `model.parameters`. Raises InputError for one that is no number or array of numbers."""
-    if isinstance(model.parameters, str):
-        raise InputError(f"{model!r}: parameters = {model.parameters!r} must be a tuple of names, such as ({model.parameters!r},)")
-    return [UserModelParameter(name, _value(model, name), model) for name in model.parameters]
-
-
-def _value(model, name):
-    value = floats(model.parameter(name))
-    if value is None:
-        raise InputError(f"{model!r}: its parameter {name!r} must be an attribute that is a number or an array of numbers")
-    return value if value.ndim else float(value)
 
 
 __all__ = ["Parameter", "in_time", "parameters_of"]
@@ -419,11 +321,15 @@ def parameters_of(model: Any) -> dict[str, Parameter]:
 
 
 def _scene_parameters(model):
-    def slopes(t, q, bar):
-        return motion_slopes(model, t, q, bar)
+    """Yield the Parameters of all parts of a scene."""
 
-    def changes(t, q, bar):
-        return slopes(t, q, bar) if moves_at(model, t, q) else None
+    def slopes(t, q, adjoint):
+        """MotionSlopes of the start."""
+        return motion_slopes(model, t, q, adjoint)
+
+    def changes(t, q, adjoint):
+        """MotionSlopes of the start, None if no parameter of the scene changes it."""
+        return slopes(t, q, adjoint) if moves_at(model, t, q) else None
 
     yield from field_parameters(model)
     relaxing = CachedByMultipliers(relaxation_works, model)

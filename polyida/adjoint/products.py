@@ -21,9 +21,9 @@ from polyida.linear.dense import clear
 class Scratch(NamedTuple):
     """Workspace of products at a state: nodal rotations, matrices of the points and of bodies of few coordinates, and the results.
 
-    points (4, points, 2): displacements, velocities, those of w, forces. curvature, slack (., 2, 2): blocks of K and C on the coupled points, of
-    rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few coordinates. stiff, heavy, slowing (columns, nodes, 2):
-    K^T w + B^T mu, M w, C^T w; rows (columns, m): B w.
+    points (4, points, 2): displacements, velocities, those of w, forces. curvature, slack (., 2, 2): blocks of K and C on the coupled
+    points, of rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few coordinates. stiff, heavy, slowing (columns,
+    nodes, 2): K^T w + B^T mu, M w, C^T w; rows (columns, m): B w.
     """
 
     rotation: np.ndarray
@@ -43,8 +43,8 @@ DZ, VZ, WZ, FORCES = range(4)
 
 def arrays_of(model):
     """The arrays of the model, with blocks of the bodies of few coordinates numbered from the first of these."""
-    compact = model.arrays.reduced
-    return model.arrays._replace(reduced=compact._replace(block=compact.block - compact.block[0]))
+    reduced = model.arrays.reduced
+    return model.arrays._replace(reduced=reduced._replace(block=reduced.block - reduced.block[0]))
 
 
 def viscosity_of(model):
@@ -75,38 +75,38 @@ def scratch(model, tied=False, results=None):
 
 
 @shared
-def hold_state(scene, laws, drives, u, v, lam, results):
+def hold_state(scene, laws, drives, displacements, velocities, lam, results):
     """Evaluate everything at a state except the plates: points, their curvature, matrices of bodies of few coordinates."""
-    joints.point_values(scene.links, u, results.points[DZ])
+    joints.point_values(scene.links, displacements, results.points[DZ])
     results.curvature[:] = 0.0
     joints.joint_curvature(scene.links, drives, lam, results.curvature)
     if results.slack.shape[0]:
         results.slack[:] = 0.0
-        joints.point_values(scene.links, v, results.points[VZ])
+        joints.point_values(scene.links, velocities, results.points[VZ])
         add_own_curvature(laws, scene.links.coupling, drives, results.points[DZ], results.points[VZ], 1.0, 0.0, results.curvature)
         add_own_curvature(laws, scene.links.coupling, drives, results.points[DZ], results.points[VZ], 0.0, 1.0, results.slack)
     if results.few.shape[0]:
         results.few[:] = 0.0
-        reduced_kernels.blocks(scene.reduced, u, v, 0.0, 0.0, 1.0, results.few)
+        reduced_kernels.blocks(scene.reduced, displacements, velocities, 0.0, 0.0, 1.0, results.few)
         if results.slow.shape[0]:
             results.slow[:] = 0.0
-            reduced_kernels.blocks(scene.reduced, u, v, 0.0, 1.0, 0.0, results.slow)
+            reduced_kernels.blocks(scene.reduced, displacements, velocities, 0.0, 1.0, 0.0, results.slow)
 
 
 @part
-def few_products(bodies, blocks, field, r):
-    """r += the transposed blocks of bodies of few coordinates times field."""
+def few_products(bodies, blocks, field, out):
+    """out += the transposed blocks of bodies of few coordinates times field."""
     for b in range(bodies.drag.shape[0]):
         first, count = bodies.pair[b], bodies.pair[b + 1] - bodies.pair[b]
         for i in range(count):
             for j in range(count):
                 block = blocks[bodies.block[b] + i * count + j]
                 for k in range(2):
-                    r[first + j, k] += block[0, k] * field[first + i, 0] + block[1, k] * field[first + i, 1]
+                    out[first + j, k] += block[0, k] * field[first + i, 0] + block[1, k] * field[first + i, 1]
 
 
 @shared
-def body_products(scene, viscosity, u, v, columns, fields, rotation, results):
+def body_products(scene, viscosity, displacements, velocities, columns, fields, rotation, results):
     """Fill results with the parts of the bodies.
 
     columns: those of results.stiff and results.slowing, and those of results.heavy; rotation: results.rotation, or (0, 2) if it is known.
@@ -118,33 +118,39 @@ def body_products(scene, viscosity, u, v, columns, fields, rotation, results):
         clear(results.slowing[c])
     for c in moving:
         clear(results.heavy[c])
-    plate_products(scene.plates, viscosity, u, v, columns, fields, rotation, results)
+    plate_products(scene.plates, viscosity, displacements, velocities, columns, fields, rotation, results)
     for k in range(which.shape[0]):
         c, turns = which[k], rotation if k == 0 else rotation[:0]
         reduced_kernels.momentum(scene.reduced, fields[c], results.heavy[c])
         few_products(scene.reduced, results.few, fields[c], results.stiff[c])
         if results.slow.shape[0]:
             few_products(scene.reduced, results.slow, fields[c], results.slowing[c])
-        relaxation.add_products(scene, scene.relaxation, u, v, fields[c], turns, results.stiff[c], results.heavy[c], results.slowing[c])
+        relaxation.add_products(
+            scene, scene.relaxation, displacements, velocities, fields[c], turns, results.stiff[c], results.heavy[c], results.slowing[c]
+        )
     if rotation.shape[0]:
         for b in range(scene.reduced.drag.shape[0]):
-            reduced_kernels.turn(scene.reduced, b, u, rotation)
+            reduced_kernels.turn(scene.reduced, b, displacements, rotation)
 
 
 @part
-def plate_products(plates, viscosity, u, v, columns, fields, rotation, results):
+def plate_products(plates, viscosity, displacements, velocities, columns, fields, rotation, results):
     """Add the parts of the plates; the arguments are those of `body_products`."""
     which, moving = columns
     for b in range(plates.body_operator.shape[0]):
         o, n0 = plates.body_operator[b], plates.body_node[b]
         if viscosity.shape[0] == 0:
-            cell_products.stiffness_product(cells_of(plates, b), material_of(plates, b), u, which, fields, results.stiff, rotation)
+            cell_products.stiffness_product(
+                cells_of(plates, b), material_of(plates, b), displacements, which, fields, results.stiff, rotation
+            )
         cell_products.mass_products(*on_pattern(plates, o, plates.mass), plates.body_density[b], n0, moving, fields, results.heavy)
         for k in range(which.shape[0]):
             c, turns = which[k], rotation if k == 0 else rotation[:0]
             if viscosity.shape[0]:
                 drag = results.slowing[c]
-                cell_products.viscous_products(cells_of(plates, b), material_of(plates, b), u, v, fields[c], results.stiff[c], drag, turns)
+                cell_products.viscous_products(
+                    cells_of(plates, b), material_of(plates, b), displacements, velocities, fields[c], results.stiff[c], drag, turns
+                )
                 if plates.body_drag[b] != 0.0:
                     kernels.mass_product(
                         *on_pattern(plates, o, plates.mass), plates.body_drag[b] * plates.body_density[b], n0, fields[c], drag
@@ -206,11 +212,11 @@ def reaction_product(model, t, lam, w):
 
 
 @entry
-def products(scene, viscosity, laws, drives, slopes, u, v, lam, fields, mu, results):
+def products(scene, viscosity, laws, drives, slopes, displacements, velocities, lam, fields, mu, results):
     """All products of one column at one state, into results; slopes is workspace for phi_z."""
-    hold_state(scene, laws, drives, u, v, lam, results)
+    hold_state(scene, laws, drives, displacements, velocities, lam, results)
     which = np.zeros(1, np.int64)
-    body_products(scene, viscosity, u, v, (which, which), fields, results.rotation, results)
+    body_products(scene, viscosity, displacements, velocities, (which, which), fields, results.rotation, results)
     joints.joint_jacobian(scene.links, drives, results.points[DZ], slopes)
     point_products(scene.links, slopes, 0, fields[0], mu, results)
 

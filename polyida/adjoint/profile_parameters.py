@@ -1,7 +1,7 @@
 """Parameters of the profiles of a scene, and slopes in time.
 
-The module sums multipliers by profile (`sum w . r + mu . phi + kappa . rate + nu . bias`), differentiates profiles in their numbers, and the
-entries of that sum in their own times.
+The module sums multipliers by profile (`sum w . r + mu . phi + kappa . rate + nu . bias`), differentiates profiles in their numbers, and
+the entries of that sum in their own times.
 """
 
 from collections.abc import Callable
@@ -139,8 +139,8 @@ def _add_products(model, work, result):
 
 
 def _turned_vectors(model):
-    """(numbers of the products of two vectors of which a drive turns one, the nodes of the points, changes of the first and of the other vector
-    by these nodes, (nodes, products) complex).
+    """(numbers of the products of two vectors of which a drive turns one, the nodes of the points, changes of the first and of the other
+    vector by these nodes, (nodes, products) complex).
     """
     from scipy.sparse import csr_array
 
@@ -152,10 +152,12 @@ def _turned_vectors(model):
 
 
 def _cross(a, b):
+    """The cross products of plane vectors as complex numbers."""
     return (a.conj() * b).imag
 
 
 def _dot(a, b):
+    """The scalar products of plane vectors as complex numbers."""
     return (a.conj() * b).real
 
 
@@ -202,6 +204,7 @@ def in_time(model, work):
         own = OwnForce(name, part, model)
 
         def later(s, own=own, element=part):  # at times that are later by s, with profiles that are late by as much
+            """Works of the element at times that are later by s, with profiles that are late by as much."""
             copy = element
             for profile in profiles_of(element):
                 late = {order: lambda t, f=f: f(t - s) for order in ORDERS for f in [getattr(profile, order)]}
@@ -219,9 +222,9 @@ DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads
 class ProfileNumber(Parameter):
     """A number of a profile, wherever the scene has this profile.
 
-    drive: number of the profile in the model. made: function of the number -> profile. scale: size over which the profile varies with it. works:
-    function of AdjointMultipliers -> `profile_works`. slopes: function (t, q, bar) -> MotionSlopes of the start. only_by_name: True if other numbers of
-    the profile are equivalent.
+    drive: number of the profile in the model. made: function of the number -> profile. scale: size over which the profile varies with it.
+    works: function of AdjointMultipliers -> `profile_works`. slopes: function (t, q, adjoint) -> MotionSlopes of the start. only_by_name:
+    True if other numbers of the profile are equivalent.
     """
 
     drive: int
@@ -250,9 +253,9 @@ class ProfileNumber(Parameter):
             self._known[at] = self._slopes(orders, times)
         return np.tensordot(each[np.ix_(used, orders)], self._known[at][places], 2)
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Slope if driven joints change the given motions."""
-        motion = self.slopes(t, q, bar)
+        motion = self.slopes(t, q, adjoint)
         if motion is None:
             return None
         none = np.zeros_like(motion.lam)
@@ -261,6 +264,7 @@ class ProfileNumber(Parameter):
         return self.slope(AdjointMultipliers(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
     def _slopes(self, orders, t):
+        """Slopes (k, orders) of the profile in the number at times t."""
         return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
 
     @cached_property
@@ -295,6 +299,7 @@ class PolynomialCoefficients(ProfileNumber):
     """The coefficients of a polynomial, (k,)."""
 
     def _slopes(self, orders, t):
+        """Slopes (k, orders, coefficients) of the polynomial at times t."""
         units = [polynomial(unit) for unit in np.eye(len(self.value))]
         return np.stack([np.stack([over(unit, t, order) for order in orders], axis=1) for unit in units], axis=2)
 

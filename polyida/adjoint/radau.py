@@ -1,123 +1,68 @@
-"""Backward sweep over a run of Radau IIA: compiled for stretches of equal steps (radau_sweep.py), on a tape between them and at the start."""
+"""Backward sweep over a run of Radau IIA: compiled for stretches of equal steps (radau_sweep.py), on a tape between them and at the
+start.
+"""
 
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from polyida.adjoint.history import SAME, StepHistory, StepSegment, every_step, frame_reader, replayed_history
+from polyida.adjoint.dense_steps import DenseAdjoint
+from polyida.adjoint.exact_steps import ExactSteps
 from polyida.adjoint.parameter import AdjointMultipliers, stacked
-from polyida.adjoint.radau_sweep import Slopes, StageEquations, Stages, States, Sweep, SweepOutput, initial_stages, solve_stages, sweep_back
-from polyida.adjoint.run import RunAdjoint, sweep_with_fallback
-from polyida.adjoint.tables import DenseAdjoint
+from polyida.adjoint.radau_history import MAX_ITERATIONS, exact_steps, step_history, step_start_state
+from polyida.adjoint.radau_sweep import Slopes, Stages, States, Steps, Sweep, SweepOutput, initial_stages, solve_stages, sweep_back
+from polyida.adjoint.run import RunAdjoint
+from polyida.adjoint.tables import sweep_with_fallback
 from polyida.adjoint.taped import pulled_back
 from polyida.errors import DONE, REASONS, StepFailure
-from polyida.integrate.discontinuities import Grid, at_kink, edges, inner_side, time_limits
+from polyida.integrate.discontinuities import at_kink, inner_side, time_limits
 from polyida.integrate.radau import loop
-from polyida.integrate.radau.loop import EXACT, Control
+from polyida.integrate.radau.loop import Control
 from polyida.integrate.radau.matrices import NOTHING, lift
-from polyida.integrate.radau.radau_iia import restarted
-from polyida.integrate.radau.steps import Steps, new_control
+from polyida.integrate.radau.steps import new_control
 from polyida.integrate.radau.tables.python import DenseStages
-from polyida.integrate.sizes import extent, sizes_of_run
-from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
-from polyida.integrate.state import Counts, State
-from polyida.integrate.switches import steps_of
-from polyida.io.layout import MEMORY_LIMIT
+from polyida.integrate.sizes import extent
+from polyida.integrate.start import consistent_acceleration, on_velocity
+from polyida.integrate.state import State
 from polyida.linear.lu import dense
 from polyida.model.differences import beside, jacobian
 from polyida.system.scene_factors import factors_of_modes
 
 CHUNK = 4_000_000  # bytes of one vector of all stages that are held at once
-MAX_ITERATIONS = 30  # Newton iterations
 CONVERGED = 1e-9  # of the model's size: the last correction of the full Newton method
-PARTS_SHARE = 0.75  # a step whose last part is shorter than this share was taken in parts
-STATE_SIZE = 4  # memory of a State of this method, with its stages, over that of another method
-
-
-def exact_steps(model, settings, first, t_end, counts):
-    """The Steps of a run from its first state, of any size, solved to round-off."""
-    sizes = sizes_of_run(model, first, t_end)
-    engine = Steps(replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=MAX_ITERATIONS), model, counts, sizes)
-    engine.begin(first)
-    engine.estimates_error = False
-    return engine
-
-
-def step_start_state(model, state):
-    """The State from which the step after a state starts: behind a kink the consistent state of the far side."""
-    return restarted(far_side(model, state, beside(state.t, 1))) if at_kink(model, state.t) else state
-
-
-def step_history(run, model, memory_limit=MEMORY_LIMIT):
-    """The StepHistory of a run, its segments between kinks. Raises InputError if frames are no states of steps, or memory is short."""
-    if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
-        history = StepHistory([], frame_reader(run), np.arange(len(run)))
-        steps = np.diff(run.t)
-    else:
-        history = replayed_history(run, model, memory_limit / STATE_SIZE, _replayed_states, True)
-        steps = np.repeat([segment.h for segment in history.segments], [segment.count for segment in history.segments])
-    kinks, t, segments = np.array([*edges(model, float(run.t[0]), float(run.t[-1]))]), float(run.t[0]), []
-    for k, h in enumerate(steps.tolist()):
-        last = segments[-1] if segments else None
-        if last and abs(last.h - h) <= SAME * h and np.abs(kinks - t).min() > 0.5 * h:
-            segments[-1] = last._replace(count=last.count + 1)
-        else:
-            segments.append(StepSegment("on" if k else "begin", 0.0, h, k, 1))
-        t += h
-    return history._replace(segments=segments)
-
-
-def _replayed_states(run, model, recorder):
-    """Yield the accepted states of the run behind the first one of the recorder; the recorder also gets the parts of divided steps."""
-    before = recorder.states[recorder.first]
-    counts = Counts()
-    own = lambda settings, state, t_end: settings.steps(model, state, t_end, counts)  # noqa: E731
-    for state in steps_of(own, run.integrator, model, before, run.plan["t_end"], counts):
-        for part in _parts(run.integrator, model, before, state):
-            recorder.accepted(State(part.t, part.q, part.v, part.a, part.lam, restart=False))
-        recorder.accepted(state)
-        before = state
-        yield state
-
-
-def _parts(settings, model, state, end):
-    """Yield the inner states of a fixed step that failed as a whole and was taken in parts."""
-    last = end.within.h if end.within else np.inf
-    if last > PARTS_SHARE * (end.t - state.t):
-        return
-    state = step_start_state(model, state)
-    engine, parts = Steps(settings, model, Counts(), end.memory["sizes"]), Grid(state.t, end.t, round((end.t - state.t) / last))
-    engine.begin(state)
-    engine.limits = time_limits(model, state.t, end.t)
-    for k in range(1, parts.count):
-        state = engine.step(state, parts.h, parts.time(k))
-        yield state
 
 
 class RadauAdjoint(RunAdjoint):
-    """Backward sweep over a run. pending, entries: multipliers and entries of times that are not yet added to the totals.
-
-    lift (n,): the diagonal of D^-1; lift_varies: True if it depends on M; lift_bar (n,): its bar. tied: True if there is mu. single_steps: True if
-    each step is swept alone, because v is projected at its end; moves_v: True if it is.
-    """
+    """Backward sweep over a run."""
 
     history_of = staticmethod(step_history)
 
     def __init__(self, run, objective, names, memory_limit):
+        """Make the engine that solves the stages again, and the table of the sweep."""
         super().__init__(run, objective, names, memory_limit)
         model, settings = self.model, self.settings
         self.first = self._states(0, 1).state(0)
         self.engine = engine = exact_steps(model, settings, self.first, float(run.t[-1]), self.counts)
-        self.tableau, self.tied = engine.tableau, engine.tied
+        self.tableau, self.tied = engine.tableau, engine.tied  # tied: True if there is mu
+        # each step is swept alone if v is projected at its end
         self.single_steps = settings.form == "index3" and model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.moves_v = self.single_steps and settings.project
         self.lift_varies = engine.table.lifts and self.tied and not model.uniform_units
-        self.lift = lift(model, engine.shares) if self.lift_varies else np.ones(model.n)
-        self.table, self.pending, self.entries, self.lift_bar = self._table(), ([], [], [], []), [], np.zeros(model.n)
-        self.stages, self.sweep = lru_cache(maxsize=1)(self._stages), self._empty_sweep()
+        self.lift = lift(model, engine.shares) if self.lift_varies else np.ones(model.n)  # (n,) diagonal of D^-1
+        self.table = self._table()
+        self.stages = lru_cache(maxsize=1)(self._stages)
+        self._begin_sums()
+
+    def _begin_sums(self):
+        """Set all that belongs to one objective to zero."""
+        self.sweep = self._empty_sweep()
+        self.lift_adjoint = np.zeros(self.model.n)
+        self.pending = [], [], [], []  # multipliers that are not yet added to the totals
+        self.entries = []  # (time, entry) of single states that are not
 
     def _empty_sweep(self):
+        """A Sweep whose adjoints are zero."""
         n, m, s = self.model.n, self.model.m, self.settings.stages
         products = np.zeros((3, s, n)) if self.table.products is None else self.table.products.reshape(3, s, n)
         return Sweep(np.zeros((2, n)), np.zeros((2, n)), np.zeros((s, n)), np.zeros((s, m)), products)
@@ -125,11 +70,12 @@ class RadauAdjoint(RunAdjoint):
     def beside(self, run, objective):
         """The sweep for another objective, which shares the stages and the factors with this one."""
         other = super().beside(run, objective)
-        other.table, other.sweep, other.lift_bar = self.table.beside(), self._empty_sweep(), np.zeros(self.model.n)
-        other.pending, other.entries = ([], [], [], []), []
+        other.table = self.table.beside()
+        other._begin_sums()
         return other
 
     def _table(self):
+        """The table of the model: with stored factors or compiled if it can be, else an exact one."""
         model, W, tied = self.model, self.tableau.W.T, self.tied
         if model.velocity_rows.size:
             return self._exact()
@@ -139,24 +85,26 @@ class RadauAdjoint(RunAdjoint):
             return self._exact()
         from polyida.adjoint.scene_table import EXACT, SceneAdjoint
 
-        def factor(t, q, v, a, lam, modes):
-            h = self.tableau.modes[0].value / modes[0][1]
-            factors, self.counts.backend = factors_of_modes(model, self.tableau.modes, h.real, np.concatenate([[t], q, v, a, lam]))
-            return [x[1:] for x in factors.values() if x]
+        def factor(t, q, v, a, lam, h):
+            factors, self.counts.backend = factors_of_modes(model, self.tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
+            return [x for x in factors.values() if x]
 
-        modes = [(mode.value**2, mode.value, mode.row.copy(), mode.column.copy()) for mode in self.tableau.modes]
+        modes = [(mode.row.copy(), mode.column.copy()) for mode in self.tableau.modes]
         return SceneAdjoint(model, W, W @ W, modes, factor, EXACT, self.counts, tied)
 
     def _exact(self):
         """The table that factors the whole equations of each step."""
-        return StageEquations(self.model, self.tableau, self.lift, self.tied, self.counts)
+        W = self.tableau.W.T
+        return ExactSteps(self.model, W, W @ W, self.counts, self.lift, self.tied)
 
     def _states(self, first, end):
         """The States with numbers first to end - 1."""
         return States(*(np.ascontiguousarray(x, float) for x in self.history.states(first, end)))
 
     def stretches_backward(self, sweeps):
-        """Sweep over one stretch after the other and yield its time; return the bars of q, v, a and lam of the run's first state for each objective."""
+        """Sweep over one stretch after the other and yield its time; return the adjoints of q, v, a and lam of the run's first state for
+        each objective.
+        """
         together = int(max(1, min(self.engine.most, CHUNK // (8 * self.model.n * self.settings.stages))))
         longest = 1 if self.single_steps else together
         for segment in reversed(self.history.segments):
@@ -168,25 +116,25 @@ class RadauAdjoint(RunAdjoint):
                 yield t
         for sweep in sweeps:
             sweep._flush()
-        return [(*sweep.sweep.bars, np.zeros(self.model.n), np.zeros(self.model.m)) for sweep in sweeps]
+        return [(*sweep.sweep.adjoints, np.zeros(self.model.n), np.zeros(self.model.m)) for sweep in sweeps]
 
     def _steps(self, segment, first, end):
         """Sweep backward over the steps from state number `first` to `end`. Returns the time of the first."""
-        model, h, bars = self.model, segment.h, self.sweep.bars
+        model, h, adjoints = self.model, segment.h, self.sweep.adjoints
         begin, kink, b, x = self.stages(segment, first, end)
         slopes = self._objective_slopes(b, first, end, h)
         q, v = b.q[:-1, None] + self.tableau.c[:, None] * h * b.v[:-1, None] + x.e, b.v[:-1, None] + x.dv
         if self.moves_v:  # in form "index3" the last stage's v is moved onto its constraint
-            bars[:] = bars[0] + slopes.q.sum(axis=0), bars[1] + slopes.v.sum(axis=0)
+            adjoints[:] = adjoints[0] + slopes.q.sum(axis=0), adjoints[1] + slopes.v.sum(axis=0)
             slopes = Slopes(*np.zeros((2, 0, model.n)))
             last = State(float(b.t[-1]), q[-1, -1], v[-1, -1], x.a[-1, -1], x.lam[-1, -1])
-            bars[:] = self._projection_bars(last, float(x.t[-1, -1]), bars)
+            adjoints[:] = self._projection_adjoints(last, float(x.t[-1, -1]), adjoints)
         out = self._swept(h, slopes, b, x, q, v)
         self._store_multipliers(b, x, q, v, h, out)
         if self.events.speeds:
             self.events.add_step_slope(segment, float(out.slopes.sum()))
         if kink:
-            bars[:] = self._projection_bars(begin, beside(begin.t, 1), bars)
+            adjoints[:] = self._projection_adjoints(begin, beside(begin.t, 1), adjoints)
         return begin.t
 
     def _stages(self, segment, first, end):
@@ -209,11 +157,11 @@ class RadauAdjoint(RunAdjoint):
         if own.a is not None or own.lam is not None or self.moves_v:
             q, v = (x if len(x) else np.zeros((end - first, self.model.n)) for x in (q, v))
         for k in range(end - first):
-            bars = [None if x is None or not x[k].any() else x[k] for x in (own.a, own.lam)]
-            if any(bar is not None for bar in bars):
+            adjoints = [None if x is None or not x[k].any() else x[k] for x in (own.a, own.lam)]
+            if any(adjoint is not None for adjoint in adjoints):
                 state, t = b.state(k + 1), inner_side(self.model, float(b.t[k + 1]), h)
                 function = lambda model, q, v, t=t: consistent_acceleration(model, t, q, v)  # noqa: E731
-                q[k], v[k] = self._reverse(state, function, bars, (q[k], v[k]))
+                q[k], v[k] = self._reverse(state, function, adjoints, (q[k], v[k]))
         return Slopes(q, v)
 
     def _solved(self, b, h):
@@ -246,7 +194,9 @@ class RadauAdjoint(RunAdjoint):
         return out
 
     def _solve_fully(self, b, k, h, out, failure):
-        """Solve the stages of step k by Newton's full method, if the simplified one does not converge from this initial guess. Raises `failure`."""
+        """Solve the stages of step k by Newton's full method, if the simplified one does not converge from this initial guess. Raises
+        `failure`.
+        """
         x, full, W = self.engine.trial, self._exact(), self.tableau.W
         full.scale(h)
         initial_stages(self.tableau.c, h, b, k, x)
@@ -266,12 +216,13 @@ class RadauAdjoint(RunAdjoint):
         raise failure
 
     def _swept(self, h, slopes, b, x, q, v):
-        """The SweepOutput of the steps; the bars become those of the first state."""
+        """The SweepOutput of the steps; the adjoints become those of the first state."""
         count, s, _ = q.shape
         out = SweepOutput(np.zeros(q.shape), np.empty(q.shape), np.zeros((count, 1 + self.tied, s, self.model.m)), np.empty(count))
-        states, arguments = (x.t, q, v, x.a, x.lam, x.mu), (self.tableau.c, self.tableau.W, h, slopes, b, x, self.sweep, out)
+        states, steps = (x.t, q, v, x.a, x.lam, x.mu), Steps(h, self.tableau.c, self.tableau.W, b, x, slopes)
 
         def exact_table():
+            """A table with a factor of each step, at the same stages."""
             exact = self._exact()
             exact.scale(h)
             exact.set_states(*states)
@@ -279,11 +230,11 @@ class RadauAdjoint(RunAdjoint):
 
         self.table.scale(h)
         self.table.set_states(*states)
-        sweep_with_fallback(self.table, exact_table, count, lambda f, w, first, last: sweep_back(f, w, first, last, *arguments))
+        sweep_with_fallback(self.table, exact_table, count, lambda *at: sweep_back(*at, steps, self.sweep, out))
         return out
 
     def _store_multipliers(self, b, x, q, v, h, out):
-        """Store the multipliers of the steps, and add their part of the bar of D^-1."""
+        """Store the multipliers of the steps, and add their part of the adjoint of D^-1."""
         flat = lambda *arrays: [each.reshape(x.t.size, each.shape[-1]) for each in arrays]  # noqa: E731
         mu, *kappa = np.moveaxis(out.multipliers, 1, 0)
         at = x.t.ravel(), *flat(q, v, x.a, x.lam)
@@ -301,26 +252,26 @@ class RadauAdjoint(RunAdjoint):
             self.pending[1].append(AdjointMultipliers(*at[:2], pushed, still, none, still, None, factors))
             if self.model.needs.driven:
                 self.pending[2].append(AdjointMultipliers(*at[:2], still, still, none, still, None, -factors))
-            self.lift_bar += np.sum((x.dv - self.tableau.W @ x.e / h) / self.lift * of_d, axis=(0, 1))
+            self.lift_adjoint += np.sum((x.dv - self.tableau.W @ x.e / h) / self.lift * of_d, axis=(0, 1))
 
-    def _projection_bars(self, state, t, bars):
-        """Bars of q and v of a state, from those after v is projected onto the constraint at time t."""
-        return self._reverse(state, lambda model, q, v: (on_velocity(model, t, q, v),), bars[1:], (bars[0], np.zeros(self.model.n)))
+    def _projection_adjoints(self, state, t, adjoints):
+        """Adjoints of q and v of a state, from those after v is projected onto the constraint at time t."""
+        return self._reverse(state, lambda model, q, v: (on_velocity(model, t, q, v),), adjoints[1:], (adjoints[0], np.zeros(self.model.n)))
 
-    def _reverse(self, state, function, bars, more):
-        """(b_q, b_v) at a state: `more` plus the bars that come back through `function(model, q, v)`."""
-        of_q, of_v, entries = pulled_back(self.model, state, function, bars)
+    def _reverse(self, state, function, adjoints, more):
+        """(b_q, b_v) at a state: `more` plus the adjoints that come back through `function(model, q, v)`."""
+        of_q, of_v, entries = pulled_back(self.model, state, function, adjoints)
         self.entries += [(state.t, entry) for entry in entries]
         return of_q + more[0], of_v + more[1]
 
-    def first_state_bar(self):
-        """The bar of the first q by D, which is evaluated there; its entries are added to the totals."""
-        if not self.lift_varies or not self.lift_bar.any():
+    def first_state_adjoint(self):
+        """The adjoint of the first q by D, which is evaluated there; its entries are added to the totals."""
+        if not self.lift_varies or not self.lift_adjoint.any():
             return 0.0
-        bar, entries = inverse_mass_bars(self.model, self.first, self.lift, self.lift_bar)
+        adjoint, entries = inverse_mass_adjoints(self.model, self.first, self.lift, self.lift_adjoint)
         self.entries += [(entry.t, entry) for entry in entries]
         self._flush()
-        return bar
+        return adjoint
 
     def _flush(self):
         """Add the stored multipliers to the totals."""
@@ -328,17 +279,18 @@ class RadauAdjoint(RunAdjoint):
             if parts:
                 self.add(AdjointMultipliers(*(None if x[0] is None else np.concatenate(x) for x in zip(*parts))))
         self.add(stacked([entry for _, entry in self.entries]), np.array([t for t, _ in self.entries]))
-        self.pending, self.entries = ([], [], [], []), []
+        self.pending = ([], [], [], [])
+        self.entries = []
 
 
-def inverse_mass_bars(model, state, lift, bar):
-    """(bar of q (n,), entries for parameters) of the state at which D^-1, `lift`, is evaluated, from the bar (n,) of its diagonal.
+def inverse_mass_adjoints(model, state, lift, adjoint):
+    """(adjoint of q (n,), entries for parameters) of the state at which D^-1, `lift`, is evaluated, from the adjoint (n,) of its diagonal.
 
     D is the diagonal of M over its mean at the start of the run: `D^-1_k = sum_j M_jj / (n M_kk)`, and 1 if M_kk is negligible.
     """
     masses = np.abs(model.mass(state.q).diagonal())
     heavy = masses > NOTHING * masses.max()
-    over = np.where(heavy, bar / np.where(heavy, masses, 1.0), 0.0)
+    over = np.where(heavy, adjoint / np.where(heavy, masses, 1.0), 0.0)
     slopes = over.sum() / model.n - over * lift
     zero, rows, entries = np.zeros(model.n), np.zeros(model.m), []
     for unit, slope in zip(np.eye(model.n), slopes):

@@ -29,21 +29,21 @@ from polyida.jit.intrinsics import LANES
 
 
 @shared
-def multiply_body(scene, body, u, along, viscous_strain, back, force, out):
-    """`relaxation_products` of a body."""
+def multiply_body(scene, body, displacements, along, viscous_strain, back, force, out):
+    """Fill `relaxation_products` of a body, a plate or one of few coordinates."""
     s = scene.plates
     few = s.body_node.shape[0] - 1
     if body >= few:
-        reduced_kernels.relaxation_products(scene.reduced, body - few, u, along, viscous_strain, back, force, out)
+        reduced_kernels.relaxation_products(scene.reduced, body - few, displacements, along, viscous_strain, back, force, out)
     else:
-        relaxation_products(cells_of(s, body), material_of(s, body), u, along, viscous_strain, back, force, out)
+        relaxation_products(cells_of(s, body), material_of(s, body), displacements, along, viscous_strain, back, force, out)
 
 
 @part
-def add_products(scene, relaxing, u, v, along, rotation, stiff, heavy, slowing):
+def add_products(scene, relaxing, displacements, velocities, along, rotation, stiff, heavy, slowing):
     """Add K^T w, M w and C^T w of relaxation, w = along, and set the frames of the strains."""
     hold_strains(relaxing, along, heavy, rotation)
-    speeds, own, slow = v.reshape(-1), along.reshape(-1), slowing.reshape(-1)
+    speeds, own, slow = velocities.reshape(-1), along.reshape(-1), slowing.reshape(-1)
     for b in range(relaxing.start.shape[0] - 1):
         if relaxing.terms[b] == relaxing.terms[b + 1]:
             continue
@@ -53,7 +53,7 @@ def add_products(scene, relaxing, u, v, along, rotation, stiff, heavy, slowing):
         for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
             at = first + (k - relaxing.terms[b]) * count
             add_scaled(back, -relaxing.mass / (relaxing.time[k] * relaxing.unit[b]), own[at : at + count])
-        multiply_body(scene, b, u, along, viscous_strain, back, stiff, pushed)
+        multiply_body(scene, b, displacements, along, viscous_strain, back, stiff, pushed)
         for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
             at = first + (k - relaxing.terms[b]) * count
             add_scaled(slow[at : at + count], relaxing.mass / relaxing.time[k], own[at : at + count])
@@ -61,15 +61,15 @@ def add_products(scene, relaxing, u, v, along, rotation, stiff, heavy, slowing):
 
 
 @part
-def eliminate_transposed(scene, relaxing, work, u, r):
-    """Add the residuals of the strains to those of the nodes in r (nodes, 2), at displacements u."""
+def eliminate_transposed(scene, relaxing, work, displacements, residual):
+    """Add the residuals of the strains to those of the nodes in residual (nodes, 2)."""
     if relaxing.share.shape[0] > 0:
-        residuals, none = r.reshape(-1), np.zeros((relaxing.first, 2))
+        residuals, none = residual.reshape(-1), np.zeros((relaxing.first, 2))
         for b in range(relaxing.start.shape[0] - 1):
             if relaxing.terms[b] == relaxing.terms[b + 1]:
                 continue
             count, (first, end) = strains_of(relaxing, b), pairs_of_body(scene, b)
-            viscous_strain, sums, back, pushed = np.zeros(count), np.zeros(count, r.dtype), np.empty(count), np.empty(count)
+            viscous_strain, sums, back, pushed = np.zeros(count), np.zeros(count, residual.dtype), np.empty(count), np.empty(count)
             for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
                 at = 2 * relaxing.first + relaxing.start[b] + (k - relaxing.terms[b]) * count
                 add_scaled(
@@ -78,17 +78,17 @@ def eliminate_transposed(scene, relaxing, work, u, r):
             for p in range(work.parts.shape[0]):
                 work.force[:], back[:] = 0.0, 0.0
                 add_real(back, 1.0, sums, p)
-                multiply_body(scene, b, u, none, viscous_strain, back, work.force, pushed)
+                multiply_body(scene, b, displacements, none, viscous_strain, back, work.force, pushed)
                 for i in range(first, end):
                     for j in range(2):
-                        r[i, j] += work.parts[p] * work.force[i, j]
+                        residual[i, j] += work.parts[p] * work.force[i, j]
 
 
 @part
-def recover_transposed(scene, relaxing, work, u, r, dw):
-    """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = r`, from that of the nodes."""
+def recover_transposed(scene, relaxing, work, displacements, residual, dw):
+    """Fill the strains' part of dw (nodes, 2), the solution of `S^T dw = residual`, from that of the nodes."""
     if relaxing.share.shape[0] > 0:
-        residuals, changes, none = r.reshape(-1), dw.reshape(-1), np.zeros((relaxing.first, 2))
+        residuals, changes, none = residual.reshape(-1), dw.reshape(-1), np.zeros((relaxing.first, 2))
         for b in range(relaxing.start.shape[0] - 1):
             if relaxing.terms[b] == relaxing.terms[b + 1]:
                 continue
@@ -98,7 +98,7 @@ def recover_transposed(scene, relaxing, work, u, r, dw):
                 for i in range(first, end):
                     for j in range(2):
                         work.force[i, j] = dw[i, j].real if p == 0 else dw[i, j].imag
-                multiply_body(scene, b, u, work.force, zero, zero, none, pushed)
+                multiply_body(scene, b, displacements, work.force, zero, zero, none, pushed)
                 for k in range(relaxing.terms[b], relaxing.terms[b + 1]):
                     at = 2 * relaxing.first + relaxing.start[b] + (k - relaxing.terms[b]) * count
                     factor = relaxing.time[k] / (relaxing.mass * work.rates[1] * (1.0 + work.rates[0] * relaxing.time[k]))
@@ -111,12 +111,12 @@ def recover_transposed(scene, relaxing, work, u, r, dw):
 
 
 @entry
-def sum_works(scene, q, v, fields, by_share, by_time, by_strain):
+def sum_works(scene, positions, rates, fields, by_share, by_time, by_strain):
     """Add over frames (nodes, 2) the slopes of w . r, w = fields, in g and tau of all terms, and `-(B w) : D : g x` of each strain."""
     x = scene.relaxation
     none = np.zeros((x.first, 2))
-    for frame in range(q.shape[0]):
-        u, speeds, own = q[frame], v[frame].reshape(-1), fields[frame].reshape(-1)
+    for frame in range(positions.shape[0]):
+        u, speeds, own = positions[frame], rates[frame].reshape(-1), fields[frame].reshape(-1)
         for b in range(x.start.shape[0] - 1):
             if x.terms[b] == x.terms[b + 1]:
                 continue

@@ -12,18 +12,22 @@ from polyida.run.events import AHEAD, rate_of, slope_of
 
 @slope_of.register
 def _(model: TapedModel, function, t, q):
-    def back(bar):
-        add_to(q, along(lambda s: slope_of(model.model, function, t, q.value + s * bar), reach_along(q.value, bar)))
+    """The slope of a function along q on a tape, with its own derivative by differences."""
+
+    def back(adjoint):
+        add_to(q, along(lambda s: slope_of(model.model, function, t, q.value + s * adjoint), reach_along(q.value, adjoint)))
 
     return model.tape.record([slope_of(model.model, function, t, q.value)], back)[0]
 
 
 @rate_of.register
 def _(model: TapedModel, function, t, q, v):
-    def back(bar):
+    """The rate of a function along the motion on a tape, with its derivatives by differences."""
+
+    def back(adjoint):
         here = lambda s: slope_of(model.model, function, t + s, q.value + s * v.value)  # noqa: E731
-        add_to(q, bar * along(here, reach_along(q.value, v.value)))
-        add_to(v, bar * here(0.0))
+        add_to(q, adjoint * along(here, reach_along(q.value, v.value)))
+        add_to(v, adjoint * here(0.0))
 
     return model.tape.record([rate_of(model.model, function, t, q.value, v.value)], back)[0]
 
@@ -39,9 +43,11 @@ def _(model: TapedModel, given, t, q, v, a, lam):
     """On a tape, by differences. Places and velocities keep the constraints, since functions may refuse others."""
     mode, now = model.model, [x.value for x in (q, v, a, lam)]
 
-    def back(*bars):
+    def back(*adjoints):
+        """Add the slopes of `adjoints . change` in q, v, a and lam, by differences."""
+
         def change(*state):
-            return np.array([sum(float(bar @ x) for bar, x in zip(bars, on_constraints(mode, given, t, *state)))])
+            return np.array([sum(float(adjoint @ x) for adjoint, x in zip(adjoints, on_constraints(mode, given, t, *state)))])
 
         for k, one in enumerate((q, v, a, lam)):
             add_to(one, jacobian(lambda x, k=k: change(*now[:k], x, *now[k + 1 :]), now[k], 1)[0])
@@ -72,15 +78,15 @@ def rate_behind(resets, state):
     return along(lambda s: np.concatenate(behind(resets, models, *moved_along(state, s))), span_of(state))
 
 
-def pulled_through(resets, state, bars):
-    """(bar of q, bar of v, [(model, entries for parameters)]) at a state, from the bars of what `behind` gives."""
+def pulled_through(resets, state, adjoints):
+    """(adjoint of q, adjoint of v, [(model, entries for parameters)]) at a state, from the adjoints of what `behind` gives."""
     tape = Tape()
     q, v = tape.var(state.q), tape.var(state.v)
     models = [(TapedModel(reset.mode, tape), TapedModel(reset.equations, tape)) for reset in resets]
-    for result, bar in zip(behind(resets, models, state.t, q, v), bars):
-        add_to(result, bar)
+    for result, adjoint in zip(behind(resets, models, state.t, q, v), adjoints):
+        add_to(result, adjoint)
     tape.back()
-    return q.bar, v.bar, [(taped.model, taped.entries) for pair in models for taped in pair]
+    return q.adjoint, v.adjoint, [(taped.model, taped.entries) for pair in models for taped in pair]
 
 
 def moved_along(state, s):

@@ -1,7 +1,8 @@
-"""What the backward sweeps of all integrators share: sums of slopes, sweeps by tables, the consistent start, times of events that depend on parameters."""
+"""What the backward sweeps of all integrators share: sums of slopes, sweeps by tables, the consistent start, times of events that depend on
+parameters.
+"""
 
 from collections.abc import ItemsView, Iterator, KeysView
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,12 +15,11 @@ from polyida.adjoint.parameter import AdjointMultipliers, Parameter, stacked
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.profile_parameters import in_time
 from polyida.adjoint.taped import Tape, TapedModel, add_to
-from polyida.errors import DONE, SINGULAR, InputError
+from polyida.errors import InputError
 from polyida.integrate.discontinuities import edges
 from polyida.integrate.sizes import extent
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts
-from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
 from polyida.objective.objective import Slopes, slopes_at
 from polyida.reprs import counted, short, table
@@ -89,18 +89,20 @@ class Gradient:
 class Totals:
     """Sums of slopes by the names of parameters.
 
-    names: the requested ones, names or Parameters, or None for all inexpensive ones; with_v0: True if v0, the initial velocities of the run, is a parameter too.
-    left_out: {name: reason} of parameters that are taken by name only.
+    names: the requested ones, names or Parameters, or None for all inexpensive ones; with_v0: True if v0, the initial velocities of the
+    run, is a parameter too. left_out: {name: reason} of parameters that are taken by name only.
     """
 
     def __init__(self, model, names=None, with_v0=False):
+        """Find the parameters of these names, and set their sums to zero."""
         self.own = own = {one.name: one for one in names or () if isinstance(one, Parameter)}
         self.known = known = parameters_of(model) | own
         self.parts = model.parts if model.is_scene else {}
         names = names and [getattr(one, "name", one) for one in names]
         inexpensive = [name for name, parameter in known.items() if not parameter.only_by_name]
         wanted = inexpensive if names is None else [self._find(name, with_v0).name for name in names if not (with_v0 and name == "v0")]
-        self.parameters, self.requested = {name: known[name] for name in wanted}, names is not None
+        self.parameters = {name: known[name] for name in wanted}
+        self.requested = names is not None
         self.with_v0 = with_v0 and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
         self.left_out = {} if names is not None else {name: parameter.reason for name, parameter in known.items() if parameter.only_by_name}
@@ -156,7 +158,7 @@ class Totals:
             self.add(AdjointMultipliers(*slopes.work))
 
     def add_start(self, state, v0, mode=None):
-        """Add the slopes of the initial velocities with bar v0; mode: the model that gives them, if another one."""
+        """Add the slopes of the initial velocities with adjoint v0; mode: the model that gives them, if another one."""
         known = self.known if mode is None else parameters_of(mode)
         for name in self.parameters:
             slope = known[name].start(state.t, state.q, v0) if name in known else None
@@ -174,7 +176,8 @@ class OwnSlopes:
     """An objective's Slopes by the states of a history, some of which are frames of the run."""
 
     def __init__(self, objective, run, frames, totals):
-        self.objective, self.run, self.slopes, self.frames, self.totals = objective, run, objective.slopes(run), frames, totals
+        self.objective, self.run, self.frames, self.totals = objective, run, frames, totals
+        self.slopes = objective.slopes(run)
         self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
 
     def at_states(self, first, end):
@@ -198,62 +201,20 @@ class OwnSlopes:
         return Slopes(**arrays, energies={name: at_all(factor) for name, factor in own.energies.items()})
 
 
-class AdjointTable:
-    """Interface of the tables of a backward sweep, with defaults for a table without a stored factor.
-
-    kappa, slips: of the stabilised form, kappa of velocity rows too; set by PythonAdjoint only. products: the array of the products that the entry
-    ADJOINT gets as its last argument, if the table does not fill any other one.
-    """
-
-    kappa = slips = products = None
-
-    def beside(self):
-        """The table for the sweep of another objective over the same steps, with the same factors."""
-        return self
-
-    def refresh(self, k):
-        """Make sure that there is a factor; True if it was made for state k. Raises SingularSystem."""
-        return True
-
-    def drop(self):
-        """Delete the factor: it is too old."""
-
-    def raise_error(self):
-        """Raise the stored exception of a Python function."""
-
-
-def sweep_with_fallback(table, exact, count, steps):
-    """Sweep backward over `count` steps with a table; a step that does not converge is solved by the table of `exact()`.
-
-    steps: function (addresses, workspace, first, last) -> (the first step that is done, status of the one before).
-    """
-    done = count
-    while done:
-        last, ended, fresh = done, SINGULAR, True
-        with suppress(SingularSystem):
-            fresh = table.refresh(done - 1)
-            with table.at_work() as at:
-                done, ended = steps(*at, 0, done)
-            table.raise_error()
-        if ended != DONE:
-            if fresh and done == last:
-                other = exact()
-                with other.at_work() as at:
-                    done, _ = steps(*at, done - 1, done)
-                other.raise_error()
-            table.drop()
-
-
 class RunAdjoint:
-    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and `stretches_backward(sweeps)`.
+    """Base of the backward sweep over a run; the class of an integrator has `history_of(run, model, memory_limit)` and
+    `stretches_backward(sweeps)`.
 
-    `stretches_backward` is a generator: it adds the slopes of a stretch of steps to the `totals` of each of the sweeps, this one and those beside
-    it, yields the time at which the stretch begins, and returns their bars of q, v, a and lam of the run's first state. start_is_given: True if
-    the run starts from a given state, which is held constant.
+    `stretches_backward` is a generator: it adds the slopes of a stretch of steps to the `totals` of each of the sweeps, this one and those
+    beside it, yields the time at which the stretch begins, and returns their adjoints of q, v, a and lam of the run's first state.
+    start_is_given: True if the run starts from a given state, which is held constant.
     """
 
     def __init__(self, run, objective, names, memory_limit):
-        self.model, self.settings, self.counts = guard(run.model), run.integrator, Counts()
+        """Read the steps of the run, and set all sums to zero."""
+        self.model = guard(run.model)
+        self.settings = run.integrator
+        self.counts = Counts()
         self.start_is_given = run.plan.get("began") == "state"
         history = self.history_of(run, self.model, memory_limit)
         self.history = history._replace(states=lru_cache(maxsize=2)(history.states))
@@ -270,7 +231,7 @@ class RunAdjoint:
     def gradients(cls, run, objectives, names, memory_limit, progress):
         """The Gradient of each objective, from one sweep; progress is called with t."""
         sweeps = cls(run, objectives[0], names, memory_limit).with_others(run, objectives[1:])
-        return [sweep.gradient(bars) for sweep, bars in zip(sweeps, together(sweeps, progress))]
+        return [sweep.gradient(adjoints) for sweep, adjoints in zip(sweeps, together(sweeps, progress))]
 
     def with_others(self, run, objectives):
         """This sweep, and one for each of more objectives, with the same steps and factors."""
@@ -283,25 +244,25 @@ class RunAdjoint:
         other.objective_slopes = OwnSlopes(objective, run, self.history.frames, other.totals)
         return other
 
-    def start_bars(self, bars):
-        """The bars of the first state with the objective's slopes there and `first_state_bar`."""
+    def start_adjoints(self, adjoints):
+        """The adjoints of the first state with the objective's slopes there and `first_state_adjoint`."""
         own = self.objective_slopes.at_states(0, 1)
-        bars = [bar if slope is None else bar + slope[0] for bar, slope in zip(bars, (own.q, own.v, own.a, own.lam))]
-        return bars[0] + self.first_state_bar(), *bars[1:]
+        adjoints = [adjoint if slope is None else adjoint + slope[0] for adjoint, slope in zip(adjoints, (own.q, own.v, own.a, own.lam))]
+        return adjoints[0] + self.first_state_adjoint(), *adjoints[1:]
 
-    def gradient(self, bars):
-        """The Gradient, from the bars of the sweep."""
-        bars = self.start_bars(bars)
+    def gradient(self, adjoints):
+        """The Gradient, from the adjoints of the sweep."""
+        adjoints = self.start_adjoints(adjoints)
         if self.events.speeds:
             self.events.add_to(self.totals.sums, self.history)
         if not self.start_is_given:
             state = stored_state(self.history, 0)
-            v0, entries = self._start(state, bars)
+            v0, entries = self._start(state, adjoints)
             self.add(stacked(entries), [], False)
             self.totals.add_start(state, v0)
         return Gradient(self.objective_slopes.value, self.totals.slopes(), self.counts, self.totals.left_out)
 
-    def first_state_bar(self):
+    def first_state_adjoint(self):
         """Derivative of J with respect to the first q by what a method evaluates once at the start, (n,); 0 unless it overrides this."""
         return 0.0
 
@@ -312,23 +273,23 @@ class RunAdjoint:
             if moving and self.events.speeds:
                 self.events.add(multipliers, times)
 
-    def _start(self, state, bars):
-        """(bar of the given initial velocities, entries for parameters) of the consistent start (integrate/start.py)."""
+    def _start(self, state, adjoints):
+        """(adjoint of the given initial velocities, entries for parameters) of the consistent start (integrate/start.py)."""
         tape = Tape()
         taped = TapedModel(self.model, tape)
         q, v0 = tape.var(state.q), tape.var(given_velocity(self.model, state)[0])
         v = on_velocity(taped, state.t, q, v0)
-        for var, bar in zip((q, v, *consistent_acceleration(taped, state.t, q, v)), bars):
-            add_to(var, bar)
+        for var, adjoint in zip((q, v, *consistent_acceleration(taped, state.t, q, v)), adjoints):
+            add_to(var, adjoint)
         tape.back()
-        if self.model.m and q.bar.any():
-            _, nu = self.model.mass_system(state.t, state.q).solve(q.bar, np.zeros(self.model.m))
+        if self.model.m and q.adjoint.any():
+            _, nu = self.model.mass_system(state.t, state.q).solve(q.adjoint, np.zeros(self.model.m))
             taped.add_entry(state.t, state.q, mu=nu)
-        return v0.bar, taped.entries
+        return v0.adjoint, taped.entries
 
     def _exclude_start_parameters(self):
-        """Exclude parameters that move the constraints at a given initial state or change the meaning of coordinates: no run of another value
-        starts there. Raises InputError if they were requested by name.
+        """Exclude parameters that move the constraints at a given initial state or change the meaning of coordinates: no run of another
+        value starts there. Raises InputError if they were requested by name.
         """
         state, parameters = stored_state(self.history, 0), self.totals.parameters
         phi = constraints_at(self.model, state)
@@ -358,7 +319,7 @@ def exclude_moving(totals, slopes, size):
 
 
 def together(sweeps, progress):
-    """The bars of the run's first state of sweeps over the same steps; progress is called with t."""
+    """The adjoints of the run's first state of sweeps over the same steps; progress is called with t."""
     results = []
 
     def steps():
@@ -380,25 +341,28 @@ def given_velocity(model, state):
 class EventTimeSensitivity:
     """Slopes in parameters that move kinks of loads and motors, and with them the steps: each segment between two kinks stretches.
 
-    The time of a state moves by dt/dp, linearly between kinks, and the steps of a segment change by `dh/dp = (dt_end/dp - dt_begin/dp) / count`.
-    To the slope at fixed times is added `sum dt/dp d/dt (w . r + mu . phi + J)` and the effect of h in the formulas of the steps. speeds: {name:
-    dt/dp at the ends of the segments between kinks}, empty if no parameter moves a kink.
+    The time of a state moves by dt/dp, linearly between kinks, and the steps of a segment change by `dh/dp = (dt_end/dp - dt_begin/dp) /
+    count`. To the slope at fixed times is added `sum dt/dp d/dt (w . r + mu . phi + J)` and the effect of h in the formulas of the steps.
+    speeds: {name: dt/dp at the ends of the segments between kinks}, empty if no parameter moves a kink.
     """
 
     def __init__(self, model, run, parameters):
+        """Find how fast the ends of the segments move with each parameter."""
         begin, end = float(run.t[0]), float(run.t[-1])
         moving = {name: parameter.kinks(begin, end) for name, parameter in parameters.items()}
-        self.model, self.edges = model, np.array([*edges(model, begin, end)])
+        self.model = model
+        self.edges = np.array([*edges(model, begin, end)])
         self.speeds = {name: self._speeds(kinks) for name, kinks in moving.items() if kinks}
         self.times, self.slopes, self.step_slopes = [], [], []
 
     def empty(self):
-        """The same without slopes, for another objective."""
+        """The same kinks and speeds without slopes, for another objective."""
         other = copy(self)
         other.times, other.slopes, other.step_slopes = [], [], []
         return other
 
     def _speeds(self, kinks):
+        """dt/dp at the ends of the segments, from {time of a kink: its derivative}."""
         speeds, times = np.zeros(len(self.edges)), np.array(list(kinks))
         for k in range(1, len(self.edges) - 1):
             near = np.abs(times - self.edges[k]) <= 1e-12 * max(1.0, abs(self.edges[k]))

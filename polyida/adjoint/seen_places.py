@@ -22,15 +22,15 @@ class SeenPlaces:
         self.happenings = copy(happenings)  # in the mode before: it goes on
         self.happenings.mode = mode
 
-    def weighed(self, model, state, bars, c):
-        """`bars . behind + c g` at a state, with the places of another model like the mode and the equations of the mode itself."""
+    def weighed(self, model, state, adjoints, c):
+        """`adjoints . behind + c g` at a state, with the places of another model like the mode and the equations of the mode itself."""
         seen, model = copy(self.happenings), guard(model)
         seen.whole, seen.mode = whole_of(model), model
         value = c * seen.value(with_parts_of(self.event, whole_of(self.mode), seen.whole), state)
         if any(reset.given or reset.pushes for reset in self.resets):
             resets = [self._reset_of(seen, *each) for each in zip(self.resets, self.causes)]
             models = [(reset.mode, reset.equations) for reset in self.resets]
-            value += sum(float(bar @ x) for bar, x in zip(bars, behind(resets, models, state.t, state.q, state.v)))
+            value += sum(float(adjoint @ x) for adjoint, x in zip(adjoints, behind(resets, models, state.t, state.q, state.v)))
         return value
 
     def _reset_of(self, seen, reset, cause):
@@ -42,6 +42,7 @@ class SeenPlaces:
         return replace(reset, given=functions, pushes=[self._push_of(seen, event, state, push) for push in reset.pushes])
 
     def _push_of(self, seen, event, state, push):
+        """A push on the place that the other model has for its part."""
         if push.function:
             return push._replace(function=seen._of_position(event, state))
         at = part_of(push.at, whole_of(self.mode), seen.whole)
@@ -72,7 +73,9 @@ def part_of(one, old, new):
 
 
 def with_parts_of(event, old, new):
-    """An event with the parts of another model of the same names; its functions, which know those of the old one, see the places of the new one."""
+    """An event with the parts of another model of the same names; its functions, which know those of the old one, see the places of the new
+    one.
+    """
     if not old.is_scene:
         return event
 
@@ -92,7 +95,8 @@ class _Seen:
     """A Moment of a model whose places are asked for by parts of another."""
 
     def __init__(self, moment, old, new):
-        self._moment, self._models = moment, (old, new)
+        self._moment = moment
+        self._models = (old, new)
 
     def __getattr__(self, name):
         return getattr(self._moment, name)

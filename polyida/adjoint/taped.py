@@ -25,39 +25,40 @@ class Tape:
         return Var(self, np.array(value, float))
 
     def record(self, values, back):
-        """Vectors with these values, computed together; back takes all their bars and adds to those of the arguments."""
+        """Vectors with these values, computed together; back takes all their adjoints and adds to those of the arguments."""
         results = [self.var(value) for value in values]
         self.records.append((results, back))
         return results
 
     def back(self, again=False):
-        """Propagate all bars. Those of results of operations are zero afterwards. again: True if others follow; else the tape is empty afterwards and holds
-        no reference to a model.
+        """Propagate all adjoints. Those of results of operations are zero afterwards. again: True if others follow; else the tape is empty
+        afterwards and holds no reference to a model.
         """
         for results, back in reversed(self.records):
-            bars = [var.bar for var in results]
+            adjoints = [var.adjoint for var in results]
             for var in results:
-                var.bar = np.zeros_like(var.value)
-            if any(bar.any() for bar in bars):
-                back(*bars)
+                var.adjoint = np.zeros_like(var.value)
+            if any(adjoint.any() for adjoint in adjoints):
+                back(*adjoints)
         if not again:
             self.records = []
 
 
 class Var:
-    """A vector on a tape: value, and bar, the slope of the objective in it. It can be added to numbers and arrays."""
+    """A vector on a tape: value, and adjoint, the slope of the objective in it. It can be added to numbers and arrays."""
 
     __array_ufunc__ = None  # numpy leaves sums and products to this class
 
     def __init__(self, tape, value):
-        self.tape, self.value, self.bar = tape, value, np.zeros_like(value)
+        self.tape, self.value = tape, value
+        self.adjoint = np.zeros_like(value)
 
     def _sum(self, value, *terms):
         """The vector with this value, a sum of terms (vector, factor)."""
 
-        def back(bar):
+        def back(adjoint):
             for thing, factor in terms:
-                add_to(thing, factor * bar)
+                add_to(thing, factor * adjoint)
 
         return self.tape.record([value], back)[0]
 
@@ -71,12 +72,13 @@ class Var:
         return self._sum(other - self.value, (self, -1.0))
 
     def __mul__(self, factor):
+        """The product with a number or an array, or with a vector or a number on the tape."""
         if not isinstance(factor, Var):
             return self._sum(factor * self.value, (self, factor))
 
-        def back(bar):
+        def back(adjoint):
             for one, other in ((self, factor), (factor, self)):
-                product = other.value * bar
+                product = other.value * adjoint
                 add_to(one, product if np.ndim(one.value) else np.sum(product))
 
         return self.tape.record([self.value * factor.value], back)[0]
@@ -86,18 +88,18 @@ class Var:
         if not isinstance(divisor, Var):
             return self * (1.0 / divisor)
 
-        def back(bar):
-            add_to(self, bar / divisor.value)
-            add_to(divisor, -bar * self.value / divisor.value**2)
+        def back(adjoint):
+            add_to(self, adjoint / divisor.value)
+            add_to(divisor, -adjoint * self.value / divisor.value**2)
 
         return self.tape.record([self.value / divisor.value], back)[0]
 
     def __matmul__(self, other):
         """The scalar product with a vector on the tape."""
 
-        def back(bar):
-            add_to(self, bar * other.value)
-            add_to(other, bar * self.value)
+        def back(adjoint):
+            add_to(self, adjoint * other.value)
+            add_to(other, adjoint * self.value)
 
         return self.tape.record([self.value @ other.value], back)[0]
 
@@ -119,10 +121,10 @@ def value_of(thing):
     return thing.value if isinstance(thing, Var) else thing
 
 
-def add_to(thing, bar):
-    """Add to the bar of a Var; no effect on anything else."""
+def add_to(thing, adjoint):
+    """Add to the adjoint of a Var; no effect on anything else."""
     if isinstance(thing, Var):
-        thing.bar = thing.bar + bar
+        thing.adjoint = thing.adjoint + adjoint
 
 
 class TapedModel:
@@ -131,7 +133,9 @@ class TapedModel:
     is_scene = False  # it gives no dense phi_q
 
     def __init__(self, model, tape):
-        self.model, self.tape, self.entries = model, tape, []
+        """Take what a method asks of a model beside its functions."""
+        self.model, self.tape = model, tape
+        self.entries = []
         self.n, self.m, self.needs, self.kinks, self.velocity_rows = model.n, model.m, model.needs, model.kinks, model.velocity_rows
         self._none = np.zeros(self.n), np.zeros(self.m)
 
@@ -149,19 +153,21 @@ class TapedModel:
     def force(self, t, q, v):
         """g, with force_q and force_v."""
 
-        def back(bar):
+        def back(adjoint):
+            """Add the products of the forces' derivatives with w = the adjoint of g."""
             at = t, value_of(q), value_of(v)
-            add_to(q, residual_q(self.model, *at, *self._none, bar))
+            add_to(q, residual_q(self.model, *at, *self._none, adjoint))
             if self.needs.velocity_forces:
-                add_to(v, residual_v(self.model, *at, bar))
-            self.add_entry(t, q, v, w=bar)
+                add_to(v, residual_v(self.model, *at, adjoint))
+            self.add_entry(t, q, v, w=adjoint)
 
         return self.tape.record([self.model.force(t, value_of(q), value_of(v))], back)[0]
 
     def phi_rate(self, t, q, v):
-        """phi_q v + phi_t."""
+        """The rate of the constraints, `phi_q v + phi_t`, (m,)."""
 
         def back(kappa):
+            """Add the products of the rate's derivatives with kappa, its adjoint."""
             at = t, value_of(q)
             add_to(q, self.model.phi_rate_q(*at, value_of(v)).T @ kappa)
             add_to(v, self.model.phi_q(*at).T @ kappa)
@@ -177,6 +183,7 @@ class TapedModel:
         """(phi_q v)_q v + 2 phi_qt v + phi_tt."""
 
         def back(nu):
+            """Add the products of the bias' derivatives with nu, its adjoint."""
             at = t, value_of(q), value_of(v)
             if self.needs.driven or self.needs.phi_q_varies:
                 add_to(q, self.model.phi_bias_q(*at).T @ nu)
@@ -194,15 +201,17 @@ class TapedModel:
         return _MassSystem(self, t, q)
 
 
-def pulled_back(model, state, function, bars):
-    """(bar of q, bar of v, entries for parameters) at a state, from the bars of the results of function(model, q, v); None for zero."""
+def pulled_back(model, state, function, adjoints):
+    """(adjoint of q, adjoint of v, entries for parameters) at a state, from the adjoints of the results of function(model, q, v); None for
+    zero.
+    """
     tape = Tape()
     taped, q, v = TapedModel(model, tape), tape.var(state.q), tape.var(state.v)
-    for result, bar in zip(function(taped, q, v), bars):
-        if bar is not None:
-            add_to(result, bar)
+    for result, adjoint in zip(function(taped, q, v), adjoints):
+        if adjoint is not None:
+            add_to(result, adjoint)
     tape.back()
-    return q.bar, v.bar, taped.entries
+    return q.adjoint, v.adjoint, taped.entries
 
 
 class _Rows:
@@ -210,9 +219,11 @@ class _Rows:
         self.taped, self.t, self.q = taped, t, q
 
     def __matmul__(self, x):
+        """The product B x with a vector x, on the tape or not."""
         taped, model, t, q = self.taped, self.taped.model, self.t, value_of(self.q)
 
         def back(nu):
+            """Add the products of the derivatives of B x with nu, its adjoint."""
             add_to(self.q, reaction_transposed(model, t, q, nu, value_of(x)))
             add_to(x, model.phi_q(t, q).T @ nu)
             taped.add_entry(t, q, x, kappa=nu)
@@ -229,12 +240,13 @@ class _MassSystem:
         self.system = taped.model.mass_system(t, value_of(q))
 
     def solve(self, r, phi):
-        """(dq, dlam)."""
+        """(dq, dlam) of the residuals r and phi, on the tape."""
         taped, model, t, q = self.taped, self.taped.model, self.t, value_of(self.q)
         dq, dlam = self.system.solve(value_of(r), value_of(phi))
 
-        def back(bar_q, bar_lam):
-            alpha, nu = self.system.solve(bar_q, bar_lam)  # of minus the adjoint's right-hand side: minus its solution
+        def back(adjoint_q, adjoint_lam):
+            """Solve with the same matrix for the adjoints of r and phi, and add the part of q."""
+            alpha, nu = self.system.solve(adjoint_q, adjoint_lam)  # of minus the adjoint's right-hand side: minus its solution
             add_to(r, alpha)
             add_to(phi, nu)
             results = reaction_transposed(model, t, q, dlam, alpha) + reaction_transposed(model, t, q, nu, dq)
@@ -248,7 +260,7 @@ class _MassSystem:
 
 
 def reaction_transposed(model, t, q, lam, x):
-    """((B^T lam)_q)^T x, (n,)."""
+    """The derivative of the constraint forces transposed, `((B^T lam)_q)^T x`, (n,)."""
     if not (model.needs.phi_q_varies and model.m):
         return np.zeros(model.n)
     if model.compiled:
@@ -271,10 +283,11 @@ def _(model: TapedModel, settings, state, h):
     mass, border = model.model.mass(q), system.B
 
     def resolve(x):
+        """F x of a vector x, on the tape."""
         y, eta = system.solve(c_m * (mass @ value_of(x)), border @ value_of(x))
 
-        def back(bar):
-            alpha, nu = system.solve(bar, np.zeros(model.m), transposed=True)
+        def back(adjoint):
+            alpha, nu = system.solve(adjoint, np.zeros(model.m), transposed=True)
             add_to(x, c_m * (mass @ alpha) + border.T @ nu)
             _add_derivative_along(model, state, (y, c_v * y, c_m * (y - value_of(x)), eta), alpha, nu, y - value_of(x))
 
@@ -284,7 +297,7 @@ def _(model: TapedModel, settings, state, h):
 
 
 def _add_derivative_along(taped, state, way, alpha, nu, gain):
-    """Subtract the slopes of `d/ds alpha . r(state + s way) + nu . B gain` from the state's bars."""
+    """Subtract the slopes of `d/ds alpha . r(state + s way) + nu . B gain` from the state's adjoints."""
     model, t, q = taped.model, state.t, value_of(state.q)
     now = [value_of(x) for x in (state.q, state.v, state.a, state.lam)]
     at = lambda s: [x + s * d for x, d in zip(now, way)]  # noqa: E731
@@ -309,10 +322,11 @@ def _(model: TapedModel, t, q):
         return q
     on, whole = on_position(model.model, t, q.value), model.model
 
-    def back(bar):
-        _, nu = whole.mass_system(t, on).solve(bar, np.zeros(model.m))
+    def back(adjoint):
+        """Add what comes back through the nearest point on the constraints."""
+        _, nu = whole.mass_system(t, on).solve(adjoint, np.zeros(model.m))
         nu[model.velocity_rows] = 0.0
-        add_to(q, bar + whole.phi_q(t, on).T @ nu)
+        add_to(q, adjoint + whole.phi_q(t, on).T @ nu)
         model.add_entry(t, on, mu=nu)
 
     return model.tape.record([on], back)[0]
@@ -330,20 +344,21 @@ def _(model: TapedModel, state, t=None):
 
 
 def residual_q(model, t, q, v, a, lam, w):
-    """r_q^T w, (n,)."""
+    """The product `r_q^T w` with the derivative of the residual in q, (n,)."""
     if model.compiled:
         return _products(model, t, q, v, lam, w).stiff.ravel().copy()
     return model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0).T @ w
 
 
 def residual_v(model, t, q, v, w):
-    """r_v^T w, (n,)."""
+    """The product `r_v^T w` with the derivative of the residual in v, (n,)."""
     if model.compiled:
         return _products(model, t, q, v, np.zeros(model.m), w).slowing.ravel().copy()
     return model.force_v(t, q, v).T @ w
 
 
 def _products(model, t, q, v, lam, w):
+    """The Scratch with the products of a compiled scene at a state."""
     from polyida.adjoint.products import products_at
 
     return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))

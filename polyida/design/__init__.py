@@ -1,8 +1,8 @@
 """Design of what moves: variables, limits, the method of moving asymptotes, and solid designs.
 
-`minimise` searches densities of the cells of plates, and sizes, for the least value of an objective within limits; `Problem` gives values and
-slopes to any other optimiser. `ramp`, `simp` and `mass` map densities to the factors that `model.with_factors(plate=(stiffness, mass))` takes,
-`project` drives them to 0 and 1, `threshold` returns the solid mesh, `solid` runs it again.
+`minimise` searches densities of the cells of plates, and sizes, for the least value of an objective within limits; `Problem` gives values
+and slopes to any other optimiser. `ramp`, `simp` and `mass` map densities to the factors that `model.with_factors(plate=(stiffness, mass))`
+takes, `project` drives them to 0 and 1, `threshold` returns the solid mesh, `solid` runs it again.
 """
 
 from polyida.design.densities import mass, project, ramp, simp, threshold

@@ -161,6 +161,7 @@ def _densities(function, rho, round_off=1e-9):
 
 
 def _fraction(function, name, value):
+    """A number between 0 and 1 as a float. Raises InputError for anything else."""
     if not (is_number(value) and 0 < value < 1):
         raise InputError(f"{function}: {name} = {value!r} must be between 0 and 1")
     return float(value)

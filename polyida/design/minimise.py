@@ -62,6 +62,7 @@ class Stage:
     move: float = 1.0
 
     def __post_init__(self):
+        """Check the ranges of all numbers."""
         whole("Stage", "evaluations", self.evaluations)
         if not (is_number(self.q) and self.q >= 0):
             raise InputError(f"Stage: q = {self.q!r:.40} must be a number of at least 0")
@@ -157,11 +158,11 @@ def minimise(
     variables : sequence of Densities or Size
     cases : Case or sequence of Case
     stages : sequence of Stage, optional
-        Each begins with the best design of the one before. Default: nine stages of sharper projection and smaller moves if there are densities,
-        else one.
+        Each begins with the best design of the one before. Default: nine stages of sharper projection and smaller moves if there are
+        densities, else one.
     folder : str or Path, optional
-        Folder with a file for each evaluation. A later call with the same arguments, for example after a kill, reads them and goes on as if it had
-        never ended.
+        Folder with a file for each evaluation. A later call with the same arguments, for example after a kill, reads them and goes on as if
+        it had never ended.
     executor : concurrent.futures.Executor, optional
         As for `Problem`.
     progress : callable or bool, optional
@@ -175,7 +176,8 @@ def minimise(
     Raises
     ------
     InputError
-        If nlopt is not installed, for wrong arguments, if a value of the start is not finite or its run fails, and for the folder of another problem.
+        If nlopt is not installed, for wrong arguments, if a value of the start is not finite or its run fails, and for the folder of
+        another problem.
 
     Warns
     -----
@@ -184,11 +186,11 @@ def minimise(
 
     Notes
     -----
-    Objective and limits are scaled, `log(J / J_0)` and `log(J / upper)`, a line where that has no slope: J / upper - 1 of a limit that is kept. A
-    design whose run fails gets values that turn the optimiser back, and a row in the history with the reason.
+    Objective and limits are scaled, `log(J / J_0)` and `log(J / upper)`, a line where that has no slope: J / upper - 1 of a limit that is
+    kept. A design whose run fails gets values that turn the optimiser back, and a row in the history with the reason.
 
-    Svanberg, SIAM J. Optim. 12 (2002); nlopt's LD_MMA. The best design of a stage is the one with the least objective that keeps the limits, or else the one
-    that exceeds them least.
+    Svanberg, SIAM J. Optim. 12 (2002); nlopt's LD_MMA. The best design of a stage is the one with the least objective that keeps the
+    limits, or else the one that exceeds them least.
     """
     problem = Problem(objective, limits, variables, cases, executor)
     densities = any(isinstance(one, Densities) for one in problem.variables)
@@ -216,10 +218,14 @@ class _Search:
     """Evaluations of a problem for nlopt, with their history."""
 
     def __init__(self, problem, store, total, report):
+        """Begin a history of at most `total` evaluations; report: function of (done, total, text)."""
         self.problem, self.store, self.total, self.report = problem, store, total, report
-        self.rows, self.begun, self.fresh = [], time.perf_counter(), 0
+        self.rows = []
+        self.begun = time.perf_counter()
+        self.fresh = 0
         self.uppers = np.array([limit.upper for limit, _ in problem.held])
-        self.first, self.positive = 1.0, True
+        self.first = 1.0
+        self.positive = True
 
     def evaluated(self, x, stage):
         """The Evaluation at x, from the store if it is there."""
@@ -236,62 +242,9 @@ class _Search:
         start = self._begin(x, stage) if before is None else self.evaluated(x, stage)
         if start.error:
             return replace(before, message=f"{before.message}; stage {number} was not begun: its first run failed ({start.error})"), True
-        scale = np.divide(start.largest, start.values, out=np.ones_like(start.values), where=start.values != 0)[1:]
-        _, steepest, _, each = self._scaled(start, scale, [])
-        unit = 1.0 / (np.abs(steepest).max() or 1.0)  # the optimiser's first step is right for slopes of about 1
-        units = 1.0 / np.maximum(np.abs(each).max(axis=1, initial=0.0), FLOOR)
-        trials, known = [], {}
-
-        def at(x):
-            """(f, its slope, c, their slopes) of the scaled objective and limits; evaluated, noted and stored in `trials` once for each x."""
-            key = x.tobytes()
-            if key not in known:
-                found = self.evaluated(x, stage)
-                known[key] = self._scaled(found, scale, trials)
-                self._note(number, stage, found)
-                trials.append((x.copy(), found, known[key]))
-            return known[key]
-
-        def keeps(x):
-            return bool((units * at(x)[2] <= KEEPING).all())
-
-        def objective(x, slope):
-            f, by_x, *_ = at(x)
-            if slope.size:
-                slope[:] = unit * by_x
-            return unit * f
-
-        def limits(result, x, slope):
-            _, _, c, by_x = at(x)
-            result[:] = units * c
-            if slope.size:
-                slope[:] = units[:, None] * by_x
-            if outside and keeps(x):
-                mma.force_stop()
-
-        # nlopt gives limits that cannot be kept in one step multipliers of 1e40. These never become small again, so that the design would go
-        # away from the limits. A search from outside therefore ends at the first design that keeps them, and another one begins there
-        centre, outside = x, not keeps(x)
-        while True:
-            mma = nlopt.opt(nlopt.LD_MMA, len(x))
-            mma.set_lower_bounds(np.maximum(centre - stage.move, 0.0))
-            mma.set_upper_bounds(np.minimum(centre + stage.move, 1.0))
-            mma.set_maxeval(stage.evaluations - len(trials) + 1)  # nlopt counts its start, which is known
-            mma.set_xtol_abs(SETTLED)
-            mma.set_min_objective(objective)
-            if len(self.uppers):
-                mma.add_inequality_mconstraint(limits, np.full(len(self.uppers), KEEPING))
-            with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):
-                mma.optimize(x)
-            if not outside or len(trials) >= stage.evaluations:
-                break
-            whole = [(trial, found) for trial, found, _ in trials if not found.error]
-            inside = [trial for trial, _ in whole if keeps(trial)]
-            nearest = inside[0] if inside else min(whole, key=lambda one: self._excess(one[1]))[0]
-            if not inside and np.abs(nearest - x).max() <= SETTLED:
-                break
-            x, outside, centre = nearest, not inside, centre if inside else nearest
-        return self._best(trials, stage), False
+        stage_search = _StageSearch(self, number, stage, start)
+        stage_search.run(nlopt, x)
+        return self._best(stage_search.trials, stage), False
 
     def _begin(self, x, stage):
         """The Evaluation of the start, with words on what is wrong with it."""
@@ -304,7 +257,8 @@ class _Search:
             names = ["the objective", *problem.labels]
             wrong = [names[k] for k in range(len(names)) if not np.isfinite([found.values[k], *found.slopes[k]]).all()]
             raise InputError(f"minimise: {wrong[0]} or its slope is no finite number for the start: {found.values.tolist()}")
-        self.first, self.positive = abs(float(found.values[0])) or 1.0, found.values[0] > 0
+        self.first = abs(float(found.values[0])) or 1.0
+        self.positive = found.values[0] > 0
         for label, value, upper in zip(problem.labels, found.largest[1:], self.uppers):
             if value > upper + MET * abs(upper):
                 warnings.warn(f"minimise: the start exceeds a limit: {label} is {value:.4g}, upper {upper:.4g}", stacklevel=5)
@@ -315,7 +269,7 @@ class _Search:
                 )
         return found
 
-    def _scaled(self, found, scale, trials):
+    def scaled(self, found, scale, trials):
         """Scaled values and slopes for the optimiser; `scale`: of the limits' objectives to the maxima that they stand for."""
         if found.error:
             known = [trial[2][0] for trial in trials] or [0.0]
@@ -333,15 +287,16 @@ class _Search:
         rates = scale / np.abs(self.uppers) / np.where(over, ratios, 1.0)
         return f, rate / self.first * found.slopes[0], c, rates[:, None] * found.slopes[1:]
 
-    def _excess(self, found):
+    def excess(self, found):
         """Largest relative excess of a limit, at least 0."""
         return float(np.max((found.largest[1:] - self.uppers) / np.abs(self.uppers), initial=0.0))
 
-    def _note(self, number, stage, found):
+    def note(self, number, stage, found):
+        """Add an evaluation to the history and report it."""
         done, spent = len(self.rows) + 1, time.perf_counter() - self.begun
         values = dict(zip(self.problem.labels, found.largest[1:].tolist()))
         row = {"stage": number, "q": stage.q, "beta": stage.beta, "objective": float(found.values[0])} | values
-        row |= {"excess": self._excess(found), "error": found.error, "seconds": spent}
+        row |= {"excess": self.excess(found), "error": found.error, "seconds": spent}
         self.rows.append(row)
         left = f"{spent / self.fresh * (self.total - done):.0f} s left" if self.fresh else "read"
         what = f"run failed: {found.error}" if found.error else f"{row['objective']:.4g}, {limits_in_words(row['excess'])}"
@@ -352,20 +307,98 @@ class _Search:
         from pandas import DataFrame
 
         whole = [(x, found) for x, found, _ in trials if not found.error]
-        kept = [(x, found) for x, found in whole if self._excess(found) <= MET]
-        x, found = min(kept, key=lambda one: one[1].values[0]) if kept else min(whole, key=lambda one: self._excess(one[1]))
+        kept = [(x, found) for x, found in whole if self.excess(found) <= MET]
+        x, found = min(kept, key=lambda one: one[1].values[0]) if kept else min(whole, key=lambda one: self.excess(one[1]))
         limits = {label: (float(v), float(u)) for label, v, u in zip(self.problem.labels, found.largest[1:], self.uppers)}
         failed = sum(bool(row["error"]) for row in self.rows)
-        message = limits_in_words(self._excess(found))
+        message = limits_in_words(self.excess(found))
         message += f"; {failed} of {len(self.rows)} runs failed, and the search stepped back" if failed else ""
         return Design(self.problem, x, stage.sharp, float(found.values[0]), limits, bool(kept), message, DataFrame(self.rows))
+
+
+class _StageSearch:
+    """The search of a stage with nlopt. trials: (x, Evaluation, result of `at`) of each x, in their order.
+
+    nlopt gives limits that cannot be kept in one step multipliers of 1e40. These never become small again, so that the design would go
+    away from the limits. A search from outside therefore ends at the first design that keeps them, and another one begins there.
+    """
+
+    def __init__(self, search, number, stage, start):
+        """Take the units of the objective and the limits from the Evaluation of the start."""
+        self.search, self.number, self.stage = search, number, stage
+        self.scale = np.divide(start.largest, start.values, out=np.ones_like(start.values), where=start.values != 0)[1:]
+        _, steepest, _, each = search.scaled(start, self.scale, [])
+        self.unit = 1.0 / (np.abs(steepest).max() or 1.0)  # the optimiser's first step is right for slopes of about 1
+        self.units = 1.0 / np.maximum(np.abs(each).max(axis=1, initial=0.0), FLOOR)
+        self.trials = []
+        self.known = {}
+
+    def at(self, x):
+        """(f, its slope, c, their slopes) of the scaled objective and limits; evaluated, noted and stored in `trials` once for each x."""
+        key = x.tobytes()
+        if key not in self.known:
+            found = self.search.evaluated(x, self.stage)
+            self.known[key] = self.search.scaled(found, self.scale, self.trials)
+            self.search.note(self.number, self.stage, found)
+            self.trials.append((x.copy(), found, self.known[key]))
+        return self.known[key]
+
+    def keeps(self, x):
+        """True if x keeps all limits."""
+        return bool((self.units * self.at(x)[2] <= KEEPING).all())
+
+    def run(self, nlopt, x):
+        """Search from x until it ends inside the limits, or until no more evaluations are allowed."""
+        centre, outside = x, not self.keeps(x)
+        while True:
+            self._optimise(nlopt, x, centre, outside)
+            if not outside or len(self.trials) >= self.stage.evaluations:
+                return
+            whole = [(trial, found) for trial, found, _ in self.trials if not found.error]
+            inside = [trial for trial, _ in whole if self.keeps(trial)]
+            nearest = inside[0] if inside else min(whole, key=lambda one: self.search.excess(one[1]))[0]
+            if not inside and np.abs(nearest - x).max() <= SETTLED:
+                return
+            x, outside, centre = nearest, not inside, centre if inside else nearest
+
+    def _optimise(self, nlopt, x, centre, outside):
+        """One search of nlopt from x within the move around `centre`; one from outside ends at the first design that keeps the limits."""
+        mma, count, stage = nlopt.opt(nlopt.LD_MMA, len(x)), len(self.search.uppers), self.stage
+
+        def objective(x, slope):
+            """The scaled objective, in nlopt's form: `slope` is filled unless it is empty."""
+            f, by_x, *_ = self.at(x)
+            if slope.size:
+                slope[:] = self.unit * by_x
+            return self.unit * f
+
+        def limits(result, x, slope):
+            """Fill the scaled limits, in nlopt's form."""
+            _, _, c, by_x = self.at(x)
+            result[:] = self.units * c
+            if slope.size:
+                slope[:] = self.units[:, None] * by_x
+            if outside and self.keeps(x):
+                mma.force_stop()
+
+        mma.set_lower_bounds(np.maximum(centre - stage.move, 0.0))
+        mma.set_upper_bounds(np.minimum(centre + stage.move, 1.0))
+        mma.set_maxeval(stage.evaluations - len(self.trials) + 1)  # nlopt counts its start, which is known
+        mma.set_xtol_abs(SETTLED)
+        mma.set_min_objective(objective)
+        if count:
+            mma.add_inequality_mconstraint(limits, np.full(count, KEEPING))
+        with suppress(nlopt.RoundoffLimited, nlopt.ForcedStop):
+            mma.optimize(x)
 
 
 class _Store:
     """A folder with a file for each evaluation, or nothing. read: number of evaluations that were there."""
 
     def __init__(self, folder):
-        self.folder, self.known = None if folder is None else path_of("minimise", "folder", folder), {}
+        """Read the evaluations that the folder holds."""
+        self.folder = None if folder is None else path_of("minimise", "folder", folder)
+        self.known = {}
         if self.folder is not None:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -378,6 +411,7 @@ class _Store:
         self.read = len(self.known)
 
     def _key(self, x, sharp):
+        """What identifies an evaluation: x and the numbers of the densities."""
         return np.asarray(x, float).tobytes(), (float(sharp.q), float(sharp.beta or 0.0))
 
     def get(self, x, sharp):

@@ -35,8 +35,8 @@ class Case:
     model : Model, or function f(**sizes) -> Model
         Of a scene or of the user. A function gets every Size that its signature names.
     run : function f(model) -> Trajectory, Equilibrium or Modes
-        Such as `lambda model: pi.solve(model, 0.5, pi.GeneralizedAlpha(h=2.5e-3))`. To evaluate cases in other processes, both functions must be
-        those of a module.
+        Such as `lambda model: pi.solve(model, 0.5, pi.GeneralizedAlpha(h=2.5e-3))`. To evaluate cases in other processes, both functions
+        must be those of a module.
     name : str
 
     Raises
@@ -50,6 +50,7 @@ class Case:
     name: str = "run"
 
     def __post_init__(self):
+        """Check that the run is a function and the model a model or a function."""
         if not callable(self.run):
             raise InputError(f"Case {self.name!r}: run = {self.run!r:.80} must be a function of a model that gives its run")
         if not (isinstance(self.model, (Model, SceneModel)) or callable(self.model)):
@@ -137,10 +138,12 @@ def evaluated(case: Case, setting: Setting, objectives: list[Objective]) -> tupl
 
 
 def _built(setting, case, name, value):
+    """The model of a case with another value of an argument."""
     return setting.model(case, **{name: value})
 
 
 def _slopes(one, found, x, setting):
+    """dJ/dx of a map of variables; 0 if the case does not have its parameter."""
     known = one.name in found or any(name in found for name in one.parameters(None))
     return one.slopes(found, x, setting.sharp) if known else np.zeros(one.size)
 
@@ -180,9 +183,11 @@ class Problem:
         cases: Case | Sequence[Case],
         executor: Executor | None = None,
     ) -> None:
+        """Check the arguments and map the variables to parameters of the models."""
         if executor is not None and not hasattr(executor, "submit"):
             raise InputError(f"design: executor = {executor!r:.100} must be a concurrent.futures.Executor, or None")
-        self.objective, self.executor = require_objective("design", objective), executor
+        self.executor = executor
+        self.objective = require_objective("design", objective)
         self.limits = _listed("limits", limits, Limit, "pi.objective.Limit(objective, upper)")
         self.variables = _listed("variables", variables, (Densities, Size), "pi.design.Densities or pi.design.Size")
         self.cases = _listed("cases", [cases] if isinstance(cases, Case) else cases, Case, "pi.design.Case(model, run)")
@@ -275,6 +280,7 @@ def label_of(objective):
 
 
 def _listed(what, values, kind, advice):
+    """The values as a list of this kind. Raises InputError for anything else."""
     entries = listed("design", what, values)
     if not all(isinstance(one, kind) for one in entries):
         raise InputError(f"design: {what} = {values!r:.100} must be a list of {advice}")

@@ -1,7 +1,8 @@
 """The design on meshes of what is solid, run again beside the optimiser's, and the search that moves its edges to its limits.
 
-Densities and solid cells differ: grey cells are softer than their mass, and edges lie between cells. The search is a sequence of linear integer programs:
-slopes of the solid design predict what each cell at its edge changes; the cells that promise most, few at a time, are removed or added; the run decides.
+Densities and solid cells differ: grey cells are softer than their mass, and edges lie between cells. The search is a sequence of linear
+integer programs: slopes of the solid design predict what each cell at its edge changes; the cells that promise most, few at a time, are
+removed or added; the run decides.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.design.densities import neighbours, threshold
 from polyida.design.minimise import MET, limits_in_words
@@ -48,8 +50,8 @@ class SolidDesign:
     runs : dict of str to Trajectory or Equilibrium
         Of each case.
     table : pandas.DataFrame
-        A row for the objective and each limit: upper, the value of the optimiser, and that of the solid design by the case's own run and by each
-        other one.
+        A row for the objective and each limit: upper, the value of the optimiser, and that of the solid design by the case's own run and by
+        each other one.
     excess : float
         Largest relative excess of a limit; negative if all are kept.
     """
@@ -85,8 +87,8 @@ def solid(
     design : Design
         From `minimise`.
     build : function f(**meshes, **sizes) -> Model, or dict of such functions by the cases' names
-        Builds the model with meshes in place of those of the plates with densities: arguments are the plates' names, and the sizes that the cases'
-        own functions have. Sizes that are parameters are set afterwards.
+        Builds the model with meshes in place of those of the plates with densities: arguments are the plates' names, and the sizes that the
+        cases' own functions have. Sizes that are parameters are set afterwards.
     levels : sequence of float
         Densities from which a cell is solid, of which one is chosen.
     others : dict of str to function f(model) -> run, optional
@@ -94,8 +96,8 @@ def solid(
     changes : int
         At most this many steps of the search, each a run and a backward sweep of every case.
     start : dict of str to PolygonMesh, optional
-        Solid meshes by the plates' names, such as `meshes` of another SolidDesign on the same cells. They are tried beside the levels: if they keep the
-        limits, the result is not heavier than they are.
+        Solid meshes by the plates' names, such as `meshes` of another SolidDesign on the same cells. They are tried beside the levels: if
+        they keep the limits, the result is not heavier than they are.
 
     Returns
     -------
@@ -113,49 +115,66 @@ def solid(
 
     Notes
     -----
-    Sequence of linear integer programs: Sivapuram, Picelli, Finite Elem. Anal. Des. 139 (2018). A cell is removed only if its solid neighbours hang
-    together without it.
+    Sequence of linear integer programs: Sivapuram, Picelli, Finite Elem. Anal. Des. 139 (2018). A cell is removed only if its solid
+    neighbours hang together without it.
     """
     from pandas import DataFrame
 
     whole("solid", "changes", changes, 0)
-    problem, values = design.problem, design.values
+    problem = design.problem
     maps = [one for one in problem.maps if isinstance(one, DensityMap)]
-    solids, tried, reasons = _Solids(design, build, maps), [], []
-    given = {} if start is None else _given(maps, start)
-    for at in (*levels, *([np.nan] if given else [])):
-        try:
-            meshes = given if np.isnan(at) else {one.name: _solid_mesh(one, values[one.name], at) for one in maps}
-            models, runs = solids.ran(meshes)
-        except (InputError, FailedRun) as error:
-            reasons.append(f"{at:g}: {error}")
-            continue
-        found = _judged(problem, runs)
-        tried.append((_excess(found[1:], problem), float(found[0]), at, meshes, models, runs, found))
-    if not tried:
-        raise InputError(f"solid: no level gives a design that runs; {'; '.join(reasons)}")
-    kept = [one for one in tried if one[0] <= KEPT]
-    excess, _, at, meshes, models, runs, found = min(kept, key=lambda one: one[1]) if kept else min(tried, key=lambda one: one[0])
+    solids, given = _Solids(design, build, maps), {} if start is None else _given(maps, start)
+    best = _best_level(solids, design.values, levels, given)
     if changes and maps:
-        meshes = _searched(solids, meshes, changes)
-        models, runs = solids.ran(meshes)
-        found = _judged(problem, runs)
-        excess = _excess(found[1:], problem)
-    if excess > KEPT:
+        meshes = _searched(solids, best.meshes, changes)
+        best = _tried(problem, best.at, meshes, *solids.ran(meshes))
+    if best.excess > KEPT:
         exceeded = (
             f"{label} is {value:.4g}, upper {u:.4g}"
-            for label, value, (limit, _) in zip(problem.labels, found[1:], problem.held)
+            for label, value, (limit, _) in zip(problem.labels, best.values[1:], problem.held)
             if value > (u := limit.upper) + KEPT * abs(u)
         )
         more = "smaller cells or looser limits" if changes else "`changes`"
         warnings.warn(f"solid: the design exceeds limits: {'; '.join(exceeded)}; try {more}", stacklevel=3)
     optimiser = [design.objective, *(value for value, _ in design.limits.values())]
     uppers = [np.nan, *(limit.upper for limit, _ in problem.held)]
-    columns = {"upper": uppers, "optimiser": optimiser, "solid": found}
+    columns = {"upper": uppers, "optimiser": optimiser, "solid": best.values}
     for name, run in (others or {}).items():
-        columns[name] = _judged(problem, {case.name: run(models[case.name]) for case in problem.cases})
+        columns[name] = _judged(problem, {case.name: run(best.models[case.name]) for case in problem.cases})
     table = DataFrame(columns, index=["objective", *problem.labels])
-    return SolidDesign(at, meshes, models, runs, table, excess)
+    return SolidDesign(best.at, best.meshes, best.models, best.runs, table, best.excess)
+
+
+class _Tried(NamedTuple):
+    """A design on solid meshes that was run; fields as of SolidDesign, values: of the objective and the limits."""
+
+    at: float
+    meshes: dict
+    models: dict
+    runs: dict
+    values: NDArray
+    excess: float
+
+
+def _best_level(solids, values, levels, given):
+    """The lightest _Tried of the levels and of given meshes that keeps the limits, or the one that exceeds them least. Raises InputError if
+    none runs.
+
+    values: {plate: densities}; given: {plate: mesh}, or empty.
+    """
+    tried, reasons = [], []
+    for at in (*levels, *([np.nan] if given else [])):
+        try:
+            meshes = given if np.isnan(at) else {one.name: _solid_mesh(one, values[one.name], at) for one in solids.maps}
+            ran = solids.ran(meshes)
+        except (InputError, FailedRun) as error:
+            reasons.append(f"{at:g}: {error}")
+            continue
+        tried.append(_tried(solids.problem, at, meshes, *ran))
+    if not tried:
+        raise InputError(f"solid: no level gives a design that runs; {'; '.join(reasons)}")
+    kept = [one for one in tried if one.excess <= KEPT]
+    return min(kept, key=lambda one: one.values[0]) if kept else min(tried, key=lambda one: one.excess)
 
 
 def _given(maps, start):
@@ -174,7 +193,9 @@ class _Solids:
     """Models of a design on meshes of solid cells, {plate: mesh}, and their runs."""
 
     def __init__(self, design, build, maps):
-        self.problem, self.build, self.maps = design.problem, build, maps
+        """Take the sizes of the design and the functions that build its models."""
+        self.build, self.maps = build, maps
+        self.problem = design.problem
         self.setting = self.problem.setting(design.x, design.sharp)
         self.sizes = {one.name: design.values[one.name] for one in self.problem.maps if isinstance(one, BuiltSizeMap)}
 
@@ -187,7 +208,7 @@ class _Solids:
         return model
 
     def ran(self, meshes):
-        """({case: model}, {case: run})."""
+        """({case: model}, {case: run}) with these meshes. Raises FailedRun."""
         models = {case.name: self.model(case, meshes) for case in self.problem.cases}
         return models, {case.name: case.ran(models[case.name]) for case in self.problem.cases}
 
@@ -250,8 +271,9 @@ def _searched(solids, meshes, changes):
 def _step(edges, best, found, spoiled, share, trust, uppers, first):
     """Choose the cells to remove or add by an integer linear programme.
 
-    Returns (a mask for each plate, predicted changes of the limits over their uppers); None if no choice promises a gain. spoiled: cells that
-    must stay as they are; share: largest changed area over the present one; trust: factor of each limit's slopes; first: scale of the objective.
+    Returns (a mask for each plate, predicted changes of the limits over their uppers); None if no choice promises a gain. spoiled: cells
+    that must stay as they are; share: largest changed area over the present one; trust: factor of each limit's slopes; first: scale of the
+    objective.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -301,9 +323,13 @@ class _Edges:
     """The cells of a plate, those with a density, of which some are solid."""
 
     def __init__(self, one):
+        """Find the neighbours of the cells of a plate, and its cells at the outline of the mesh."""
         from scipy.sparse import coo_array
 
-        self.map, self.name, self.areas, self.pairs = one, one.name, one.mesh.cell_areas, neighbours(one.mesh)
+        self.map = one
+        self.name = one.name
+        self.areas = one.mesh.cell_areas
+        self.pairs = neighbours(one.mesh)
         a, b = (np.concatenate(ends) for ends in (self.pairs, self.pairs[::-1]))
         self.near = coo_array((np.ones(len(a)), (a, b)), shape=(len(self.areas), len(self.areas))).tocsr()
         self.blur = density_filter(one.mesh, max(one.variable.radius, 2.0 * float(np.sqrt(self.areas.mean()))))  # over neighbours at least
@@ -316,7 +342,7 @@ class _Edges:
         return cKDTree(self.map.mesh.cell_centroids).query(solid.cell_centroids)[1]
 
     def mask(self, cells):
-        """True for these cells."""
+        """An array (all cells,) that is True for these cells."""
         result = np.zeros(len(self.areas), bool)
         result[cells] = True
         return result
@@ -336,7 +362,9 @@ class _Edges:
         return result
 
     def changes(self, cells, slopes):
-        """Predicted changes (rows, all cells) by flipping each cell, from slopes (rows, solid cells); of cells that are not solid by their neighbours'."""
+        """Predicted changes (rows, all cells) by flipping each cell, from slopes (rows, solid cells); of cells that are not solid by their
+        neighbours'.
+        """
         solid, dense = self.mask(cells), np.zeros((len(slopes), len(self.areas)))
         dense[:, cells] = slopes / self.areas[cells]
         smooth = (self.blur @ dense.T).T / np.maximum(self.blur @ solid.astype(float), 1e-9)
@@ -347,6 +375,12 @@ def _solid_mesh(one, rho, at):
     """The mesh of the cells of a DensityMap with a density of at least `at`."""
     with warnings.catch_warnings(action="ignore", category=MeshWarning):
         return threshold(one.mesh, np.asarray(rho, float), at, one.variable.keep, hanging="leave out")
+
+
+def _tried(problem, at, meshes, models, runs):
+    """The _Tried of runs by the cases' names."""
+    values = _judged(problem, runs)
+    return _Tried(at, meshes, models, runs, values, _excess(values[1:], problem))
 
 
 def _judged(problem, runs):

@@ -69,6 +69,7 @@ class Densities:
     void: float = 1e-3
 
     def __post_init__(self):
+        """Check the name and the ranges of all numbers."""
         start = floats(self.start)
         if start is None or start.ndim > 1 or not ((start >= 0) & (start <= 1)).all():
             raise InputError(f"Densities of {self.plate!r}: start = {self.start!r:.80} must be a number from 0 to 1, or one for each cell")
@@ -99,8 +100,12 @@ class DensityMap:
     unit = "of the cells"
 
     def __init__(self, variable, mesh):
-        self.variable, self.name, self.mesh, self.size = variable, variable.plate, mesh, mesh.n_cells
-        self.blur, self.free = density_filter(mesh, variable.radius), np.ones(mesh.n_cells, bool)
+        """Find the cells that are free and the filter between them."""
+        self.variable, self.mesh = variable, mesh
+        self.name = variable.plate
+        self.size = mesh.n_cells
+        self.blur = density_filter(mesh, variable.radius)
+        self.free = np.ones(mesh.n_cells, bool)
         for cells in cells_along(f"Densities of {self.name!r}", mesh, variable.keep).values():
             self.free[cells] = False
         self.start = np.broadcast_to(variable.start, self.size)
@@ -110,6 +115,7 @@ class DensityMap:
         return self._densities(x, sharp)[0]
 
     def _densities(self, x, sharp):
+        """(rho, its derivative in the filtered densities) of the cells."""
         blurred = np.clip(self.blur @ x, 0.0, 1.0)
         rho, rate = (blurred, 1.0) if sharp.beta is None else project(blurred, sharp.beta)
         return np.where(self.free, rho, 1.0), np.where(self.free, rate, 0.0)
@@ -135,9 +141,9 @@ class DensityMap:
 class Size:
     """A number of the model between two bounds: a parameter, or an argument of the function that builds the model.
 
-    Parameters such as "arm.thickness", "spring.stiffness" or "pid.kp" have the slopes of `pi.gradient`. What has no parameter, such as a length, the
-    place of a joint or a height of an outline, is an argument of `Case(build)`, which moves the nodes of one mesh (`pi.mesh.moved`); its slopes
-    come from the multipliers of the sweep and differences of the built models, exact to about 1e-9.
+    Parameters such as "arm.thickness", "spring.stiffness" or "pid.kp" have the slopes of `pi.gradient`. What has no parameter, such as a
+    length, the place of a joint or a height of an outline, is an argument of `Case(build)`, which moves the nodes of one mesh
+    (`pi.mesh.moved`); its slopes come from the multipliers of the sweep and differences of the built models, exact to about 1e-9.
 
     Parameters
     ----------
@@ -161,6 +167,7 @@ class Size:
     log: bool = False
 
     def __post_init__(self):
+        """Check the name, the bounds and the start."""
         label = f"Size {self.name!r}"
         if not isinstance(self.name, str):
             raise InputError(f"Size: name = {self.name!r:.80} must be a text, such as 'arm.thickness'")
@@ -182,7 +189,7 @@ class Size:
 
     @property
     def first(self) -> float:
-        """x of the start."""
+        """x of the start, 0 to 1."""
         if self.start is None:
             return 0.5
         ends = np.array([self.lower, self.start, self.upper], float)
@@ -196,13 +203,17 @@ class SizeMap:
     unit = ""
 
     def __init__(self, variable, model):
+        """Find the parameter of the model. Raises InputError for an unknown name."""
         known = parameters_of(model)
         if variable.name not in known or np.ndim(known[variable.name].value):
             numbers = ", ".join(repr(name) for name, one in known.items() if not np.ndim(one.value))
             raise InputError(
                 f"Size {variable.name!r}: neither an argument of the case's function nor a number of the model; known: {numbers or 'none'}"
             )
-        self.variable, self.name, self.size, self.start = variable, variable.name, 1, np.array([variable.first])
+        self.variable = variable
+        self.name = variable.name
+        self.size = 1
+        self.start = np.array([variable.first])
 
     def value(self, x, sharp):
         """The number."""
@@ -222,10 +233,14 @@ class SizeMap:
 
 
 class BuiltSizeMap(SizeMap):
-    """The same of an argument of the function that builds the model; `Problem` gives the parameter."""
+    """Maps a variable (1,) to an argument of the function that builds the model, and slopes back; `Problem` gives the parameter."""
 
     def __init__(self, variable):
-        self.variable, self.name, self.size, self.start = variable, variable.name, 1, np.array([variable.first])
+        """Map the variable to the argument of its name."""
+        self.variable = variable
+        self.name = variable.name
+        self.size = 1
+        self.start = np.array([variable.first])
 
     def parameters(self, model):
         """None: `Problem` has it."""
@@ -249,6 +264,7 @@ class BuiltSize(Parameter):
         return {}
 
     def _model(self, s):
+        """The model with the argument changed by s, built once. Raises InputError if it has other coordinates."""
         if s not in self._models:
             self._models[s] = other = self.replaced(self.value + s)
             if (other.n, other.m) != (self.model.n, self.model.m):
@@ -263,14 +279,14 @@ class BuiltSize(Parameter):
         return float(along(lambda s: total(self._model(s), work), self.scale))
 
     def of_model(self, function):
-        """Differences."""
+        """The slope of a function of the model, by differences."""
         return float(along(lambda s: function(self._model(s)), self.scale))
 
-    def start(self, t, q, bar):
+    def start(self, t, q, adjoint):
         """Differences of the initial velocities, if the scene starts in motion."""
         if self.model.is_scene and not moves_at(self.model, t, q):
             return None
-        return float(along(lambda s: bar @ self._model(s).initial_velocity(t, q), self.scale))
+        return float(along(lambda s: adjoint @ self._model(s).initial_velocity(t, q), self.scale))
 
     def replaced(self, value):
         """The model of another value."""

@@ -103,6 +103,7 @@ def _times(factor, x):
 
 
 def _sum(a, b):
+    """The sum of two arrays or functions; None is zero."""
     if a is None or b is None:
         return b if a is None else a
     if not (callable(a) or callable(b)):
@@ -111,6 +112,7 @@ def _sum(a, b):
 
 
 def _value(x, arguments):
+    """The value of a function, or the array itself."""
     return x(*arguments) if callable(x) else x
 
 
@@ -152,8 +154,9 @@ class Objective:
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Return a function of a slice of frames that returns their Slopes.
 
-        Its attribute `value` is J if that is known by then. `quadrature`, if it has one, is a function of the smooth pieces of the run, (first frame,
-        last frame, state behind the first frame as a OneFrame or None) each: what J, a sum over frames, lacks of an integral, (frames - 1,).
+        Its attribute `value` is J if that is known by then. `quadrature`, if it has one, is a function of the smooth pieces of the run,
+        (first frame, last frame, state behind the first frame as a OneFrame or None) each: what J, a sum over frames, lacks of an integral,
+        (frames - 1,).
         """
         raise NotImplementedError(f"{type(self).__name__} gives no slopes")
 
@@ -213,9 +216,11 @@ class Sum(Objective):
         return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """Return a function of a slice of frames: the weighted sum of the terms' Slopes."""
         each = [(weight, term, term.slopes(run)) for weight, term in self.terms]
 
         def of(part):
+            """The weighted sum of the Slopes of a slice."""
             total = Slopes()
             for weight, term, slopes in each:
                 total = total.plus(slopes_at(term, slopes, run, part).times(weight))
@@ -261,8 +266,8 @@ class Limit:
     Parameters
     ----------
     objective : Objective
-        J. If it stands for a maximum (PeakStress, PeakReaction, PeakTorque, PeakPower), the limit holds for the maximum over the frames itself:
-        `J (max / J) <= upper` with the ratio of the last stage of the optimiser.
+        J. If it stands for a maximum (PeakStress, PeakReaction, PeakTorque, PeakPower), the limit holds for the maximum over the frames
+        itself: `J (max / J) <= upper` with the ratio of the last stage of the optimiser.
     upper : float
         In the unit of J; not zero.
     case : str, optional
@@ -317,6 +322,7 @@ def run_of(part: str, subject: Any) -> Any:
 
 
 def _one_frame(model, state, modes=None):
+    """A state as a run of one frame."""
     frames = (np.asarray(x, float)[None] for x in (state.t, state.q, state.v, state.a, state.lam))
     return OneFrame(model, *frames, modes)
 
@@ -342,18 +348,21 @@ class UserObjective(Objective):
     """
 
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
+        """Check that both arguments are functions."""
         for name, function in (("value", value), ("slopes", slopes)):
             if not callable(function):
                 raise InputError(f"UserObjective: {name} = {function!r:.100} must be a function of a run")
         self._value, self._slopes = value, slopes
 
     def __call__(self, run: Any) -> float:
+        """Return the value of the user's function. Raises InputError unless it is a finite number."""
         result = _call("value", self._value, run_of("UserObjective", run))
         if not is_number(result):
             raise InputError(f"UserObjective: value(run) must return a finite number, not {result!r:.100}")
         return float(result)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """Return a function of a slice of frames that returns the rows of the user's slopes."""
         run = run_of("UserObjective", run)
         result = _call("slopes", self._slopes, run)
         if not isinstance(result, Mapping):
@@ -367,6 +376,7 @@ class UserObjective(Objective):
             return Slopes(**{name: value[part] for name, value in frames.items()}, direct=direct if whole else {}, of_model=of_model)
 
         def elsewhere(model):
+            """The value of the run with the frames held and another model."""
             try:
                 return self(replace(run, model=model) if is_dataclass(run) else run._replace(model=model))
             except InputError as error:

@@ -23,8 +23,8 @@ UNITS = ("N", "N m")
 class PeakReaction(TimeMean):
     """`(time mean of |R|^p)^(1/p)`, R the reaction of a joint on its side b, N or N m, as `run.reaction`.
 
-    It is below the largest |R| and approaches it as p grows: `largest(run)` is at most `(T / w)^(1/p)` times J, w being the trapezoidal weight
-    of the frame that has it and T the sum of the weights.
+    It is below the largest |R| and approaches it as p grows: `largest(run)` is at most `(T / w)^(1/p)` times J, w being the trapezoidal
+    weight of the frame that has it and T the sum of the weights.
 
     Parameters
     ----------
@@ -69,13 +69,16 @@ class PeakReaction(TimeMean):
         return name, model.rows[name], chosen
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives |R| of the joint and the way back to Slopes."""
         name, columns, chosen = self._chosen(model)
 
         def evaluate(frames):
+            """Sizes of the reaction in the frames, and the function to Slopes."""
             reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
             size = np.linalg.norm(reaction.reaction, axis=1)
 
             def to_slopes(factor):
+                """The Slopes of J from dJ/d|R| of the frames."""
                 with np.errstate(divide="ignore", invalid="ignore"):
                     toward = np.where(size[:, None] > 0, (factor / size)[:, None] * reaction.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
@@ -87,6 +90,7 @@ class PeakReaction(TimeMean):
         return evaluate
 
     def _name(self, model):
+        """The name of the joint. Raises InputError if the model has none, or a reaction that is not unique."""
         joints = {name: joint for name, joint in model.joints.items() if isinstance(joint, Joint)}
         name = named(model, self.joint)
         if not is_one_of(name, joints):
@@ -144,18 +148,21 @@ class PeakPower(PeakTorque):
     """
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives |M omega| of the joint and the way back to Slopes."""
         name, columns, chosen = self._chosen(model)
         joint = model.joints[name]
         joint.require_directions()
         sides = [(sign, (side, "direction")) for sign, side in ((-1.0, joint.a), (1.0, joint.b)) if side.body is not None]
 
         def evaluate(frames):
+            """Sizes of the power in the frames, and the function to Slopes."""
             reaction = Reaction(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
             turning = [(sign, place, model.place(place, frames.q), model.rate_of(place, frames.v)) for sign, place in sides]
             omega = sum(sign * (d.conj() * e).imag / np.abs(d) ** 2 for sign, _, d, e in turning)
             work = reaction.reaction[:, 0] * omega
 
             def to_slopes(factor):
+                """The Slopes of J from dJ/d|M omega| of the frames."""
                 signed = factor * np.sign(work)
                 toward, along = (signed * omega)[:, None], signed * reaction.reaction[:, 0]
                 lam, q, v = np.zeros_like(frames.lam), reaction.by_coordinates(toward), np.zeros_like(frames.v)
@@ -172,13 +179,16 @@ class PeakPower(PeakTorque):
 
 
 class Reaction:
-    """The reaction of a joint over frames, (frames, chosen components), and products with the transposes of its derivatives, by differences.
+    """The reaction of a joint over frames, (frames, chosen components), and products with the transposes of its derivatives, by
+    differences.
 
     It is a function of the multipliers, of the places of the sides in the joint's rows, and of the angles by which profiles turn these.
     """
 
     def __init__(self, model, name, t, q, lam, chosen):
-        self.model, self.of, self.t, self.lam, self.chosen = model, model.reaction_of(name), t, lam, chosen
+        """Take the places of the sides, and compute the reaction in the frames."""
+        self.model, self.t, self.lam, self.chosen = model, t, lam, chosen
+        self.of = model.reaction_of(name)
         self.places = [(place, model.place(place, q)) for place in self.of.needed]
         self.reaction = self._at()
 
@@ -187,7 +197,7 @@ class Reaction:
         return _against(lambda way: self._at(lam=self.lam + way), self.lam, toward)
 
     def by_coordinates(self, toward):
-        """`dR/dq^T toward`, (frames, n)."""
+        """The product `dR/dq^T toward` at fixed multipliers, (frames, n)."""
         slope = np.zeros((len(toward), self.model.n))
         for place, at in self.places:
             moved = lambda way, place=place: self._at(moved=(place, complex_of_pairs(way)))  # noqa: E731

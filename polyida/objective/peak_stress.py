@@ -32,8 +32,9 @@ class PeakStress(TimeMean):
     """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises` of an elastic plate.
 
     Viscous stress and the relaxation of viscoelastic plates are left out. J is below the largest stress and approaches it as p grows:
-    `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal weight w of the frame and the area a of the cell that have it,
-    T and A being their sums. With factors f of stiffness, s is `f^power` times the stress of the solid material at the strain of the cell.
+    `largest(run)` is at most `(T A / (w a))^(1/p)` times J, with the trapezoidal weight w of the frame and the area a of the cell that have
+    it, T and A being their sums. With factors f of stiffness, s is `f^power` times the stress of the solid material at the strain of the
+    cell.
 
     Parameters
     ----------
@@ -42,8 +43,8 @@ class PeakStress(TimeMean):
     p : float
         Order of the means, 1 or more.
     power : float, 0 to 1
-        1: the stress of the scaled cells, as `run.von_mises`. Designs by densities need less, such as 0.2: the stress of scaled cells that share a
-        given load does not depend on their factor, so that a limit of it allows a plate without material.
+        1: the stress of the scaled cells, as `run.von_mises`. Designs by densities need less, such as 0.2: the stress of scaled cells that
+        share a given load does not depend on their factor, so that a limit of it allows a plate without material.
 
     Raises
     ------
@@ -65,12 +66,14 @@ class PeakStress(TimeMean):
         return replace(self, plate=named(model, self.plate))
 
     def largest(self, run: Any) -> float:
+        """Return the largest von Mises stress of all cells and frames, Pa."""
         run = run_of("PeakStress", run)
         model = guard(run.model, "PeakStress")
         moved, bodies = (model.nodal(np.asarray(q, float)) for q in run.q), self._bodies(model)
         return float(max(body.von_mises(body.stress(u)).max() for u in moved for body in bodies))
 
     def _bodies(self, model):
+        """The CellStress of each chosen plate. Raises InputError for quadratic cells."""
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}
         if quadratic := [name for name, body in known.items() if body.plate.order == 2]:
@@ -80,11 +83,13 @@ class PeakStress(TimeMean):
         return [CellStress(body, self.power) for body in chosen("PeakStress", model, self.plate, known)]
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives the area means of the stress and the way back to Slopes."""
         bodies = self._bodies(model)
         areas = np.concatenate([body.operator.areas for body in bodies])
         share, splits = areas / areas.sum(), np.cumsum([body.operator.n_cells for body in bodies])[:-1]
 
         def evaluate(frames):
+            """Area means of the stress in the frames, and the function to Slopes."""
             moved = [model.nodal(q) for q in frames.q]
             stresses = [[body.stress(u) for body in bodies] for u in moved]
             sizes = np.array([np.concatenate([body.von_mises(one) for body, one in zip(bodies, each)]) for each in stresses])
@@ -105,10 +110,10 @@ class PeakStress(TimeMean):
         return evaluate
 
 
-def _pull(bodies, u, stresses, bar):
+def _pull(bodies, u, stresses, adjoint):
     """Forces on the nodes (nodes, 2)."""
     forces = np.zeros_like(u)
-    for body, stress, one in zip(bodies, stresses, bar):
+    for body, stress, one in zip(bodies, stresses, adjoint):
         body.pull(u, stress, one, forces)
     return forces
 
@@ -117,9 +122,14 @@ class CellStress:
     """The stress of the cells of a body at displacements u (nodes, 2) of all meshes."""
 
     def __init__(self, body, power=1.0):
+        """Take the moduli of a body and the share of its cells' factors."""
         modulus, nu = body.plate.material.in_plane
-        self.power, self.share = power, body.factors[0] ** (power - 1.0)
-        self.body, self.operator, self.moduli, self.across = body, body.operator, (modulus / (1 - nu**2), nu), body.plate.material.across
+        self.power = power
+        self.share = body.factors[0] ** (power - 1.0)
+        self.body = body
+        self.operator = body.operator
+        self.moduli = (modulus / (1 - nu**2), nu)
+        self.across = body.plate.material.across
 
     def von_mises(self, stress):
         """(cells,), Pa, times the share of the factors."""
@@ -131,13 +141,13 @@ class CellStress:
         element.stress(operator.cells(self.body.nodes.start), operator.lane_cells, operator.areas, Material(*self.moduli), u, out)
         return out
 
-    def pull(self, u, stress, bar, forces):
-        """forces (nodes, 2) += the slope in u of `bar (cells,) . von Mises stress`; no slope where that is zero."""
+    def pull(self, u, stress, adjoint, forces):
+        """forces (nodes, 2) += the slope in u of `adjoint (cells,) . von Mises stress`; no slope where that is zero."""
         xx, yy, xy = stress.T
         zz, size = self.across * (xx + yy), self.von_mises(stress) / self.share
         out = self.across * (2.0 * zz - xx - yy)
         squares = np.stack([2.0 * xx - yy - zz + out, 2.0 * yy - xx - zz + out, 6.0 * xy])
-        toward = squares * np.divide(self.share * bar, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
+        toward = squares * np.divide(self.share * adjoint, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)
         by_lanes = np.moveaxis(toward[:, self.operator.lane_cells].reshape(3, -1, LANES), 0, 1)
         arrays = self.operator.cells(), np.ascontiguousarray(by_lanes), Material(*self.moduli)
         add_stress_forces(*arrays, np.ascontiguousarray(u[self.body.nodes]), forces[self.body.nodes])
@@ -173,9 +183,12 @@ class StrainEnergy(TimeMean):
         return replace(self, plate=named(model, self.plate))
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives the strain energies and the way back to Slopes."""
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
         def evaluate(frames):
+            """Strain energies of the frames, and the function to Slopes."""
+
             def to_slopes(factor):
                 energies = {body.name: np.asarray(factor, float) for body in elastic.plates}
                 return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor), energies=energies)
@@ -189,6 +202,7 @@ class Elastic:
     """The elastic energy of some bodies of a scene and its slopes, by the scene's kernels on arrays of these bodies alone."""
 
     def __init__(self, model, bodies):
+        """Copy the scene's arrays with the chosen bodies alone."""
         self.model, names = model, {body.name for body in bodies}
         self.plates = [body for body in model.bodies if body.name in names]
         self.own = [own for own in model.own_forces if own.strain and own.name in names]
@@ -199,7 +213,9 @@ class Elastic:
             links=model.arrays.links._replace(gravity=np.zeros(2)),
             reduced=reduced_arrays([_body(placed, names) for placed in model.reduced_bodies], int(model.arrays.reduced.pair[0]), 0),
         )
-        self.still, self.none, self.drives = np.zeros((model.n_nodes, 2)), np.zeros(model.m), model.drives(0.0)
+        self.still = np.zeros((model.n_nodes, 2))
+        self.none = np.zeros(model.m)
+        self.drives = model.drives(0.0)
 
     def energies(self, q):
         """Of frames q (count, n), (count,), J."""
@@ -272,34 +288,35 @@ def _stabilised(model, number, u, factor):
 
 
 @entry
-def fill_energies(scene, q, out):
-    """Fill out (frames,) with the elastic energy, J, of a scene's bodies at q (frames, pairs, 2)."""
-    for k in range(q.shape[0]):
-        out[k] = equilibrium.strain_energy(scene, q[k])
+def fill_energies(scene, positions, out):
+    """Fill out (frames,) with the elastic energy, J, of a scene's bodies at positions (frames, pairs, 2)."""
+    for k in range(positions.shape[0]):
+        out[k] = equilibrium.strain_energy(scene, positions[k])
 
 
 @entry
-def fill_forces(scene, drives, q, zeros, factor, scratch, out):
-    """Fill out (frames, pairs, 2) with factor (frames,) times the residual g(0, q, 0) of each frame, without constraint forces.
+def fill_forces(scene, drives, positions, zeros, factor, scratch, out):
+    """Fill out (frames, pairs, 2) with factor (frames,) times the residual g(0, q, 0) at the positions q of each frame, without constraint
+    forces.
 
     zeros: of a (pairs, 2) and lam (m,); scratch: of phi (m,) and points (2, points, 2).
     """
     a, lam = zeros
     phi, points = scratch
-    for k in range(q.shape[0]):
-        equilibrium.equilibrium(scene, drives, q[k], a, lam, out[k], phi, a[:0], points[0], points[1])
+    for k in range(positions.shape[0]):
+        equilibrium.equilibrium(scene, drives, positions[k], a, lam, out[k], phi, a[:0], points[0], points[1])
         for i in range(out.shape[1]):
             out[k, i, 0], out[k, i, 1] = factor[k] * out[k, i, 0], factor[k] * out[k, i, 1]
 
 
 @entry
-def add_cell_energies(cells, lane_cells, material, u, factor, out):
+def add_cell_energies(cells, lane_cells, material, displacements, factor, out):
     """out (cells,) += factor times the strain energy of every cell, J."""
     lam_bar, two_mu = lame(material)
     workspace = _workspace(cells.layout, 2, 0)
     for b in range(cells.layout.shape[0]):
         m = cells.layout[b, 0] - 1
-        _differences(u, cells.corners, cells.layout[b, 2], 0, m, workspace)
+        _differences(displacements, cells.corners, cells.layout[b, 2], 0, m, workspace)
         state = zeros2()
         for p in range(cells.layout[b, 1]):
             h = _gradient(cells.gradients, cells.layout[b, 3] + 2 * p * m * LANES, workspace, m)
@@ -327,8 +344,9 @@ def _stress_slope(h, g, weight, lam_bar, two_mu):
 
 
 @entry
-def add_stress_forces(cells, toward, material, u, nodal_force):
-    """nodal_force (nodes, 2) += the slope in u of the sum over cells of `toward . int (sxx, syy, sxy)`, as kernels.stress has it.
+def add_stress_forces(cells, toward, material, displacements, nodal_force):
+    """nodal_force (nodes, 2) += the slope in displacements of the sum over cells of `toward . int (sxx, syy, sxy)`, as kernels.stress has
+    it.
 
     toward (blocks, 3, LANES): numbers of each cell, 1/m^2 times what the sum is in.
     """
@@ -337,13 +355,13 @@ def add_stress_forces(cells, toward, material, u, nodal_force):
     for b in range(cells.layout.shape[0]):
         m, first = cells.layout[b, 0] - 1, cells.layout[b, 2]
         force, size = workspace[2 * m * LANES :], 2 * m * LANES
-        _differences(u, cells.corners, first, 0, m, workspace)
+        _differences(displacements, cells.corners, first, 0, m, workspace)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         at = 3 * b * LANES
-        bar = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
+        adjoint = load(toward, at), load(toward, at + LANES), load(toward, at + 2 * LANES)
         for p in range(cells.layout[b, 1]):
             g = cells.layout[b, 3] + p * size
             h, weight = _gradient(cells.gradients, g, workspace, m), load(cells.weights, cells.layout[b, 4] + p * LANES)
-            _add_forces(force, cells.gradients, g, _stress_slope(h, bar, weight, lam_bar, two_mu), size)
+            _add_forces(force, cells.gradients, g, _stress_slope(h, adjoint, weight, lam_bar, two_mu), size)
         _scatter_balanced(force, cells.corners, first, 0, m, nodal_force)

@@ -74,11 +74,11 @@ APART = 1e-6  # of omega^2: nearer frequencies are equal, and their shapes are n
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Frequency(Objective):
-    """Frequency of an undamped mode, Hz: one of `pi.modes`; of a run or an equilibrium that of its model at rest.
+    """Frequency of an undamped mode, Hz: one of `pi.modes`; of a run or an equilibrium that of its reference configuration.
 
         d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
 
-    At rest is q = 0 at t = 0 without loads, as in `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` includes the
+    That is q = 0 at t = 0 without loads, as in `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` includes the
     motion of the equilibrium with each parameter; any other state is fixed.
 
     Parameters
@@ -139,8 +139,11 @@ class _Mode:
     """A mode x of a state (t, q, lam), with the multipliers mu of `omega^2 M x = K x + B^T mu`; by_square: df/d(omega^2), s."""
 
     def __init__(self, modes, number, square):
+        """Read the mode with this number; square: its omega^2."""
         self.model, state = guard(modes.model), modes.state
-        self.t, self.q, self.lam, self.x, self.square = state.t, state.q, state.lam, modes.shapes[number], square
+        self.square = square
+        self.t, self.q, self.lam = state.t, state.q, state.lam
+        self.x = modes.shapes[number]
         self.by_square = 1.0 / (8 * np.pi**2 * abs(modes.frequencies[number]))
         self.still = np.zeros(self.model.n)
         self.mu = self.model.mass_system(self.t, self.q).solve(self._stiffness(self.q) @ self.x, np.zeros(self.model.m))[1]
@@ -149,7 +152,9 @@ class _Mode:
         return self.model.tangent(self.t, q, self.still, self.still, self.lam, 0.0, 0.0, 1.0)
 
     def work(self):
-        """Entries (t, q, v, a, lam, w, mu) of `x^T K x - omega^2 x^T M x + 2 mu^T B x`, times df/d(omega^2), as `Slopes.work` takes them."""
+        """Entries (t, q, v, a, lam, w, mu) of `x^T K x - omega^2 x^T M x + 2 mu^T B x`, times df/d(omega^2), as `Slopes.work` takes
+        them.
+        """
         x, still, q, lam = self.x, self.still, self.q, self.lam
         stiff = along_way(self.model, self.t, q, lam, x, self.by_square * x, 2.0 * self.by_square * self.mu)
         w, none = self.by_square * self.square * x, np.zeros_like(lam)
@@ -160,9 +165,9 @@ class _Mode:
         """(df/dq (n,), df/dlam (m,)) of the state."""
         model, t, q, x = self.model, self.t, self.q, self.x
         far = reach(model, q, x)
-        q_bar = along(lambda s: self._stiffness(q + s * x).T @ x, far)
+        q_adjoint = along(lambda s: self._stiffness(q + s * x).T @ x, far)
         if model.needs.mass_varies:
-            q_bar = q_bar - self.square * (model.mass_a_q(q, x).T @ x)
+            q_adjoint = q_adjoint - self.square * (model.mass_a_q(q, x).T @ x)
         if model.needs.phi_q_varies and model.m:
-            q_bar = q_bar + 2.0 * (model.reaction_q(t, q, self.mu).T @ x)
-        return self.by_square * q_bar, self.by_square * along(lambda s: model.phi_q(t, q + s * x) @ x, far)
+            q_adjoint = q_adjoint + 2.0 * (model.reaction_q(t, q, self.mu).T @ x)
+        return self.by_square * q_adjoint, self.by_square * along(lambda s: model.phi_q(t, q + s * x) @ x, far)

@@ -1,15 +1,16 @@
 """Objectives that are means over the time of a run.
 
-With the values s_n >= 0 of frames n (of any sign if p = 1), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's. Then
+With the values s_n >= 0 of frames n (of any sign if p = 1), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's.
+Then
 
     dJ/ds_n = w_n / T (s_n / J)^(p - 1)
     dJ/dt_k = (sum_n dw_n/dt_k s_n (s_n / J)^(p - 1) - J dT/dt_k) / (p T)        at fixed s
 
 These forms do not overflow for large p and s. A run of one frame, an equilibrium, has w = T.
 
-The trapezoidal rule is as accurate as generalized-alpha, and far less accurate than Radau IIA. For that each interval of h is integrated by Hermite's
-cubic: the rule gets `h^2/12 (f'_n - f'_{n+1})`, f = s^p. f' is the derivative along `q_n + tau v_n`, by a difference of values of f at these q: the
-slopes in q and v of J are those at such moved frames.
+The trapezoidal rule is as accurate as generalized-alpha, and far less accurate than Radau IIA. For that each interval of h is integrated by
+Hermite's cubic: the rule gets `h^2/12 (f'_n - f'_{n+1})`, f = s^p. f' is the derivative along `q_n + tau v_n`, by a difference of values of
+f at these q: the slopes in q and v of J are those at such moved frames.
 """
 
 from __future__ import annotations
@@ -79,23 +80,25 @@ class Frames:
 
     @cached_property
     def q(self):
-        """(count, n)."""
+        """Coordinates, (count, n)."""
         q = np.asarray(self.run.q[self.part], float)
         return q if self.moves is None else q + self.moves[:, None] * np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def v(self):
-        """(count, n)."""
+        """Velocities, (count, n)."""
         return np.asarray(self.run.v[self.part], float)
 
     @cached_property
     def lam(self):
-        """(count, m)."""
+        """Multipliers, (count, m)."""
         return np.asarray(self.run.lam[self.part], float)
 
 
 class TimeMean(Objective):
-    """Base of means of order p; a subclass writes `_evaluator`. _of_material: True if J depends on parameters that `Slopes.direct` lacks."""
+    """Base of means of order p; a subclass writes `_evaluator`. _of_material: True if J depends on parameters that `Slopes.direct`
+    lacks.
+    """
 
     p: float = 1.0
     _of_material = False
@@ -117,12 +120,15 @@ class TimeMean(Objective):
         return self._mean(run, self._of(run)).value
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each slice."""
+        """Return a function of a slice of frames that returns the Slopes; values are computed once over the whole run and again in each
+        slice.
+        """
         run = run_of(type(self).__name__, run)
         evaluate = self._of(run)
         mean = self._mean(run, evaluate)
 
         def of(part):
+            """The Slopes of a slice, from the places at the frames and beside them."""
             of_model = (lambda model: elsewhere(model, part)) if self._of_material else None
             total = Slopes(t=mean.by_times[part], of_model=of_model)
             for moves, shares in zip(mean.moves, mean.shares):
@@ -155,7 +161,9 @@ class TimeMean(Objective):
         return _Mean(t, s[None], self.p)
 
     def _quadrature(self, run, evaluate, mean, pieces):
-        """What the trapezoidal rule lacks in each interval, (frames - 1,), by cubics through the values of four frames; pieces: as of `Objective`."""
+        """What the trapezoidal rule lacks in each interval, (frames - 1,), by cubics through the values of four frames; pieces: as of
+        `Objective`.
+        """
         t, s, result = np.asarray(run.t, float), mean.sizes[0], np.zeros(max(0, len(run.t) - 1))
         of_mean = mean.value / (self.p * (np.ptp(t) or 1.0)) * (relative(s, mean.value) ** self.p)
         for first, last, behind in pieces:
@@ -171,9 +179,11 @@ class TimeMean(Objective):
         return result
 
     def _of(self, run):
+        """The function of Frames for a run."""
         return self._evaluator(guard(run.model, type(self).__name__), _span(run))
 
     def _sizes(self, run, evaluate, moves=None):
+        """The values s of all frames, or beside them at `moves`, (frames,)."""
         step = frames_at_once(run.q.shape[1])
         parts = [slice(k, k + step) for k in range(0, len(run.t), step)]
         return np.concatenate([evaluate(Frames(run, part, None if moves is None else moves[part]))[0]() for part in parts])
@@ -193,11 +203,13 @@ def _usable_rates(run, t):
 
 
 def _span(run):
+    """The mean time between frames, s."""
     return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
-    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_evaluator`.
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in
+    `_evaluator`.
 
     At a kink it is the mean of the derivatives on both sides.
     """
@@ -212,7 +224,9 @@ def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: fl
 
 
 def bends(function: Callable[[float], NDArray], begin: float, end: float) -> bool:
-    """True if the rate of a function of time jumps: it then still changes between neighbours where it changes most, seen more and more closely."""
+    """True if the rate of a function of time jumps: it then still changes between neighbours where it changes most, seen more and more
+    closely.
+    """
     size = 0.0
     for _ in range(ZOOMS):
         t = np.linspace(begin, end, 65)
@@ -226,11 +240,12 @@ def bends(function: Callable[[float], NDArray], begin: float, end: float) -> boo
 class _Mean:
     """The mean of order p of sizes s (1, frames) over times t, its slopes in s, `shares`, and in t at fixed s, `by_times`.
 
-    moves (4, frames): of the frames whose sizes s (5, frames) has behind those of the frames; usable: of `_usable_rates`. An interval with one usable f'
-    is integrated by a parabola, one without by the trapezoidal rule.
+    moves (4, frames): of the frames whose sizes s (5, frames) has behind those of the frames; usable: of `_usable_rates`. An interval with
+    one usable f' is integrated by a parabola, one without by the trapezoidal rule.
     """
 
     def __init__(self, t, s, p, moves=(), usable=None):
+        """Compute the weights of the frames, the mean and its slopes."""
         steps = np.diff(t)
         length = float(t[-1] - t[0]) or 1.0
         weights = np.zeros(s.shape)
@@ -242,7 +257,8 @@ class _Mean:
             weights[[0, k, k + 1], frames] += INWARD[:, None] * steps * share
         weights[0, begin] -= tilt * steps
         weights[0, end] += tilt * steps
-        self.sizes, self.moves = s, [None, *moves]
+        self.sizes = s
+        self.moves = [None, *moves]
         self.value = power_mean((weights / length).ravel(), s.ravel(), p)
         steep = relative(s, self.value) ** (p - 1.0)
         steep[np.abs(steep) < NOTHING * np.abs(steep).max()] = 0.0
@@ -289,16 +305,19 @@ class Compliance(TimeMean):
         return False  # loads may jump
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives the works f . q and the way back to Slopes."""
         still = np.zeros(model.n)
 
         def load(t):
             return -model.force(t, still, still)
 
         def evaluate(frames):
+            """Works of the loads in the frames, and the function to Slopes."""
             at = _sides(model, frames)
             f = np.array([load(t) for t in at.tolist()])
 
             def to_slopes(factor):
+                """The Slopes of J from dJ/d(f . q) of the frames."""
                 by_time = lambda: factor * np.sum(rates(model, load, at, span) * frames.q, axis=1)  # noqa: E731
                 rest, none = np.zeros_like(frames.q), np.zeros_like(frames.lam)
                 work = at, rest, rest, rest, none, -factor[:, None] * frames.q, none
@@ -351,10 +370,12 @@ class Deviation(TimeMean):
         return not callable(self.path) or not bends(self._at, float(run.t[0]), float(run.t[-1]))
 
     def _evaluator(self, model, span):
+        """The function of Frames that gives the squares of the distances and the way back to Slopes."""
         point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
         pull, at = _pull(model, point), cache(self._at)
 
         def evaluate(frames):
+            """Squares of the distances in the frames, and the function to Slopes."""
             gap = model.position(point, frames.q) - ([at(t) for t in frames.t.tolist()] if callable(self.path) else at(0.0))
 
             def to_slopes(factor):
@@ -366,10 +387,12 @@ class Deviation(TimeMean):
         return evaluate
 
     def _at(self, t):
+        """The place of the path at t, (2,)."""
         advice = "; it must be a function of time"
         return self._place(call_user(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
 
     def _place(self, place):
+        """The place as an array (2,). Raises InputError for anything else."""
         pair = floats(place)
         if pair is None or pair.shape != (2,):
             raise InputError(

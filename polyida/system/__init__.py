@@ -46,7 +46,7 @@ The backward sweeps of generalized-alpha and Radau IIA have their own tables (ad
 
 | entry | arguments | action |
 |---|---|---|
-| ADJOINT | right, below, bar, solution, multipliers, out | solve the adjoint of a step (adjoint/alpha.py, adjoint/radau_sweep.py) |
+| ADJOINT | right, below, bar, solution, multipliers, out | solve the adjoint of a step (adjoint/alpha_sweep.py, adjoint/radau_sweep.py) |
 """
 
 # most instants that are prepared together: small models take less than 1 ms for hundreds of steps, and 0.1 ms between stretches

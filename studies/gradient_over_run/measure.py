@@ -7,7 +7,8 @@ import numpy as np
 import polyida as pi
 from polyida.adjoint import products
 from polyida.adjoint import scene_table as scene
-from polyida.adjoint.alpha import AdjointState, Sweep
+from polyida.adjoint.alpha_sweep import AdjointState, Sweep
+from polyida.adjoint.scene_modes import correct
 from polyida.environment import one_blas_thread
 from polyida.integrate.state import Counts
 from polyida.jit import entry
@@ -99,7 +100,7 @@ def _products(count, s, u, v, w, x):
 @entry
 def _solves(count, work, u):
     for _ in range(count):
-        scene.correct(work, work.real, u, np.zeros(1, np.int64))
+        correct(work.scene, work.real, None, u, work.r, work.rows, work.unconstrained, np.zeros(1, np.int64))
 
 
 def sweep_us(model, settings, run, objective, repeats):

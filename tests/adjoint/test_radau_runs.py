@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint import radau
-from polyida.adjoint.radau import step_history
+from polyida.adjoint.radau_history import step_history
 from polyida.errors import REFACTOR
 from polyida.problems import andrews
 from polyida.problems.equations import Pendulum

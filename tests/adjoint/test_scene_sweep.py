@@ -7,10 +7,10 @@ import pytest
 
 import polyida as pi
 from polyida import environment
-from polyida.adjoint import alpha as loop
-from polyida.adjoint.alpha import AdjointState, Sweep
+from polyida.adjoint import alpha_sweep as loop
+from polyida.adjoint.alpha_sweep import AdjointState, Sweep
+from polyida.adjoint.dense_steps import DenseAdjoint
 from polyida.adjoint.products import products_at, reaction_product
-from polyida.adjoint.tables import DenseAdjoint
 from polyida.errors import REFACTOR
 from polyida.model.differences import along
 from polyida.model.guarded import guard
@@ -94,7 +94,7 @@ def exact(model, settings, h, counts):
 def swept(sweep, steps, keep=False):
     """All that a sweep gives for its last column, as one list of arrays."""
     found = sweep.back(*steps, keep=keep)[-1]
-    return [*found.bars, found.w, found.mu, *(found.keep if keep else ())]
+    return [*found.adjoints, found.w, found.mu, *(found.keep if keep else ())]
 
 
 def agree(found, wanted, tolerance=1e-9):

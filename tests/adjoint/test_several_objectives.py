@@ -49,7 +49,7 @@ def test_runs(way, monkeypatch):
     integrator, asked = WAYS[way]
     run = pi.solve(MODEL, 0.06, integrator, **asked)
     alone, solved, again = [pi.gradient(run, one) for one in OBJECTIVES], [], history.replayed_history
-    for module in (history, pi.adjoint.radau):
+    for module in (history, pi.adjoint.radau_history):
         monkeypatch.setattr(module, "replayed_history", lambda *arguments: solved.append(1) or again(*arguments))
     together = pi.gradient(run, OBJECTIVES)
     require_same(together, alone, 1e-6)
