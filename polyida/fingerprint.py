@@ -1,6 +1,7 @@
 """Fingerprints of functions: of their code, of what it names in the user's modules, and of their values.
 
-Sweeps find their rows by them, and compiled functions of users their machine code.
+Sweeps find their rows by `fingerprint_of`, compiled functions of users their machine code by `machine_code_fingerprint`. A reader visits a
+function and all that it names, each object once, and digests (SHA-256) a text of each in this order: its value, its parts, or its name.
 """
 
 import copyreg
@@ -52,7 +53,7 @@ def machine_code_fingerprint(*functions):
     same = all(space.get(name, space) is value for space, name, value in named)
     if text and same and all(_content(array) == content for array, content in arrays):
         return text
-    reader = _MachineReader()
+    reader = _MachineCodeReader()
     try:
         text = _digested(reader, functions)
     except NoFingerprint:
@@ -66,10 +67,12 @@ _known: dict = {}  # {functions: (their text, [(namespace, name, value)], [(arra
 
 
 def _content(array):
+    """Shape, type and bytes of an array."""
     return array.shape, array.dtype, array.tobytes()
 
 
 def _digested(reader, thing):
+    """The digest of a thing by a new reader, in hexadecimal digits."""
     reader.add(thing)
     return reader.digest.hexdigest()
 
@@ -79,18 +82,21 @@ class _Reader:
 
     def __init__(self):
         self.digest = hashlib.sha256()
-        self.seen, self.alive = {}, []  # numbers by id, and the objects themselves: the id of a deleted object is reused
+        self.seen = {}  # {id of an object: its number}
+        self.alive = []  # the objects: the id of a deleted one would be reused
 
     def by_name(self, module):
         """True if the contents of a module are represented by names."""
         return _installed(module)
 
     def note(self, *texts):
+        """Digest texts or bytes, each with its length, so that no two lists of them give the same."""
         for text in texts:
             data = text if isinstance(text, bytes) else str(text).encode("utf-8", "surrogatepass")
             self.digest.update(b"%d:%s" % (len(data), data))
 
     def add(self, thing):
+        """Digest an object: plain ones by value, others by their parts, and by number when they are met again."""
         if type(thing) in PLAIN:
             self.note(type(thing).__name__, repr(thing))
         elif id(thing) in self.seen:
@@ -100,7 +106,8 @@ class _Reader:
             self.alive.append(thing)
             self._walk(thing)
 
-    def _all(self, things):
+    def _add_all(self, things):
+        """Digest the number of things and each of them, in their order."""
         things = list(things)
         self.note(len(things))
         for thing in things:
@@ -115,23 +122,24 @@ class _Reader:
             self.note(thing.__module__, thing.__qualname__)
         elif isinstance(thing, CodeType):
             self.note(*(getattr(thing, name) for name in BESIDE))
-            self._all(thing.co_consts)
+            self._add_all(thing.co_consts)
         elif isinstance(thing, FunctionType):
             self._function(thing)
         elif isinstance(thing, type):
             self._class(thing)
         elif type(thing) in (set, frozenset):
-            self._all(sorted(_digested(type(self)(), one) for one in thing))
+            self._add_all(sorted(_digested(type(self)(), one) for one in thing))
         elif type(thing) in (list, tuple):
-            self._all(thing)
+            self._add_all(thing)
         elif type(thing) is dict:
-            self._all(chain.from_iterable(thing.items()))
+            self._add_all(chain.from_iterable(thing.items()))
         else:
-            self._all(_wrapped(thing) or self._reduced(thing))
+            self._add_all(_wrapped(thing) or self._reduced(thing))
 
     def _function(self, function):
+        """Digest a function: its code, defaults, and what it names, except what it fills or assigns itself."""
         self.add(function.__code__)
-        self._all([function.__defaults__, function.__kwdefaults__])
+        self._add_all([function.__defaults__, function.__kwdefaults__])
         cells = zip(function.__code__.co_freevars, function.__closure__ or ())
         closed = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
         values = closed | _named(function, closed, self.by_name)
@@ -143,19 +151,20 @@ class _Reader:
 
     def _value(self, name, value):
         """Digest a name of a function and its value."""
-        self._all([name, value])
+        self._add_all([name, value])
 
     def _stores(self, code):
         """Ignored names: of variables that a function assigns outside itself, and of containers that it fills."""
         return _stores(code)
 
     def _class(self, kind):
-        self._all(kind.__bases__)
+        """Digest a class: its bases, and the functions and values that it defines."""
+        self._add_all(kind.__bases__)
         for name, value in vars(kind).items():
             parts = _wrapped(value)
             if parts or isinstance(value, (FunctionType, type)) or not (isgetsetdescriptor(value) or name.startswith(("__", "_abc_"))):
                 self.note(name)
-                self._all(parts or [value])
+                self._add_all(parts or [value])
 
     def _reduced(self, thing):
         """The parts of an object in pickle, without cached properties."""
@@ -172,63 +181,73 @@ class _Reader:
         return [make, arguments, state, tuple(entries or ()), tuple(items or ())]
 
 
-class _MachineReader(_Reader):
-    """The same for machine code: what is not represented by value has no fingerprint.
-
-    named, arrays: as of `_known`; constant: True if nothing else that was read can change in place.
-    """
+class _MachineCodeReader(_Reader):
+    """A reader of all that machine code depends on: what is represented neither by value nor by name has no fingerprint."""
 
     def __init__(self):
+        """Begin without anything read; all that is read can stay the same."""
         super().__init__()
-        self.constant, self.named, self.arrays = True, [], []
+        self.named = []  # (namespace, name, value) of all that functions name
+        self.arrays = []  # (array, its content) of all arrays
+        self.constant = True  # False if anything else that was read can change in place
 
     def by_name(self, module):
+        """True for modules of Python's library, numpy and numba."""
         top = module.partition(".")[0] if isinstance(module, str) and module != "__main__" else ""
         return top in sys.stdlib_module_names or top in ("numpy", "numba")
 
     def _stores(self, code):
+        """No names are ignored: machine code holds the values of all."""
         return (), ()
 
     def _function(self, function):
+        """Digest a function; note what it names, for the text to be kept while that stays the same."""
         space = function.__globals__
         self.named += [(space, name, space.get(name, space)) for code in _codes(function.__code__) for name in code.co_names]
         self.constant = self.constant and not function.__closure__
         super()._function(function)
 
     def _class(self, kind):
+        """Digest a class, whose attributes can change."""
         self.constant = False
         super()._class(kind)
 
     def _value(self, name, value):
+        """Digest a name and its value. Raises NoFingerprint for a function that is an attribute of a user's module."""
         self.constant = self.constant and "." not in name
         if "." in name and (isinstance(value, FunctionType) or is_dispatcher(value)):
             raise NoFingerprint(name)
         super()._value(name, value)
 
     def _walk(self, thing):
-        module = getattr(thing, "__module__", None)
-        array = isinstance(thing, np.ndarray)
-        if isinstance(thing, STORES) or (array and thing.dtype.hasobject):
-            self.constant = False
-        elif array:
-            self.arrays.append((thing, _content(thing)))
-        if isinstance(thing, ModuleType) and not self.by_name(thing.__name__) and hasattr(thing, "__getattr__"):
-            raise NoFingerprint(thing.__name__)
-        if is_dispatcher(thing):
-            if of_polyida(thing):
-                self.note(thing.__module__, thing.__qualname__)
-            elif not getattr(thing, "_can_compile", False):  # with fixed types
+        """Digest an object that machine code holds by value or by name. Raises NoFingerprint for any other."""
+        self._track(thing)
+        if is_dispatcher(thing) and of_polyida(thing):
+            self.note(thing.__module__, thing.__qualname__)
+        elif is_dispatcher(thing):
+            if not getattr(thing, "_can_compile", False):  # with fixed types
                 raise NoFingerprint(thing.__qualname__)
-            else:
-                super()._walk(thing)
-        elif isinstance(thing, (BuiltinFunctionType, type(np.dot))) and self.by_name(module):
-            self.note(module, thing.__qualname__)
+            super()._walk(thing)
+        elif isinstance(thing, (BuiltinFunctionType, type(np.dot))) and self.by_name(getattr(thing, "__module__", None)):
+            self.note(thing.__module__, thing.__qualname__)
         elif isinstance(thing, tuple):
-            self._all([type(thing), *thing])
+            self._add_all([type(thing), *thing])
         elif isinstance(thing, BY_VALUE) or type(thing).__module__ == "polyida.jit.user_functions":
             super()._walk(thing)
         else:
             raise NoFingerprint(type(thing).__name__)
+
+    def _track(self, thing):
+        """Note an array, whose content is compared later, or that a thing can change in place.
+
+        Raises NoFingerprint for a user's module that makes its attributes when they are asked for.
+        """
+        if isinstance(thing, STORES) or (isinstance(thing, np.ndarray) and thing.dtype.hasobject):
+            self.constant = False
+        elif isinstance(thing, np.ndarray):
+            self.arrays.append((thing, _content(thing)))
+        elif isinstance(thing, ModuleType) and not self.by_name(thing.__name__) and hasattr(thing, "__getattr__"):
+            raise NoFingerprint(thing.__name__)
 
 
 def is_dispatcher(thing):

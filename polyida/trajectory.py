@@ -16,7 +16,7 @@ from polyida.assembly.scene_bodies import nodal_stress
 from polyida.errors import InputError, printable
 from polyida.event import Events
 from polyida.integrate.state import Counts, Restart, State, declared
-from polyida.io.layout import blocks, each
+from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import violation
@@ -297,6 +297,7 @@ class Trajectory:
         return self._reaction("wrench", name, True)
 
     def _reaction(self, call, name, whole):
+        """Reactions (frames, k) of a joint, in the name of `call`; whole: all of (fx, fy, m)."""
         model, reactions = self._of_joint(call, name), []
         if whole and not (model.is_scene and model.reaction_of(name)):
             raise InputError(f"{call}: {name!r} is no joint of a scene")
@@ -329,6 +330,7 @@ class Trajectory:
         return all(one.model.redundant is None or one.model.redundant.unique(name) for one in self._pieces("unique"))
 
     def _of_joint(self, what, name):
+        """The guarded model, which has a joint of that name. Raises InputError, in the name of `what`."""
         model = self.known_model(what)
         if not is_one_of(name, model.rows):
             raise InputError(f"no joint is called {name!r}; known: {names_of_joints(model)}")
@@ -459,6 +461,7 @@ class Trajectory:
         return f"<Trajectory: {self._headline()}>"
 
     def _headline(self):
+        """Status, integrator, times and sizes of the run in one line."""
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         end = f"t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self) else "no frame"
         n, m = (np.shape(x)[-1] for x in (self.q, self.lam))

@@ -14,7 +14,7 @@ import pytest
 import polyida as pi
 from polyida.errors import StepFailure
 from polyida.integrate.state import State, between
-from polyida.io.layout import StoredFrames
+from polyida.io.frames import StoredFrames
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")

@@ -12,7 +12,7 @@ import pytest
 
 import polyida as pi
 from polyida.io.layout import HEAD
-from polyida.io.reader import checksum
+from polyida.io.unclosed import checksum
 from polyida.problems import plates
 
 

@@ -15,8 +15,8 @@ from polyida.integrate.state import Counts, State, declared
 from polyida.model.differences import along, jacobian
 from polyida.model.guarded import guard, unguarded
 from polyida.model.row_laws import Slips
-from polyida.run.events import Change, Happenings
-from polyida.run.modes import LEAST_SPEED, Modes
+from polyida.run.contact_events import LEAST_SPEED, ContactHandler
+from polyida.run.events import Change, EventHandler
 from polyida.run.solve import solve
 
 
@@ -43,7 +43,7 @@ class Motions:
         model = self.whole = guard(run.model)
         first = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
         if model.row_laws:
-            self.happenings = Modes(model, declared(run.integrator), compiled=False)
+            self.happenings = ContactHandler(model, declared(run.integrator), compiled=False)
             impact = self.happenings.contacts.impact
             self.happenings.contacts.impact = lambda *arguments: self._noted(impact, arguments)
         else:
@@ -51,7 +51,7 @@ class Motions:
                 raise InputError(
                     "gradient: the run has events, whose functions no file holds; take the gradient of the run that solve gives"
                 )
-            self.happenings = Happenings(run.model, run.events.causes, declared(run.integrator))
+            self.happenings = EventHandler(run.model, run.events.causes, declared(run.integrator))
             first = replace(first, lam=first.lam[self.happenings.mode.columns])
         self.jumps, self.starts, self.modes, self.resets = [], [], [], []
         change, apply = self.happenings._change, self.happenings._apply
@@ -109,7 +109,7 @@ class Motions:
         if len(fired) > 1 and self.impact is None:
             names = ", ".join(dict.fromkeys(one.events[k].name for k in fired))
             raise InputError(f"gradient: {names} happen at one time, t = {state.t:.9g} s, where the motion has no slopes")
-        if isinstance(one, Modes):
+        if isinstance(one, ContactHandler):
             function = _RowFunction(self.whole, before, law.law, status[law.law])
             resets, seen = [self._impact_reset(before)] if self.impact else [], None
         else:

@@ -8,7 +8,7 @@ from polyida.adjoint.resets import behind, on_constraints
 from polyida.event import Impact, Impulse, Remove
 from polyida.joint.attachment import Attachment
 from polyida.model.guarded import guard
-from polyida.run.events import pull_of
+from polyida.run.reset import pull_of
 
 
 class SeenPlaces:

@@ -63,7 +63,8 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
             events = Events.from_data(record.get("events", []))
             model, missing = _model(stored) if model is None else (_given(stored, model, events), Trajectory.missing)
             integrator = integrator_of(stored)
-            status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
+            sensors = sensors_of(stored)
+            status, message = str(record["status"]), str(record["message"])
             if status == "running":
                 status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
             if damage:
@@ -147,7 +148,8 @@ def model_of(stored, drives):
         return None
     arrays = stored.arrays("scene")
     parts, gravity = from_data(stored.about["scene"], arrays, drives.get)
-    scene, late, redundant = Scene(gravity), stored.about.get("late"), stored.about.get("redundant", "refuse")
+    scene = Scene(gravity)
+    late, redundant = stored.about.get("late"), stored.about.get("redundant", "refuse")
     for part in parts.values():
         scene.add(part)
     model = scene.build(redundant) if late is None else SceneModel(scene.parts, scene.gravity, redundant, False, tuple(late))

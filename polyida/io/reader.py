@@ -1,16 +1,12 @@
 """Reading and checking the files of runs.
 
-HDF5 marks a file that is open for writing, and afterwards opens it only in SWMR mode, in which it reads a damaged spot again and again for
-hours. Here the mark is removed from the data that HDF5 reads, not from the file: the flags of the superblock (version 3: byte 11) are
-cleared, its end of file (bytes 28 to 35) is set to the size of the file, and its checksum (bytes 44 to 47) is recomputed. Source: HDF5 File
-Format Specification 3.0; checksum: Bob Jenkins, lookup3.
+In: the path of a file, whole, damaged, cut off by a killed process or still being written. Out: a Stored with the last complete record, the
+state to continue from and the committed frames, or an InputError that names the file. Nothing in a file is trusted.
 """
 
-import io
 import json
 import math
 import os
-import struct
 import time
 import zlib
 from contextlib import contextmanager
@@ -20,83 +16,10 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.layout import (
-    BLOCK_BYTES,
-    FORMAT,
-    FRAMES,
-    HEAD,
-    SENSORS,
-    StoredFrames,
-    being_written,
-    dtypes_of,
-    frames_at_once,
-    sensed_width,
-    shapes_of,
-    width_of,
-)
-
-START, LENGTH = b"\x89HDF\r\n\x1a\n\3\x08", 48  # of a superblock of version 3
-MASK = 0xFFFFFFFF
-
-
-class Source(io.RawIOBase):
-    """A readable file object that owns a descriptor and has a position of its own, also after a fork."""
-
-    def __init__(self, descriptor):
-        self._descriptor, self._at, self.size = descriptor, 0, os.fstat(descriptor).st_size
-        self._head = b""
-        head = self._part(LENGTH)
-        marked = head[:10] == START and len(head) == LENGTH and head[11] != 0
-        body = head[:11] + b"\0" + head[12:28] + struct.pack("<Q", self.size) + head[36:44]
-        self._head = body + struct.pack("<I", checksum(body)) if marked else head
-
-    def __del__(self):
-        os.close(self._descriptor)
-
-    def seek(self, offset, whence=0):
-        """As io.RawIOBase."""
-        self._at = offset + (0, self._at, self.size)[whence]
-        return self._at
-
-    def tell(self):
-        """As io.RawIOBase."""
-        return self._at
-
-    def readinto(self, buffer):
-        """As io.RawIOBase, with the superblock repaired."""
-        view = memoryview(buffer).cast("B")
-        data = self._part(len(view))
-        view[: len(data)] = data
-        self._at += len(data)
-        return len(data)
-
-    def _part(self, size):
-        if hasattr(os, "pread"):
-            data = os.pread(self._descriptor, size, self._at)
-        else:
-            os.lseek(self._descriptor, self._at, os.SEEK_SET)
-            data = os.read(self._descriptor, size)
-        return self._head[self._at : self._at + len(data)] + data[max(0, len(self._head) - self._at) :]
-
-
-def checksum(data):
-    """lookup3 of the 44 bytes before a superblock's checksum."""
-    words = [*struct.unpack("<11I", data), 0]
-    a = b = c = 0xDEADBEEF + len(data)
-    for k in (0, 3, 6):
-        a, b, c = a + words[k], b + words[k + 1], c + words[k + 2]
-        for shift in (4, 6, 8, 16, 19, 4):
-            a, b, c = b, b + c & MASK, (a - c & MASK) ^ _turned(c, shift)
-    x, y, z = c, b + words[10] & MASK, a + words[9] & MASK
-    for shift in (14, 11, 25, 16, 4, 14, 24):
-        x, y, z = z, (x ^ y) - _turned(y, shift) & MASK, y
-    return y
-
-
-def _turned(x, shift):
-    x &= MASK
-    return (x << shift | x >> 32 - shift) & MASK
-
+from polyida.io.frames import StoredFrames
+from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, SENSORS, dtypes_of, frames_at_once, sensed_width, shapes_of, width_of
+from polyida.io.locks import being_written
+from polyida.io.unclosed import Source
 
 TRIES, PAUSE = 50, 0.01  # s: at a file that is being written
 
@@ -155,15 +78,22 @@ class StoredMemory(dict):
 
 
 class Stored:
-    """An open file, checked: plain data `about`, the last complete `record`, `restart`, the state to continue from, or None.
+    """An open file, checked: what the run was, its last complete record, and its frames, which are read when needed.
 
-    torn: True if a slot is not complete. seconds: (CPU, wall). n, m: of the model. count: committed frames. single: True if frames have
-    single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives; sensed: StoredFrames of the sensors. Raises InputError,
-    or another exception for a damaged file.
+    Raises InputError, or another exception for a damaged file.
     """
 
     def __init__(self, file, path, size, live=False):
-        self.file, self.path, self.live, self._size, self._claimed = file, path, live, size, {}
+        """Check an open file and read all but its frames. size: its bytes; live: another process is writing it.
+
+        Sets about (plain data: integrator, scene, plan, machine), record (plain data: the status at the last flush), n and m of the model, shapes
+        and sensors ({name: shape}), seconds (CPU, wall, compiling), counts, count (committed frames), single (True: single precision), columns
+        ({name: StoredFrames} of t, q, v, a, lam and the drives), sensed (StoredFrames of the sensors), restart (the Restart, or None) and torn
+        (True if a slot is not complete).
+        """
+        self.file, self.path, self.live = file, path, live
+        self._size = size  # bytes of the file
+        self._claimed = {}  # {name of a dataset: bytes that it claims to have}
         try:
             if str(file.attrs.get("format")) != FORMAT:
                 raise InputError(f"not a polyida trajectory (format {file.attrs.get('format')!r}, {FORMAT!r} is needed)")
@@ -248,28 +178,38 @@ class Stored:
         return json.loads(body[:text]), np.frombuffer(body[text:], float)
 
     def _unpack(self, numbers):
-        """Split the numbers of a slot into the state to continue from and the frames after the last block."""
-        record, n, m = self.record, self.n, self.m
-        memory = [(str(name), tuple(map(int, shape))) for name, shape in record["memory"]]
-        shapes = [(), (n,), (n,), (n,), (m,), *(shape for _, shape in memory)] if record["restart"] else []
-        self.count, rows = int(record["frames"]), int(record["tail"])
-        steps, sensed, width = int(record.get(SENSORS, 0)), int(record.get("sensors tail", 0)), (sensed_width(self.sensors),)
-        datasets = self._found("frames", self.shapes, self.count, rows)
-        shapes += [*((rows, *shape) for shape in self.shapes.values()), (sensed, *width)]
-        sizes = [int(np.prod(shape)) for shape in shapes]
-        if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
-            raise InputError("the last frames, or the state to go on from, are damaged")
-        parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
-        tails = dict(zip(self.shapes, parts[-len(self.shapes) - 1 :]))
+        """Set frames, sensor values and the state to continue from, by the datasets and the numbers of a slot."""
+        record, width = self.record, (sensed_width(self.sensors),)
+        self.count, tail = int(record["frames"]), int(record["tail"])
+        steps, sensed_tail = int(record.get(SENSORS, 0)), int(record.get("sensors tail", 0))
+        datasets = self._found("frames", self.shapes, self.count, tail)
+        tails = {name: (tail, *shape) for name, shape in self.shapes.items()} | {SENSORS: (sensed_tail, *width)}
+        state, memory, tails = self._split(numbers, tails)
         self.single = datasets["q"].dtype == np.float32
         none = np.zeros((self.count, 0))  # lam without constraints
         self.columns = {
             name: StoredFrames(datasets.get(name, none), tails[name].astype(dtype), self.count, self.path)
             for name, dtype in dtypes_of(self.shapes, self.single).items()
         }
-        datasets = self._found("steps of sensors", {SENSORS: width}, steps, sensed)
-        self.sensed = StoredFrames(datasets.get(SENSORS, none[:0]), parts[-1], steps, self.path)
-        self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
+        datasets = self._found("steps of sensors", {SENSORS: width}, steps, sensed_tail)
+        self.sensed = StoredFrames(datasets.get(SENSORS, none[:0]), tails[SENSORS], steps, self.path)
+        self.restart = self._restart(state, memory) if record["restart"] else None
+
+    def _split(self, numbers, tails):
+        """({name: array} of the state to continue from, of its memory and of the last frames), in which order the numbers of a slot have them.
+
+        tails: {name: shape}. Raises InputError unless the sizes fit and all numbers are finite.
+        """
+        state, memory = {}, {}
+        if self.record["restart"]:
+            state = shapes_of(self.n, self.m)
+            memory = {str(name): tuple(map(int, shape)) for name, shape in self.record["memory"]}
+        groups = state, memory, tails
+        sizes = [int(np.prod(shape)) for group in groups for shape in group.values()]
+        if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
+            raise InputError("the last frames, or the state to go on from, are damaged")
+        parts = iter(np.split(numbers, np.cumsum(sizes)))
+        return [{name: next(parts).reshape(shape) for name, shape in group.items()} for group in groups]
 
     def _found(self, what, shapes, count, rows):
         """{name: dataset} of columns with `count` committed rows, the last `rows` of which are in the slot."""
@@ -279,12 +219,14 @@ class Stored:
             raise InputError(f"it holds {least} {what}, {count - rows} are stated; the file is damaged")
         return datasets
 
-    def _restart(self, names, parts):
-        stored, memory = self.record["restart"], StoredMemory(self.path, zip(names, parts[5:]))
-        state = State(float(parts[0]), *parts[1:5], memory)
+    def _restart(self, state, memory):
+        """The Restart of the record, from {name: array} of a state and of the integrator's memory. Raises InputError for a damaged one."""
+        stored, t = self.record["restart"], float(state.pop("t"))
         if not 0 <= int(stored["frames"]) <= self.count:
             raise InputError("the state to go on from is damaged")
-        return Restart(state, int(stored["frames"]), counts_of(stored["counts"]).as_dict())
+        return Restart(
+            State(t, **state, memory=StoredMemory(self.path, memory)), int(stored["frames"]), counts_of(stored["counts"]).as_dict()
+        )
 
     def check(self):
         """Read all frames and sensor values, and drop those from the first damaged one on. Returns what is damaged, or "".
@@ -318,9 +260,8 @@ class Stored:
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
             falls = np.diff(values, prepend=last) < 0 if name == "t" else wrong
             if (wrong | falls).any():
-                return first + int((wrong | falls).argmax()), f"{name}: " + (
-                    "values that are not finite" if wrong.any() else "the times do not increase"
-                )
+                fault = "values that are not finite" if wrong.any() else "the times do not increase"
+                return first + int((wrong | falls).argmax()), f"{name}: {fault}"
             last = values[-1]
         return count, ""
 
@@ -338,7 +279,7 @@ class Stored:
 
 
 def counts_of(stored):
-    """Counts from plain data."""
+    """The Counts of plain data in a file. Raises InputError for a count that is no whole number."""
     counts = Counts(**stored)
     for name, value in stored.items():
         if not isinstance(value, str if name == "backend" else int):

@@ -49,7 +49,12 @@ class _Encoder:
     """Converts fields of parts to data; collects arrays and drives."""
 
     def __init__(self, parts, stored_fields):
-        self.parts, self.stored_fields, self.arrays, self.drives, self.meshes = parts, stored_fields, {}, {}, {}
+        """Take the parts of a scene and what some of its bodies store in place of their fields."""
+        self.parts = parts  # {name: part}
+        self.stored_fields = stored_fields  # {name: {field: value}} of bodies that store other fields than their own
+        self.arrays = {}  # {key: array}
+        self.drives = {}  # {key: (part, profile)}
+        self.meshes = {}  # {id of a mesh: key}
 
     def fields(self, name, key, part):
         """{field: data} of a part without its name; key: the prefix of its arrays."""
@@ -88,6 +93,7 @@ class _Encoder:
         return _plain(value) if _numbers(value, "iuf") else {"unknown": type(value).__name__}
 
     def _side(self, key, side):
+        """The data of an attachment: its body by name; its nodes and weights are arrays under `key`."""
         body = next(name for name, part in self.parts.items() if part is side.body)
         self.arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": _real(side.weights)}
         if side.turn_weights is not None:
@@ -101,6 +107,7 @@ class _Encoder:
         return key
 
     def _mesh(self, mesh):
+        """The key of a mesh, whose arrays are stored when it is first met."""
         if id(mesh) not in self.meshes:
             key = self.meshes[id(mesh)] = f"mesh {len(self.meshes)}"
             self.arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
@@ -147,10 +154,14 @@ def factors_from(description, arrays):
 
 
 class _Decoder:
-    """Makes parts from entries. waiting: {name: entry} of those not made yet; a joint makes its bodies, which may stand behind it."""
+    """Makes parts from entries; a joint makes its bodies, which may stand behind it."""
 
     def __init__(self, arrays, drives):
-        self.arrays, self.drives, self.parts, self.meshes, self.waiting = arrays, drives, {}, {}, {}
+        """Take the arrays of a file and the function (key) -> profile of drives."""
+        self.arrays, self.drives = arrays, drives
+        self.parts = {}  # {name: part} of those made so far
+        self.meshes = {}  # {key: mesh}
+        self.waiting = {}  # {name: entry} of those not made yet
 
     def part_of(self, name):
         """The part of that name, made when it is first asked for."""
@@ -195,6 +206,7 @@ class _Decoder:
         return self._mesh(value["mesh"], value["sections"], value.get("order", 1)) if "mesh" in value else self._side(value["side"])
 
     def _mesh(self, key, names, order):
+        """The mesh of a key, made when it is first asked for. names: of its sections."""
         arrays = self.arrays
         if key not in self.meshes:
             sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
@@ -204,6 +216,7 @@ class _Decoder:
         return self.meshes[key]
 
     def _side(self, side):
+        """The attachment of data. Raises InputError unless it selects nodes of its body, with a weight each."""
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.part_of(side["body"])
         if "corners" in side:

@@ -12,20 +12,8 @@ from uuid import uuid4
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.layout import (
-    FORMAT,
-    HAS_LOCKS,
-    HEAD,
-    SENSORS,
-    being_written,
-    chunk_of,
-    dtypes_of,
-    frames_at_once,
-    lock,
-    require_unwritten,
-    shapes_of,
-    width_of,
-)
+from polyida.io.layout import FORMAT, HEAD, SENSORS, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
+from polyida.io.locks import HAS_LOCKS, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond the known size
 SLOT_CHUNK = 1 << 16
@@ -41,10 +29,16 @@ class Table:
     """
 
     def __init__(self, shapes, dtypes):
-        self.shapes, self.dtypes, self.count, self.rows, self._datasets = shapes, dtypes, 0, frames_at_once(width_of(shapes)), {}
-        chunks = {name: chunk_of(self.rows, shape) for name, shape in shapes.items() if shape != (0,)}
-        self.chunks, counts = chunks, {name: -(-self.rows * prod(shapes[name]) // prod(chunk)) for name, chunk in chunks.items()}
-        self.block_bytes = sum(counts[name] * (prod(chunk) * dtypes[name].itemsize + CHECK) for name, chunk in chunks.items())
+        """Take {name: shape of a row} and {name: dtype}; the datasets are made by `make`."""
+        self.shapes, self.dtypes = shapes, dtypes
+        self.count = 0
+        self.rows = frames_at_once(width_of(shapes))
+        self.chunks = {name: chunk_of(self.rows, shape) for name, shape in shapes.items() if shape != (0,)}
+        self._datasets = {}  # {name: dataset} of an open file
+        self.block_bytes = 0  # on the disk
+        for name, chunk in self.chunks.items():
+            count = -(-self.rows * prod(shapes[name]) // prod(chunk))
+            self.block_bytes += count * (prod(chunk) * dtypes[name].itemsize + CHECK)
 
     def make(self, file):
         """Create the datasets in an open file."""
@@ -102,15 +96,24 @@ class Writer:
     """
 
     def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False, width=0):
+        """Make the file beside its place.
+
+        about: plain data; arrays: {path: array} of the scene; fsync: wait for the disk at each commit.
+        """
         import h5py
 
-        self.shown, self.path, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0
-        self.committed, self.drives, self.fsync, shapes = 0, drives, fsync, shapes_of(n, m, drives)
-        self.frames, self.sensors = Table(shapes, dtypes_of(shapes, single)), Table({SENSORS: (width,)}, {SENSORS: np.dtype("f8")})
+        self.shown, self.path = shown, shown.with_name(f".polyida-{uuid4().hex}.part")
+        self.drives, self.fsync = drives, fsync
+        shapes = shapes_of(n, m, drives)
+        self.frames = Table(shapes, dtypes_of(shapes, single))
+        self.sensors = Table({SENSORS: (width,)}, {SENSORS: np.dtype("f8")})
+        self.commits = self.committed = 0  # number of commits, and of frames in the last one
         self._tables = self.frames, self.sensors
-        self._reserved, self._slots = 0, 2 * (sum(table.block_bytes for table in self._tables) + SLOT_CHUNK)
         head = self._head(about, arrays)
-        self._start, self._file = len(head), None
+        self._start = len(head)  # bytes of the file without frames
+        self._slots = 2 * (sum(table.block_bytes for table in self._tables) + SLOT_CHUNK)  # bytes of both
+        self._reserved = 0  # bytes of the file that the disk has reserved
+        self._file = None  # the open file of h5py
         with writing(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
@@ -237,6 +240,7 @@ class Writer:
                 self._discard()
 
     def _publish(self, overwrite):
+        """Move the file to its place. Raises InputError if another one is there that must not be replaced."""
         try:
             if overwrite:
                 require_unwritten(self.shown)
@@ -275,6 +279,7 @@ class Writer:
             lock(self.descriptor, on=False)
 
     def _discard(self):
+        """Close and remove the file, whatever fails."""
         with suppress(Exception):
             self.close()
         os.close(self.descriptor)

@@ -41,11 +41,11 @@ class _Listener(event.Listener):
         self.begin, self.end = begin, end
 
     def on_start(self, event):
-        """Begin."""
+        """Call `begin` when the work begins."""
         self.begin(event)
 
     def on_end(self, event):
-        """End."""
+        """Call `end` when the work ends."""
         self.end(event)
 
 
@@ -154,6 +154,7 @@ def typed(entry):
     compiled = None
 
     def call(*args):
+        """Call the entry with the types of the first call."""
         nonlocal compiled
         if compiled is None:
             compiled = bound(entry, *args)

@@ -164,7 +164,7 @@ class _PartLibrary(JITCodeLibrary):
     """The code of a part and of its callees, not optimised."""
 
     def finalize(self):
-        """Link the callees."""
+        """Link the callees, so that callers take in both."""
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
@@ -297,6 +297,8 @@ def _require_shape(src_shapes, index_shape):
 
 @overload(_require_shape)
 def _compiled_require_shape(src_shapes, index_shape):
+    """The compiled form: the error has one constant text."""
+
     def require_shape(src_shapes, index_shape):
         raise ValueError("cannot assign slice from input of different size")
 

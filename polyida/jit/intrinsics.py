@@ -88,8 +88,12 @@ def traced(outputs, vector=lanes):
     result = vector if outputs == 1 else types.UniTuple(vector, outputs)
 
     def decorate(function):
+        """Let numba type and lower calls of the function by tracing it."""
+
         @type_callable(function)
         def typed(context):
+            """Typer of calls: the result does not depend on the arguments."""
+
             def typer(*args):
                 return result
 
@@ -97,6 +101,7 @@ def traced(outputs, vector=lanes):
             return typer
 
         def lower(context, builder, sig, args):
+            """Trace the function: each operation of a Traced appends an instruction to the builder."""
             pairs = zip(sig.args, args)
             values = function(
                 *(
@@ -147,7 +152,10 @@ def _loader(result, element, count, doc):
     """Intrinsic (array, start) -> `count` consecutive `element`s of the flat array."""
 
     def load(typing_context, array, start):
+        """Type of the call and the generator of its code; gets the docstring `doc`."""
+
         def generate(context, builder, sig, args):
+            """Code that reads the elements from the flat array."""
             places = [builder.add(args[1], args[1].type(k * getattr(element, "count", 1))) for k in range(count)]
             values = [_read(builder, _address(context, builder, sig.args[0], args[0], place, element), element) for place in places]
             if element == INT32:
@@ -176,6 +184,8 @@ def _zeros(count):
     kind = types.UniTuple(lanes, count)
 
     def zeros(typing_context):
+        """Type of the call and the generator of its code."""
+
         def generate(context, builder, sig, args):
             return context.make_tuple(builder, kind, [ir.Constant(lanes.element, None)] * count)
 
@@ -225,6 +235,7 @@ def store(typing_context, array, start, values):
     element = values.dtype.element
 
     def generate(context, builder, sig, args):
+        """Code that stores one vector after the other."""
         for k in range(len(values)):
             where = builder.add(args[1], args[1].type(k * element.count))
             pointer = _address(context, builder, sig.args[0], args[0], where, element)
@@ -256,6 +267,7 @@ def gather(typing_context, array, places, start, offset):
     """(array[k, 0], array[k, 1]) for k = places[start : start + LANES] + offset, array (N, 2)."""
 
     def generate(context, builder, sig, args):
+        """Code that reads LANES pairs and sorts them into two vectors."""
         pointers = _rows(context, builder, sig.args[0], args[0], (sig.args[1], *args[1:]), 2)
         pairs = [_read(builder, pointer, pair.element) for pointer in pointers]
         low, high = _joined(builder, pairs[: LANES // 2]), _joined(builder, pairs[LANES // 2 :])
@@ -273,6 +285,7 @@ def scatter_add(typing_context, array, places, start, offset, values):
     """
 
     def generate(context, builder, sig, args):
+        """Code that adds row after row, so that equal places are added up."""
         columns = [builder.extract_value(args[4], k) for k in range(len(values))]
         where = (sig.args[1], *args[1:4])
         for k, pointer in enumerate(_rows(context, builder, sig.args[0], args[0], where, len(columns))):

@@ -41,10 +41,12 @@ def _names_read(function, visited):
 class OwnData:
     """The values that functions read from an object, the owner, as `self`.
 
-    words: the values as float64 words, to be read when all are added. profiles: [(index of the word of its value, Profile)]. python: True if a field is a Python function.
+    words: the values as float64 words, to be read when all are added. profiles: [(index of the word of its value, Profile)]. python: True if a
+    field is a Python function.
     """
 
     def __init__(self, owner, functions, helpers=()):
+        """Find the fields that the functions read from the owner, and those of functions that they call."""
         self.owner, self.python, self.fields, self.functions, self.profiles, self._words = owner, False, {}, [], [], []
         self.helpers = helpers  # (name, compiled function) that source texts call
         for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
@@ -94,6 +96,7 @@ class OwnData:
         """
 
         def listed(function):
+            """Source text of the arguments of a call of a function. Raises InputError for an argument that is not known."""
             used = list(signature(function).parameters)[1:]
             if wrong := [name for name in used if name not in arguments]:
                 raise InputError(f"{function.__qualname__}: its arguments must be (self, {', '.join(arguments)}), not {wrong[0]!r}")
@@ -166,6 +169,7 @@ def as_pair(typing, profile):
 
 
 def _value_at(profile, t):
+    """The value of a profile at its own time; numba raises for any other."""
     value, time = as_pair(profile)
     if t != time:
         raise ValueError("a compiled function may call a profile at its own time t only")

@@ -60,6 +60,7 @@ class PackType(types.BaseNamedTuple):
     """The numba type of a pack with fields (name, type). numba reads types of attributes of named tuples through `fields` and `[]`."""
 
     def __init__(self, label, fields):
+        """Take a label and (name, type) of each field, in their order."""
         self.fields, self.types = tuple(name for name, _ in fields), tuple(kind for _, kind in fields)
         positions = np.cumsum([0, *map(_size, self.types)])
         self.positions = dict(zip(self.fields, zip(self.types, map(int, positions))))  # {name: (type, first word in the block)}
@@ -80,6 +81,7 @@ def _size(kind):
 
 @typeof_impl.register(_Packed)
 def _type_of(value, context):
+    """The PackType of a pack; one object for all packs of the same form."""
     known = vars(value)
     if "_kind" not in known:
         form = type(value), *[_form(field, context) for field in value]
@@ -120,6 +122,7 @@ register_model(PackType)(models.OpaqueModel)  # the address of the block
 
 @unbox(PackType)
 def _unboxed(kind, value, c):
+    """The address of a pack's block, read from the Python object."""
     number = c.pyapi.object_getattr_string(value, "address")
     address = c.pyapi.long_as_voidptr(number)
     c.pyapi.decref(number)

@@ -41,7 +41,7 @@ def fill_vector(out, found, factor):
 
 @part
 def fill_matrix(out, found, factor):
-    """The same for matrices."""
+    """out = factor * found for matrices of the same shape."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = factor * found[i, j]
@@ -158,6 +158,7 @@ def c_function_of(label, inner, mark, source, names, dimensions, of_complex=Fals
 
     @intrinsic
     def require_result(typing, result):
+        """Raise TypingError while compiling if the result has another type; it does nothing in machine code."""
         number = result.dtype if isinstance(result, types.Array) and result.ndim == dimensions > 0 else result
         if not isinstance(number, kinds) or (number is result) == (dimensions > 0):
             wrong.append(result)
@@ -170,6 +171,7 @@ def c_function_of(label, inner, mark, source, names, dimensions, of_complex=Fals
     kernel_cache.remove_old_own(__name__.rpartition(".")[2])
 
     def address_of(source, name, cached):
+        """Address of the function `called` of a source, under a name by which its machine code is cached."""
         exec(source, names)
         called = names["called"]
         called.__code__ = called.__code__.replace(co_filename=__file__)  # numba compares the time of this file, not of the user's

@@ -18,7 +18,7 @@ from polyida.assembly.placement import dead_loads
 from polyida.body.body import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.io.layout import each
+from polyida.io.frames import each
 from polyida.model.differences import beside, cubic
 from polyida.reprs import brief
 from polyida.results.motion import Motion
@@ -41,7 +41,7 @@ def works(motions, settled):
 
 
 def _works_of(motion, settled):
-    """The same of one Motion: of all that its model names in `powers` at the first frame."""
+    """{name: work since the first frame, (frames,), J} of one Motion, for all that its model names in `powers` at the first frame."""
     t = np.asarray(motion.t, float)
     powers = _Powers(motion) if len(t) else None
     if not (powers and powers.names):
@@ -92,6 +92,7 @@ class _Kinks:
     """
 
     def __init__(self, model, t):
+        """Take the model, functions for powers and settled states, begin and length of the time, s, and the states at its ends."""
         times = np.array(model.kinks(beside(t[0], -1.0), t[-1]), float)
         after = np.searchsorted(t, times)
         nearest = np.where(np.abs(t[after] - times) < np.abs(t[after - 1] - times), after, after - 1) if len(times) else after
@@ -115,7 +116,9 @@ class _Interval:
     """
 
     def __init__(self, model, powers, settled, t, h, ends, multipliers):
-        self.model, self.powers, self.settled, self.t, self.h, self.ends, self.multipliers = model, powers, settled, t, h, ends, multipliers
+        self.model, self.powers, self.settled = model, powers, settled
+        self.t, self.h = t, h
+        self.ends, self.multipliers = ends, multipliers
 
     def work(self, kinks):
         """Works, J. kinks: their places, in parts of the time."""
@@ -126,6 +129,7 @@ class _Interval:
         return self._halved(first, last, *self._gauss(first, last, gap=0.0)[:2], HALVINGS) if leaves else works
 
     def _halved(self, first, last, works, size, halvings):
+        """Works of a part of the time: `works`, or the sum of those of its halves if these differ by more than FINE of `size`."""
         middle = 0.5 * (first + last)
         halves = [(*part, *self._gauss(*part, gap=0.0)[:2]) for part in ((first, middle), (middle, last))]
         both = halves[0][2] + halves[1][2]
@@ -252,6 +256,7 @@ class Energy:
 
     @cached_property
     def _works(self):
+        """{part: work (frames,), J}. Raises InputError if the frames are too far apart for the works between them."""
         gained = works(self._motions, self._settled)
         if self._thinned:
             largest = max([float(self.kinetic.max(initial=0.0)), *(float(np.abs(work).max(initial=0.0)) for work in gained.values())])

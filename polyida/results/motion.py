@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.element import kernels
 from polyida.errors import InputError
-from polyida.io.layout import blocks, each
+from polyida.io.frames import blocks, each
 from polyida.joint.joint import Joint
 from polyida.validation import LARGEST, floats, library, named_keywords
 
@@ -123,14 +123,14 @@ UNITS = {"q": "m", "v": "m/s", "a": "m/s2"}  # of a scene's
 
 
 def dataframe(run):
-    """The pandas.DataFrame of `Trajectory.to_dataframe`."""
+    """The pandas.DataFrame of `Trajectory.to_dataframe`: a row for each frame."""
     from pandas import DataFrame
 
     return DataFrame({"t": run.t} | _columns(run))
 
 
 def _columns(run):
-    """{name: (frames,)}."""
+    """{name of a column: (frames,)} of a run: q, v, lam of a model; places, states, reactions, energies and drift of a scene."""
     if run.model is None or not run.model.is_scene:
         hidden = [] if run.model is None else run.known_model("to_dataframe").hidden
         parts = {part: np.delete(np.asarray(getattr(run, part)), hidden, axis=1) for part in "qv"} | {"lam": np.asarray(run.lam)}
@@ -183,7 +183,7 @@ def _of_row(model, row, k):
 
 
 def dataset(run):
-    """The xarray.Dataset of `Trajectory.to_xarray`."""
+    """The xarray.Dataset of `Trajectory.to_xarray`, over the times of the frames."""
     scene = run.model is not None and run.model.is_scene
     entries = {part: (("t", "coordinate"), np.asarray(getattr(run, part)), {"units": UNITS[part]} if scene else {}) for part in UNITS}
     entries["lam"] = (("t", "constraint"), np.asarray(run.lam))

@@ -14,7 +14,7 @@ from polyida.body.plate import Plate
 from polyida.element.operator import Material
 from polyida.element.relaxation import relax
 from polyida.errors import InputError
-from polyida.io.layout import each
+from polyida.io.frames import each
 from polyida.jit.intrinsics import LANES
 from polyida.mesh import PolygonMesh
 from polyida.reprs import brief
@@ -32,6 +32,7 @@ class Slivers:
     """
 
     def __init__(self, body, gravity, place, way, ahead):
+        """Cut the cells that the line crosses; gravity: of the scene. Each sliver has a mass and weights of its cell's nodes."""
         material, mesh, operator = body.plate.material, body.mesh, body.operator
         distance = (body.points - place) @ way
         density, entries, masses = material.rho * body.plate.thickness, [], []
@@ -47,7 +48,9 @@ class Slivers:
             masses.append(side * density * body.factors[1][cell] * area)
         rows, columns, values = np.array(entries, float).reshape(-1, 3).T
         self.weights = csr_array((values, (rows.astype(int), columns.astype(int))), (len(masses), mesh.n_nodes))
-        self.mass, self.gravity, self.drag, self.rest = np.array(masses)[:, None], gravity, material.mass_damping, body.points
+        self.mass = np.array(masses)[:, None]
+        self.gravity, self.drag = gravity, material.mass_damping
+        self.rest = body.points
 
     def forces(self, t, v, a):
         """Inertia forces less weight and damping, (slivers, 2), N, from the nodes' velocities and accelerations, (nodes, 2)."""
@@ -123,6 +126,7 @@ class Cut:
     """
 
     def __init__(self, model, body, at, normal):
+        """Divide the plate `body` of a scene at the line through `at` across `normal`, both in the axes of its mesh."""
         label, mesh = f"section_forces: {body.name}", body.mesh
         at, way = vector2(label, "at", at), vector2(label, "normal", normal)
         if not np.hypot(*way) > 0:

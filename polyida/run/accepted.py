@@ -54,9 +54,15 @@ class AcceptedStates:
     """
 
     def __init__(self, integrator, model, state, t_end, counts, rows=None):
-        self.model, self.counts, self.known, self.before = model, counts, vars(counts).copy(), state
-        self.name, self.trusted, self.t_end, self.standing = integrator.class_name(), promises(integrator, "trusted"), t_end, 0
-        self.slack, self.parts = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end)), iter(())  # parts: of a stretch that is not finite
+        """Start the integrator at a state; rows: see `accepted`."""
+        self.model, self.t_end = model, t_end
+        self.counts = counts
+        self.known = vars(counts).copy()  # the last valid counts
+        self.before = state  # the last accepted State
+        self.name, self.trusted = integrator.class_name(), promises(integrator, "trusted")
+        self.standing = 0  # number of the last states that hardly advanced
+        self.slack = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end))  # s: a state that near the end is at the end
+        self.parts = iter(())  # states of a stretch that is looked at one by one
         self.coils = [own for own in model.own_forces if isinstance(own.element, TorsionSpring)]
         if type(written_by_user(integrator)).__module__.partition(".")[0] != "polyida":
             state = State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart).of(model)
@@ -70,6 +76,7 @@ class AcceptedStates:
         return self
 
     def __next__(self):
+        """The next checked stretch. Raises StepFailure, and StopIteration at t_end."""
         try:
             stretch = next(self.parts, None)
             if stretch is None:
@@ -110,35 +117,39 @@ class AcceptedStates:
                 self.stop(wrong)
             if yielded is END:
                 return None
-            if not isinstance(yielded, State):
-                self.stop(f"its steps yielded {type(yielded).__name__}, a polyida.State is needed")
-            if not is_number(yielded.t):
-                self.stop(f"its steps yielded a State at t = {yielded.t!r}")
-            arrays = [self._floats(name, getattr(yielded, name), getattr(self.before, name).shape, yielded.t) for name in FIELDS]
-            t = self.t_end if abs(yielded.t - self.t_end) <= self.slack else float(yielded.t)
-            if not isinstance(yielded.memory or {}, dict):
-                self.stop(f"memory at t = {yielded.t:.9g} s must be a dictionary, not {type(yielded.memory).__name__}")
-            for key, value in (yielded.memory or {}).items():
-                try:
-                    good = isinstance(key, str) and np.asarray(value, float) is not None
-                except (TypeError, ValueError):
-                    good = False
-                if not good:
-                    self.stop(f"memory[{key!r}] at t = {yielded.t:.9g} s must be a number or an array of numbers, as files store it")
-            memory = deepcopy(yielded.memory or {})
-            state = State(t, *arrays, memory, bool(yielded.restart))
+            state = self._copy(yielded)
             self._require_finite(state)
-            if not t > self.before.t:
-                self.stop(f"t = {t:.9g} s after {self.before.t:.9g} s does not advance")
-            if t > self.t_end:
-                self.stop(f"t = {t:.9g} s overruns the end, {self.t_end:.9g} s")
-            self.standing = self.standing + 1 if t - self.before.t < 16 * math.ulp(self.t_end) else 0
-            if self.standing >= STANDSTILL:
-                self.stop("the step has shrunk to the round-off of t", "step too small")
+            self._require_advance(state.t)
         except BaseException:
             self._wrong_count()
             raise
         return Stretch.of(state)
+
+    def _copy(self, yielded):
+        """A copy of what the integrator yielded, at t_end if it is nearly there. Raises StepFailure unless it is a State of numbers."""
+        if not isinstance(yielded, State):
+            self.stop(f"its steps yielded {type(yielded).__name__}, a polyida.State is needed")
+        if not is_number(yielded.t):
+            self.stop(f"its steps yielded a State at t = {yielded.t!r}")
+        arrays = [self._floats(name, getattr(yielded, name), getattr(self.before, name).shape, yielded.t) for name in FIELDS]
+        memory = yielded.memory or {}
+        if not isinstance(memory, dict):
+            self.stop(f"memory at t = {yielded.t:.9g} s must be a dictionary, not {type(memory).__name__}")
+        for key, value in memory.items():
+            if not (isinstance(key, str) and _holds_numbers(value)):
+                self.stop(f"memory[{key!r}] at t = {yielded.t:.9g} s must be a number or an array of numbers, as files store it")
+        t = self.t_end if abs(yielded.t - self.t_end) <= self.slack else float(yielded.t)
+        return State(t, *arrays, deepcopy(memory), bool(yielded.restart))
+
+    def _require_advance(self, t):
+        """Raise StepFailure unless t is behind the last state and not behind t_end, or if the last states hardly advance."""
+        if not t > self.before.t:
+            self.stop(f"t = {t:.9g} s after {self.before.t:.9g} s does not advance")
+        if t > self.t_end:
+            self.stop(f"t = {t:.9g} s overruns the end, {self.t_end:.9g} s")
+        self.standing = self.standing + 1 if t - self.before.t < 16 * math.ulp(self.t_end) else 0
+        if self.standing >= STANDSTILL:
+            self.stop("the step has shrunk to the round-off of t", "step too small")
 
     def _turns(self, coil, stretch):
         """Angles of a torsion spring in the accepted state before a stretch and in its states, rad."""
@@ -185,11 +196,21 @@ class AcceptedStates:
         return np.array(value, float)
 
     def _require_finite(self, state):
+        """Raise StepFailure, which names the first number of a state that is not finite."""
         for name in FIELDS:
             bad = np.flatnonzero(~np.isfinite(getattr(state, name)))
             if bad.size:
                 worst = getattr(state, name)[bad[0]]
                 self.stop(f"{name}[{bad[0]}] = {worst} at t = {state.t:.9g} s is not finite", "not finite")
+
+
+def _holds_numbers(value):
+    """True if a value of a memory converts to an array of floats."""
+    try:
+        np.asarray(value, float)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _naming_function(failure, model, state):
@@ -210,12 +231,15 @@ class Sampler:
     """
 
     def __init__(self, store, counts, every=1, output=None, done=0, model=None):
-        self.store, self.counts, self.every, self.model = store, counts, every, model
-        self.output, self.next, self.last_frame = output, done, None
+        """Take the FrameStore, the Counts of the run, and `done`: how many times of `output` are stored already."""
+        self.store, self.counts, self.model = store, counts, model
+        self.every, self.output = every, output
+        self.next = done  # number of the next time of `output`
+        self.last_frame = None  # the State of the last frame, if it was the last accepted one
         self.rows = store.rows if every == 1 and output is None else None
 
     def start(self, state):
-        """Store the first state."""
+        """Store the first state of a run, if frames are taken there."""
         if self.output is None:
             self.keep(state)
         elif self.next < len(self.output) and self.output[self.next] == state.t:
@@ -300,6 +324,7 @@ class Until:
         return at(brentq(lambda t: self._value(at(t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps))
 
     def _value(self, state):
+        """The function's value at a state, a float. Raises InputError unless it is finite."""
         t, *vectors = seen_by(self.function, self.model, state)
         value = self.function(t, *map(read_only, vectors))
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
@@ -331,10 +356,11 @@ class Recorder:
     """
 
     def __init__(self, model, functions, before=None):
-        self.model, self.functions, self.count = model, functions, 0
-        self.shapes, self._rows = {}, np.empty((0, 1))
-        if before:
-            self.shapes, self._rows, self.count = dict(before.shapes), before.rows, len(before.rows)
+        """Take a guarded model, the functions, and the Sensors so far of a run that is resumed."""
+        self.model, self.functions = model, functions
+        self.shapes = dict(before.shapes) if before else {}
+        self._rows = before.rows if before else np.empty((0, 1))  # the first `count` ones are recorded
+        self.count = len(self._rows)
 
     def step(self, state):
         """Record an accepted state. Raises InputError if a sensor does not return finite numbers of its first shape."""
@@ -367,6 +393,7 @@ class Recorder:
             self._add(self.ahead[first:end])
 
     def _add(self, rows):
+        """Append rows (steps, 1 + numbers); memory at least doubles when it is full."""
         count = self.count + len(rows)
         if count > len(self._rows):
             more = np.empty((max(FEW, count), rows.shape[1]))
@@ -375,6 +402,7 @@ class Recorder:
         self.count = count
 
     def _value(self, name, state):
+        """The values of a sensor at a state, an array. Raises InputError unless they are finite and of its first shape."""
         sensor = self.functions[name]
         if isinstance(sensor, Sensor):
             value = reals(sensor.read(self.model, state))

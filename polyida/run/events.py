@@ -7,35 +7,31 @@ change and velocities jump, and the integrator starts anew from a consistent sta
 """
 
 import math
-from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property, singledispatch
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from polyida.assembly.factors import given_factors
-from polyida.body.body import Body
 from polyida.errors import InputError, StepFailure
-from polyida.event import ADDABLE, Event, Events, Happened, Impact, Impulse, Moment, Remove
+from polyida.event import ADDABLE, Events, Happened, Impact, Impulse, Moment, Remove
 from polyida.integrate.singular import Watch
-from polyida.integrate.start import consistent_acceleration, on_position, restarted
+from polyida.integrate.start import consistent_acceleration, restarted
 from polyida.integrate.state import State, Stretch, between, parted
 from polyida.linear.lu import SingularSystem
 from polyida.model import Model
-from polyida.model.differences import along, jacobian, reach_along
+from polyida.model.differences import along, reach_along
 from polyida.model.guarded import guard
 from polyida.results.motion import reaction_of
 from polyida.run.accepted import accepted, leading
-from polyida.scene import Scene
+from polyida.run.reset import Push, Reset, pull_of, rate_of, require_free
 from polyida.validation import floats, is_number
 
 NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(5) / 4)  # of a step, where functions of events are evaluated
 COEFFICIENTS = np.linalg.inv(np.vander(NODES, increasing=True))
 OFFSET, ZERO = 1e-10, 1e-14  # of the largest |g| so far: g is on a side; |g| at the start of a run that is round-off
 STILL = 1e-9  # of the rate before an event: a smaller one is round-off
-FREE = 1e-7  # of dg/dq, which is found by differences: the share that joints leave; a smaller one is round-off
 AHEAD = 1e-2  # of the time in which a state changes by its size: differences for rates of events
 TOGETHER = 1e-9  # of a step: events that are not farther apart happen at one time
 SETTLING = 4  # corrections of the time of an event
@@ -51,135 +47,14 @@ class Change(NamedTuple):
     stops: str
 
 
-class Push(NamedTuple):
-    """Velocities that an event changes by an impulse.
+class WholeStepBatch(Stretch):
+    """A step batch of a mode with the columns of lam of all rows, which are computed when they are read.
 
-    kind: "impulse" or "impact". impulse: what is given, N s; at: the attachment; along (n,): its generalised force. function: of (t, q), whose rate an impact changes by `-factor` of it.
+    handler: the EventHandler. part: the Stretch of the mode.
     """
 
-    kind: str
-    impulse: tuple = ()
-    at: Any = None
-    along: Any = None
-    function: Any = None
-    factor: float = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Reset:
-    """What an event does to q and v when its parts have changed. The run and its adjoint call it.
-
-    equations: the model behind the event, with its equations alone. given: function (t, q, v, a, lam) -> (q, v) of the functions in `then`, or
-    None; it acts first. held: names of the joints that hold on to the position behind it. pushes: they act last, in this order. mode: the model
-    before the event.
-    """
-
-    mode: Any
-    given: Callable | None
-    held: tuple
-    equations: Any
-    pushes: list
-
-    def __call__(self, model, t, q, v):
-        """(q, v, impulses of the rows, sizes of the pushes); model: `equations`, or the same on a tape."""
-        none, sizes = np.zeros(model.m), []
-        q = on_position(model, t, q)
-        rate = model.phi_rate(t, q, v) if model.m else none
-        impulses = none
-        if rate.any():
-            change, impulses = model.mass_system(t, q).solve(np.zeros(model.n), rate)
-            v = v + change
-        for push in self.pushes:
-            w = slope_of(model, push.function, t, q) if push.function else push.along
-            y, lam = model.mass_system(t, q).solve(-w, none)
-            size = 1.0
-            if push.function:
-                size = rate_of(model, push.function, t, q, v) / (w @ y) * -push.factor
-            sizes.append(size)
-            v, impulses = v + y * size, impulses + lam * size
-        return q, v, impulses, sizes
-
-
-def pull_of(model, at, impulse):
-    """The generalised force (n,) of an impulse on an attachment."""
-    return model.pulled((at, "point"), np.array([complex(*impulse)]))[0]
-
-
-def _require_free(model, pushes, t, q):
-    """Raise InputError if the joints and drives of a model hold all of the function that an impact reverses, but for round-off."""
-    for push in pushes:
-        if push.function:
-            q = on_position(model, t, q)
-            w = slope_of(model, push.function, t, q)
-            moved = model.mass(q) @ model.mass_system(t, q).solve(-w, np.zeros(model.m))[0]  # w without what the joints take
-            if not np.linalg.norm(moved) > FREE * np.linalg.norm(w):
-                raise InputError("Impact: the joints do not let `when` change")
-
-
-@singledispatch
-def slope_of(model, function, t, q):
-    """The slope (n,) of a function of (t, q) in q, by differences. model: one whose q it is."""
-    return jacobian(lambda x: np.array([function(t, x)]), q, 1)[0]
-
-
-@singledispatch
-def rate_of(model, function, t, q, v):
-    """The rate of a function of (t, q) along v, by differences."""
-    return float(along(lambda s: np.array([function(t + s, q + s * v)]), reach_along(q, v))[0])
-
-
-def prepared(part, model, events):
-    """(model with the rows of all parts that the events add, the events with names). Raises InputError, in the name of `part`."""
-    events = tuple(events) if isinstance(events, (list, tuple)) else (events,)
-    if not all(isinstance(event, Event) for event in events):
-        raise InputError(f"{part}: events = {events!r:.80} must be a list of pi.Event")
-    names = [event.name or f"event {number}" for number, event in enumerate(events, 1)]
-    if len(set(names)) < len(names):
-        raise InputError(f"{part}: events: the names {', '.join(map(repr, names))} must differ")
-    events = [replace(event, name=name) for event, name in zip(events, names)]
-    if not guard(model, part).is_scene:
-        for event in events:
-            if wrong := [one for one in event.then if isinstance(one, (Remove, Impulse))] or list(event.added):
-                own = type(model).__name__
-                raise InputError(
-                    f"{event.name}: then: {wrong[0]!r:.60} is for scenes; {own} has no parts: give another model, a function of the state or an Impact"
-                )
-        return model, events
-    scene = Scene(model.gravity)
-    scene.parts.update(model.parts)
-    for event in events:
-        for added in event.added:
-            if not any(added is known for known in scene.parts.values()):
-                scene.add(added)
-        for one in event.then:
-            known = {*map(id, scene.parts.values()), *scene.parts}
-            missing = [x for x in getattr(one, "parts", ()) if (x if isinstance(x, str) else id(x)) not in known]
-            if isinstance(one, Remove) and missing:
-                raise InputError(
-                    f"{event.name}: Remove: {missing[0]!r:.60} is no part of the scene; parts: {', '.join(map(repr, scene.parts))}"
-                )
-            if isinstance(one, Remove) and any(
-                isinstance(scene.parts.get(x, x), Body) or hasattr(scene.parts.get(x, x), "mesh") for x in one.parts
-            ):
-                raise InputError(f"{event.name}: Remove: bodies cannot be removed; the number of coordinates does not change")
-            if isinstance(one, Impulse) and id(one.at.body) not in model.places:
-                raise InputError(f"{event.name}: Impulse: {one.at!r} is of a body that is not in the scene")
-            if isinstance(one, Model):
-                raise InputError(f"{event.name}: then = {one!r:.60}: a scene changes by parts, only a user's model by another model")
-    scene.require_sides("solve")
-    late = tuple(name for name in scene.parts if name not in model.parts)
-    if late or model.redundant:
-        model = type(model)(scene.parts, model.gravity, model.treats_redundant, False, late + (model.late or ())).with_factors(
-            **given_factors(model)
-        )
-    return model, events
-
-
-class WholeStretch(Stretch):
-    """A Stretch of a mode with the columns of lam of all rows. happenings: Happenings; part: the Stretch of the mode."""
-
-    def __init__(self, happenings, part):
-        self.happenings, self.source = happenings, part
+    def __init__(self, handler, part):
+        self.handler, self.source = handler, part
         self.t, self.q, self.v = part.t, part.q, part.v
 
     a = property(lambda self: self.source.a)
@@ -188,45 +63,61 @@ class WholeStretch(Stretch):
     @cached_property
     def lam(self):
         """The multipliers of all rows, (k, width)."""
-        return self.last.lam[None] if len(self) == 1 else self.happenings.mode.spread(self.source.lam, self.happenings.width)
+        return self.last.lam[None] if len(self) == 1 else self.handler.mode.spread(self.source.lam, self.handler.width)
 
     @cached_property
     def last(self):
         """The last State."""
-        return self.happenings.whole_state(self.source.last)
+        return self.handler.whole_state(self.source.last)
 
     def state(self, k):
         """The State number k, counted from 0."""
-        return self.last if k == len(self) - 1 else self.happenings.whole_state(self.source.state(k))
+        return self.last if k == len(self) - 1 else self.handler.whole_state(self.source.state(k))
 
     def part(self, first, end, every=1):
         """The Stretch of the states from number `first` to before `end`, or of each `every`-th of them."""
         if first == 0 and end >= len(self) and every == 1:
             return self
-        return WholeStretch(self.happenings, self.source.part(first, end, every))
+        return WholeStepBatch(self.handler, self.source.part(first, end, every))
 
 
-class Happenings:
-    """The events of a run.
+@dataclass
+class Asked:
+    """What `then` of an event asks for at a state."""
 
-    whole: the model with the rows of all parts; mode: the one that acts; width: number of columns of lam; happened: Events. State: of the
-    run has all columns; integrators get those of the mode.
+    q: np.ndarray  # (n,) as the user's functions set them
+    v: np.ndarray
+    model: int  # number of the user's model behind the event
+    absent: set  # names of the parts that do not act behind it
+    added: list = field(default_factory=list)  # parts that act from now on
+    pushes: list = field(default_factory=list)  # Push of each impulse and impact, in their order
+    functions: list = field(default_factory=list)  # of the user
+    stops: str = ""  # why the run ends here, or ""
+
+
+class EventHandler:
+    """The events of a run: finds them in each step of a motion, changes the model and the velocities, and starts the next motion.
+
+    States of the run have the columns of lam of all rows; integrators get those of the mode.
     """
 
     of_forces: Any = frozenset()  # names of the events whose functions read accelerations or multipliers
 
     def __init__(self, model, events, method, happened=None):
-        self.whole, self.events, self.method = guard(model), events, method
+        """Take the model of all parts, the events with names, the integrator, and the Events so far of a run that is resumed."""
+        self.whole = guard(model)  # the model with the rows of all parts
+        self.events, self.method = events, method
         models = [] if self.whole.is_scene else [model, *(one for event in events for one in event.then if isinstance(one, Model))]
         late = (self.whole.late or ()) if self.whole.is_scene else ()
         self.happened = Events((), late, given=True) if happened is None else happened
         self.happened.causes = events
-        self.width = max([self.whole.m, *(guard(one).m for one in models)])
+        self.width = max([self.whole.m, *(guard(one).m for one in models)])  # number of columns of lam
         self.happened.models = [self._own(one) for one in models]
         if max((one.model for one in self.happened), default=0) >= max(1, len(models)):
             raise InputError("events: a function of an event made the model that acts, which no file holds; name it in `then`")
-        self.mode = guard(self.happened.modes(self.whole)[-1])
-        self.sides, self.sizes = np.zeros((2, len(events)))
+        self.mode = guard(self.happened.modes(self.whole)[-1])  # the model of the parts that act
+        self.sides = np.zeros(len(events))  # sign of each function behind the last step; 0: on neither side yet
+        self.sizes = np.zeros(len(events))  # its largest absolute value so far
         self.of_forces = set()
 
     def _own(self, model):
@@ -291,27 +182,31 @@ class Happenings:
                 if quiet[first]:
                     self._pass(part, done)
                     before = after
-                    yield WholeStretch(self, part)
+                    yield WholeStepBatch(self, part)
                     continue
                 hit = self._first(before, after)
                 if hit is None:
                     before = after
                     yield Stretch.of(self.whole_state(after))
                     continue
-                t, fired = hit
-                at = self._between(before, after, t)
-                start = self._consistent(self.mode, at, "the state")
-                start = start if at is before else self._on_root(before, after, start, fired[0])
-                first = self.spread(start)
-                if at is before:
-                    counts.steps -= 1
-                else:
-                    yield Stretch.of(first)
-                yield Change(None if at is before else first, *self._change(start, fired))
+                yield from self._at_events(before, after, *hit, counts)
                 return
             if failure:
                 counts.steps += 1
                 raise failure
+
+    def _at_events(self, before, after, t, fired, counts):
+        """Yield the state at time t of a step, unless that is its begin, and the Change by the events with the numbers `fired`."""
+        at = self._between(before, after, t)
+        start = self._consistent(self.mode, at, "the state")
+        if at is before:
+            counts.steps -= 1
+            yield Change(None, *self._change(start, fired))
+            return
+        start = self._on_root(before, after, start, fired[0])
+        first = self.spread(start)
+        yield Stretch.of(first)
+        yield Change(first, *self._change(start, fired))
 
     def _between(self, before, after, t):
         """The State at t of a step, with the outputs that controllers hold in it: they jump at its start if that is a sample."""
@@ -408,42 +303,64 @@ class Happenings:
         return None, side
 
     def _change(self, state, fired):
-        """(state behind, what happened, why the run stops) of the events with the numbers `fired` at a state. Raises StepFailure."""
+        """(state behind, what happened, why the run stops) of the events with the numbers `fired` at a state. Raises StepFailure.
+
+        An event may make others happen at once: those whose functions it moves to the other side.
+        """
         happened, waiting, done, stops = [], list(fired), [], ""
-        sides = np.array([self.value(event, state) for event in self.events])
+        values = np.array([self.value(event, state) for event in self.events])
         while waiting:
             number = waiting.pop(0)
             event = self.events[number]
             done.append(number)
-            if sum(one.name == event.name for one in (*self.happened, *happened)) >= event.most:
-                advice = "if their times accumulate, give pi.Impact a least_speed, or the event a larger `most`"
-                raise StepFailure(
-                    "events", f"event {event.name!r} happened {event.most} times, which is its `most`; {advice}; the run stops", state.t
-                )
+            self._require_fewer(event, happened, state.t)
             rates = self._rates(state)
             state, one, stop = self._apply(event, state)
-            happened, stops = [*happened, one], stops or stop
-            behind, moves = np.array([self.value(event, state) for event in self.events]), self._rates(state)
-            for k, other in enumerate(self.events):
-                beyond = OFFSET * max(self.sizes[k], abs(sides[k]), abs(behind[k]))
-                jumped = sides[k] * behind[k] < 0 and min(abs(sides[k]), abs(behind[k])) > beyond
-                if jumped and k not in waiting and other.direction != ("falling" if behind[k] > 0 else "rising"):
-                    if k in done and k != number:
-                        names = ", ".join(repr(self.events[i].name) for i in dict.fromkeys(done[done.index(k) :]))
-                        raise StepFailure("events", f"the events {names} undo each other", state.t)
-                    waiting += [k] * (k != number)
-                side = np.sign(behind[k]) if abs(behind[k]) > beyond else 0.0
-                moving = abs(moves[k]) > STILL * abs(rates[k])
-                self.sides[k] = side or (np.sign(moves[k]) if moving else 0.0)
-            sides = self.values = behind
+            happened.append(one)
+            stops = stops or stop
+            behind = np.array([self.value(event, state) for event in self.events])
+            for k in self._set_sides(values, behind, rates, self._rates(state)):
+                if k in waiting or k == number:
+                    continue
+                if k in done:
+                    names = ", ".join(repr(self.events[i].name) for i in dict.fromkeys(done[done.index(k) :]))
+                    raise StepFailure("events", f"the events {names} undo each other", state.t)
+                waiting.append(k)
+            values = self.values = behind
         after = self.whole_state(State(state.t, state.q, state.v, state.a, state.lam))
         self.happened.happened += happened
         return after, happened, stops
+
+    def _require_fewer(self, event, happened, t):
+        """Raise StepFailure if an event has happened as often as its `most` says; happened: what did at this time."""
+        if sum(one.name == event.name for one in (*self.happened, *happened)) >= event.most:
+            advice = "if their times accumulate, give pi.Impact a least_speed, or the event a larger `most`"
+            raise StepFailure(
+                "events", f"event {event.name!r} happened {event.most} times, which is its `most`; {advice}; the run stops", t
+            )
+
+    def _set_sides(self, values, behind, rates, rates_behind):
+        """Set the sides of the functions behind an event. Returns the numbers of the events whose functions it moved to the other side.
+
+        values, behind: of the functions before and behind it. rates, rates_behind: their d/dt. The side is the sign of the function; of one that
+        is zero within round-off the sign of its rate, or none if it does not move.
+        """
+        jumped = []
+        for k, event in enumerate(self.events):
+            beyond = OFFSET * max(self.sizes[k], abs(values[k]), abs(behind[k]))
+            crosses = values[k] * behind[k] < 0 and min(abs(values[k]), abs(behind[k])) > beyond
+            if crosses and event.direction != ("falling" if behind[k] > 0 else "rising"):
+                jumped.append(k)
+            side = np.sign(behind[k]) if abs(behind[k]) > beyond else 0.0
+            moving = abs(rates_behind[k]) > STILL * abs(rates[k])
+            self.sides[k] = side or (np.sign(rates_behind[k]) if moving else 0.0)
+        return jumped
 
     def _rates(self, state):
         """d/dt of the events' functions along a state's velocities and accelerations, ahead and behind it."""
 
         def moved(s):
+            """The functions' values at s seconds behind the state, by its velocities and accelerations."""
             t, q, v = state.t + s, state.q + s * state.v + 0.5 * s * s * state.a, state.v + s * state.a
             one = replace(state, t=t, q=q, v=v)
             if self.of_forces and not self.mode.row_laws:
@@ -461,60 +378,77 @@ class Happenings:
 
     def _apply(self, event, state):
         """(the consistent state behind an event, Happened, why the run stops, or ""). Sets the mode."""
-        old, t, label = self.mode, state.t, f"event {event.name!r}"
-        energy, moment = self._energy(state), self._moment(state)
-        model, absent = self.happened[-1].model if len(self.happened) else 0, set(old.absent)
-        added, pushes, given, q, v = [], [], [], state.q, state.v
-        stops = f"{label} stopped the run at t = {t:.9g} s" if any(isinstance(one, str) for one in event.then) else ""
-        for one in event.then:
-            if isinstance(one, ADDABLE):
-                added.append(one)
-            elif isinstance(one, Remove):
-                absent |= {self._name(part) for part in one.parts}
-            elif isinstance(one, Model):
-                model = next(k for k, known in enumerate(self.happened.models) if known.user is one or known is one)
-            elif isinstance(one, Impact):
-                function = self._of_position(event, state)
-                slow = abs(rate_of(self.mode, function, t, state.q, state.v)) < one.least_speed
-                if slow and one.rest:  # their rows stop it
-                    added += one.rest
-                else:
-                    pushes.append(Push("impact", function=function, factor=1.0 + (0.0 if slow else one.restitution)))
-                if slow and not one.rest:
-                    stops = f"{label} came to rest at t = {t:.9g} s, slower than {one.least_speed:g}: give pi.Impact `rest` to go on"
-            elif isinstance(one, Impulse):
-                pushes.append(Push("impulse", tuple(map(float, one.impulse)), one.at, pull_of(self.whole, one.at, one.impulse)))
-            elif callable(one):
-                given.append(one)
-                q, v, model = self._given(label, one(moment), q, v, model)
-        names = [self._name(part) for part in added]
-        held = {name: np.array([t, *q]) for name in names if name in self.whole.rows and name in absent}
-        absent = tuple(sorted(absent - set(names)))
-        happened = Happened(t, event.name, 0.0, np.nan, 0, {}, absent, held, model)
+        energy, asked = self._energy(state), self._asked(event, state)
+        names = [self._name(part) for part in asked.added]
+        held = {name: np.array([state.t, *asked.q]) for name in names if name in self.whole.rows and name in asked.absent}
+        absent = tuple(sorted(asked.absent - set(names)))
+        happened = Happened(state.t, event.name, 0.0, np.nan, 0, {}, absent, held, asked.model)
         try:
-            self.mode = mode = guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
-            laws = [law.row for law in mode.row_laws]  # contacts take part in the next step
-            equations = mode.with_rows(np.setdiff1d(np.arange(mode.m), laws)) if laws else mode
-            functions = self._functions(event, given, old, state) if given else None
-            self.reset = Reset(old, functions, tuple(held), equations, pushes)
-            _require_free(equations, pushes, t, q)
-            q, v, jump, sizes = self.reset(equations, t, q, v)
-            after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), label) if laws else None
-            after = after or State(t, q, v, *consistent_acceleration(mode, t, q, v))
-            jump = equations.spread(jump, mode.m) if laws else jump
-            impulses = {}
-            for push, size in zip(pushes, sizes):
-                impulses[push.kind] = push.impulse or (float(size),)
+            after, jump, impulses = self._state_behind(event, state, asked, happened)
         except (InputError, SingularSystem, np.linalg.LinAlgError) as error:
-            raise StepFailure("events", f"{label}: {error}", t) from None
+            raise StepFailure("events", f"event {event.name!r}: {error}", state.t) from None
         if self.whole.is_scene:
-            pulled = {name: reaction_of(mode, name, np.array([t]), after.q[None], jump[None], True)[0] for name in held}
+            times, frames = np.array([state.t]), after.q[None]
+            pulled = {name: reaction_of(self.mode, name, times, frames, jump[None], True)[0] for name in held}
             impulses |= {name: tuple(map(float, values)) for name, values in pulled.items()}
             largest = max((math.hypot(*values[:2]) for values in impulses.values()), default=0.0)
         else:
             largest = max(np.abs(jump).max(initial=0.0), *(abs(x) for values in impulses.values() for x in values), 0.0)
         lost = energy - self._energy(after)
-        return after, replace(happened, impulse=float(largest), energy_lost=float(lost), impulses=impulses), stops
+        return after, replace(happened, impulse=float(largest), energy_lost=float(lost), impulses=impulses), asked.stops
+
+    def _asked(self, event, state):
+        """The Asked of an event at a state: what `then` names, and what the user's functions in it give."""
+        label, moment = f"event {event.name!r}", self._moment(state)
+        model = self.happened[-1].model if len(self.happened) else 0
+        asked = Asked(state.q, state.v, model, set(self.mode.absent))
+        if any(isinstance(action, str) for action in event.then):
+            asked.stops = f"{label} stopped the run at t = {state.t:.9g} s"
+        for action in event.then:
+            if isinstance(action, ADDABLE):
+                asked.added.append(action)
+            elif isinstance(action, Remove):
+                asked.absent |= {self._name(part) for part in action.parts}
+            elif isinstance(action, Model):
+                asked.model = next(k for k, known in enumerate(self.happened.models) if known.user is action or known is action)
+            elif isinstance(action, Impact):
+                self._ask_impact(asked, event, action, state)
+            elif isinstance(action, Impulse):
+                force = pull_of(self.whole, action.at, action.impulse)
+                asked.pushes.append(Push("impulse", tuple(map(float, action.impulse)), action.at, force))
+            elif callable(action):
+                asked.functions.append(action)
+                asked.q, asked.v, asked.model = self._given(label, action(moment), asked.q, asked.v, asked.model)
+        return asked
+
+    def _ask_impact(self, asked, event, impact, state):
+        """Add an Impact to what is asked: a push, or the parts `rest` that hold what is slower than its least speed."""
+        function = self._of_position(event, state)
+        slow = abs(rate_of(self.mode, function, state.t, state.q, state.v)) < impact.least_speed
+        if slow and impact.rest:  # their rows stop it
+            asked.added += impact.rest
+            return
+        asked.pushes.append(Push("impact", function=function, factor=1.0 + (0.0 if slow else impact.restitution)))
+        if slow:
+            asked.stops = f"event {event.name!r} came to rest at t = {state.t:.9g} s, slower than {impact.least_speed:g}: give pi.Impact `rest` to go on"
+
+    def _state_behind(self, event, state, asked, happened):
+        """(the consistent State behind an event, impulses (m,) of the rows, {kind of push: its size}). Sets the mode and `reset`."""
+        t, old = state.t, self.mode
+        self.mode = mode = guard(Events([*self.happened, happened], self.happened.first, self.happened.models).modes(self.whole)[-1])
+        laws = [law.row for law in mode.row_laws]  # contacts take part in the next step
+        equations = mode.with_rows(np.setdiff1d(np.arange(mode.m), laws)) if laws else mode
+        functions = self._functions(event, asked.functions, old, state) if asked.functions else None
+        self.reset = Reset(old, functions, tuple(happened.held), equations, asked.pushes)
+        require_free(equations, asked.pushes, t, asked.q)
+        q, v, jump, sizes = self.reset(equations, t, asked.q, asked.v)
+        impulses = {}
+        for push, size in zip(asked.pushes, sizes):
+            impulses[push.kind] = push.impulse or (float(size),)
+        if not laws:
+            return State(t, q, v, *consistent_acceleration(mode, t, q, v)), jump, impulses
+        after = self._consistent(mode, State(t, q, v, v, np.zeros(mode.m)), f"event {event.name!r}")
+        return after, equations.spread(jump, mode.m), impulses
 
     def _name(self, part):
         return part if isinstance(part, str) else next(name for name, known in self.whole.parts.items() if known is part)
@@ -549,6 +483,7 @@ class Happenings:
         """The function (t, q, v, a, lam) -> (q, v) of the functions in `then` of an event at a state of a mode."""
 
         def given(t, q, v, a, lam):
+            """(q, v) behind the functions, which see the state in the mode before the event."""
             with self.in_mode(mode):
                 moment = self._moment(State(t, q, v, a, lam))
                 for function in functions:

@@ -22,14 +22,17 @@ STAYS = 0.5  # of the difference at first: what a jump keeps
 
 
 class Jumps:
-    """Looks at accepted states; `look` raises a StepFailure where the forces jump with v and the run makes no way. speed: the largest so far."""
+    """Looks at accepted states; `look` raises a StepFailure where the forces jump with v and the run makes no way."""
 
     def __init__(self, model, counts, t, t_end):
-        self.model, self.counts, self.speed, self.steps = model, counts, 0.0, counts.steps
-        self.since, self.rejected, self.short = t, counts.rejected, SHORT * (t_end - t)
+        """Take the model, the Counts of the run, and its first and last time."""
+        self.model, self.counts = model, counts
+        self.speed = 0.0  # the largest so far
+        self.since, self.steps, self.rejected = t, counts.steps, counts.rejected  # time and counts at the last look
+        self.short = SHORT * (t_end - t)  # s
 
     def look(self, stretch):
-        """Look at accepted steps."""
+        """Look at accepted steps; raises StepFailure if many were rejected in a short time and the forces jump."""
         self.speed = max(self.speed, float(np.abs(stretch.v[-1]).max(initial=0.0)))
         if self.counts.rejected - self.rejected < REJECTED and self.counts.steps - self.steps < ACCEPTED:
             return
@@ -68,6 +71,7 @@ class Jumps:
         return force if np.isfinite(force).all() else None
 
     def _message(self, size):
+        """Message of a jump of that size, with the force elements that may cause it."""
         parts = getattr(unguarded(self.model), "parts", {})
         own = [
             name for name, part in parts.items() if isinstance(part, ForceElement) and (_is_function(part) or not is_built_in(type(part)))

@@ -1,4 +1,8 @@
-"""`resume`: continue a run that is in a file."""
+"""`resume`: continue a run that is in a file.
+
+The file gives plan, model, integrator and the last state to go on from; functions of the user's are given again. Its frames up to that state are
+copied to a new file, which replaces the old one, and the run goes on there.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +21,16 @@ from polyida.integrate.state import Counts, declared
 from polyida.io.layout import FRAMES, MEMORY_LIMIT
 from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
-from polyida.io.save import FrameStore, behind_blocks, commit, create, free
+from polyida.io.save import behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
+from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress
 from polyida.run.accepted import Recorder, require_of_state, require_sensors
-from polyida.run.events import Happenings, prepared
-from polyida.run.modes import Modes
+from polyida.run.contact_events import ContactHandler
+from polyida.run.event_parts import prepared
+from polyida.run.events import EventHandler
 from polyida.run.run import Run
 from polyida.run.solve import require_run
 from polyida.sensor import Sensor, Sensors
@@ -106,33 +112,30 @@ def resume(
             with naming(path):
                 if damage := stored.check():
                     raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
-                plan, restart, machine = _plan(stored, t_end, until), stored.restart, dict(stored.about["machine"])
-                model, integrator, happenings, past = _model_and_integrator(stored, model, integrator, events)
-            mode = happenings.mode if happenings else guard(model)
+                plan, restart = _plan(stored, t_end, until), stored.restart
+                machine = dict(stored.about["machine"])
+                model, integrator = _model_and_integrator(stored, model, integrator)
+                model, handler, past = _with_events(stored, model, integrator, events)
+            active = handler.mode if handler else guard(model)
             if until is not None and until is not False:
-                require_of_state("resume: until", until, mode)
+                require_of_state("resume: until", until, active)
             if sensors is not False:
-                require_sensors("resume", sensors, mode)
-            require_run(mode, plan["t_end"], restart.state.t, integrator).require_reach(mode, restart.state, plan["t_end"])
-            recorder = _recorder(stored, mode, sensors)
-            file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
-            with file.publishing(True):
-                store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
-                store.copy([stored.columns[name] for name in FRAMES], restart.frames)
-                rows = behind_blocks(file, recorder.rows)
-                commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows, events=past)
+                require_sensors("resume", sensors, active)
+            require_run(active, plan["t_end"], restart.state.t, integrator).require_reach(active, restart.state, plan["t_end"])
+            recorder = _recorder(stored, active, sensors)
+            store = _copied(stored, model, integrator, plan, machine, recorder, past, memory_limit)
         finally:
             stored.file.close()
     begun = tuple(now - spent for now, spent in zip(clock(), stored.seconds))
-    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), begun, until or None, progress, happenings, past)
+    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), begun, until or None, progress, handler, past)
     run.restart = run.flushed = restart
     run.recorded = recorder.count
     with one_blas_thread():
         return run.go(restart.state)
 
 
-def _model_and_integrator(stored, model, integrator, events):
-    """(model, integrator, Happenings or None, Events so far), from the file if they are None."""
+def _model_and_integrator(stored, model, integrator):
+    """(model, integrator) of the run, from the file if they are None. Raises InputError if the file cannot hold the model."""
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
         own = ", ".join(map(repr, about["drives"].values())) or about["model"]
@@ -141,22 +144,39 @@ def _model_and_integrator(stored, model, integrator, events):
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:
         raise InputError(f"the file's scene cannot be built: {unknown}") from None
-    integrator, happened = integrator_of(stored) if integrator is None else integrator, stored.record.get("events")
-    past = Events.from_data(happened or [])
+    return model, integrator_of(stored) if integrator is None else integrator
+
+
+def _with_events(stored, model, integrator, events):
+    """(model with the parts that events add, EventHandler or None, Events up to the state from which the run is continued)."""
+    past = Events.from_data(stored.record.get("events") or [])
     past.happened = [one for one in past if one.t <= stored.restart.state.t]
-    by_laws = bool(guard(model, "resume").row_laws)
+    known, handler = guard(model, "resume"), None
+    by_laws = bool(known.row_laws)
     if past.given and events is None and not by_laws:
         raise InputError("the run had events, whose functions no file holds; give events=, or events=False to go on without more of them")
-    known, happenings = guard(model, "resume"), None
     if by_laws and not declared(integrator).takes_laws:
-        happenings = Modes(model, declared(integrator), past)
+        handler = ContactHandler(model, declared(integrator), past)
     elif events or past.given:
-        (model, events), past.given = prepared("resume", model, events or ()), True
-        happenings = Happenings(model, events, declared(integrator), past)
-        known = happenings.whole
-    if (known.n, happenings.width if happenings else known.m) != (stored.n, stored.m):
+        model, events = prepared("resume", model, events or ())
+        past.given = True
+        handler = EventHandler(model, events, declared(integrator), past)
+        known = handler.whole
+    if (known.n, handler.width if handler else known.m) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
-    return model, integrator, happenings, past
+    return model, handler, past
+
+
+def _copied(stored, model, integrator, plan, machine, recorder, past, memory_limit):
+    """A FrameStore with the frames up to the state from which the run is continued, in a new file that replaces the old one."""
+    n, m, restart = stored.n, stored.m, stored.restart
+    file = create(free(stored.path, True), model, integrator, n, m, plan, machine, stored.single, recorder.shapes)
+    with file.publishing(True):
+        store = FrameStore(n, m, memory_limit, file, stored.single)
+        store.copy([stored.columns[name] for name in FRAMES], restart.frames)
+        rows = behind_blocks(file, recorder.rows)
+        commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, rows, events=past)
+    return store
 
 
 def _plan(stored, t_end, until):

@@ -1,9 +1,11 @@
-"""One run in progress: steps become frames, and however it ends, the states so far are returned as a trajectory."""
+"""One run in progress: steps become frames, and however it ends, the states so far are returned as a trajectory.
 
-import signal
-import threading
+The integrator gives step batches (Stretch), the EventHandler also Changes between them. A batch is checked, cut into parts, and each part goes
+to the sampler (frames), the recorder (sensors) and, when a flush is due, to the file.
+"""
+
 import time
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import islice
 
@@ -23,6 +25,7 @@ from polyida.io.writer import NotWritten
 from polyida.model.guarded import guard
 from polyida.progress import over_time
 from polyida.run.accepted import Sampler, Until, accepted
+from polyida.run.ctrl_c import noted
 from polyida.run.events import Change
 from polyida.run.jumps import JUMP_IN_V, Jumps
 from polyida.sensor import Sensors
@@ -33,29 +36,38 @@ MANY = 2**62  # steps, more than a stretch has
 
 
 class Run:
-    """A run in progress.
+    """A run in progress: `begin` stores its first state, `go` takes all steps and returns the Trajectory.
 
-    plan: the arguments of `solve` as plain data. store: a FrameStore, whose file, if it has one, is flushed as the plan says. recorder: of
-    sensors. begun: clock() at the start. until, progress: the user's functions or None. happenings: of events, or None. events: those so far of a run
-    without happenings: impacts. restart: the last state from which the
-    run can be continued; flushed: that in the file.
+    plan: the arguments of `solve` as plain data. store: a FrameStore, whose file, if it has one, is flushed as the plan says. begun: clock() at
+    the start. until, progress: the user's functions or None. handler: the EventHandler of a run with events, or None. events: those so far of
+    a run that is resumed without one: impacts.
     """
 
-    def __init__(self, model, integrator, plan, store, recorder, counts, begun, until=None, progress=None, happenings=None, events=None):
-        self.model, self.known, self.integrator, self.method = model, guard(model), integrator, declared(integrator)
-        self.plan, self.store, self.counts, self.recorder, self.begun = plan, store, counts, recorder, begun
-        self.until, self.progress, self.streams, self.happenings = until, progress, store.file is not None, happenings
-        self.events = happenings.happened if happenings else Events() if events is None else events
-        self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count, None if happenings else self.known)
-        self.last = self.restart = self.flushed = self.watch = self.recorded = self.jumps = None
-        self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
+    def __init__(self, model, integrator, plan, store, recorder, counts, begun, until=None, progress=None, handler=None, events=None):
+        """Take the parts of a run; no step is taken yet."""
+        self.model, self.known = model, guard(model)
+        self.integrator, self.method = integrator, declared(integrator)
+        self.plan, self.store = plan, store
+        self.recorder = recorder  # of sensors
+        self.counts, self.begun = counts, begun
+        self.until, self.progress, self.handler = until, progress, handler
+        self.streams = store.file is not None
+        self.events = handler.happened if handler else Events() if events is None else events
+        self.sampler = Sampler(store, counts, plan["every"], plan["output"], store.count, None if handler else self.known)
+        self.last = None  # the last accepted State
         self.memory = {}  # of the last state that had one: behind events it is empty
+        self.restart = None  # the last Restart, from which the run can be continued
+        self.flushed = None  # the Restart in the file
+        self.recorded = None  # number of sensor rows in the file
+        self.watch = self.jumps = None  # Watch of singular positions, Jumps of the forces
+        self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 
     def begin(self, state, overwrite):
         """Store the first state, and put the file in its place if there is one. Raises InputError if that is not possible."""
         with self.store.file.publishing(overwrite) if self.streams else nullcontext():
             self.sampler.start(state)
-            self.last, self.restart = state, Restart(state, self.store.count, vars(self.counts).copy())
+            self.last = state
+            self._set_restart(state)
             if self.streams:
                 self._flush()
 
@@ -75,16 +87,14 @@ class Run:
         return run
 
     def _run(self, state, presses):
+        """Take all steps and end the run as it ended: at its end, by a failure, Ctrl-C, a full disk or an exception, which is raised again."""
         self.last = state
         try:
             bar = over_time(self.progress, state.t, self.plan["t_end"]) if self.progress else nullcontext()
             with bar as self.progress:
                 status, message = self._steps(state, presses)
         except StepFailure as failure:
-            looks = self.watch and not isinstance(failure, SingularPosition)
-            suspicion = self.watch.suspicion(failure.t) if looks else ""
-            jump = self.jumps.found(self.last) if self.jumps and failure.status != JUMP_IN_V else ""
-            status, message = failure.status, f"{failure}{suspicion}{'; ' * bool(jump)}{jump}"
+            status, message = failure.status, self._reason_of(failure)
         except KeyboardInterrupt:
             presses.heeded = True
             status, message = "interrupted", f"interrupted after t = {self.last.t:.9g} s"
@@ -97,88 +107,122 @@ class Run:
         notes = unresolved(self.known, self.method, self.restart.state) if self.known.switching else ""
         return self._end(status, "; ".join(filter(None, (message, notes))))
 
-    def _steps(self, state, presses):
-        """Take all steps; returns (status, message). A stretch is processed in parts that end where a flush may be due.
+    def _reason_of(self, failure):
+        """Message of a StepFailure, with what was seen near it: a singular position, or forces that jump with the velocity."""
+        reasons = [str(failure)]
+        if self.jumps and failure.status != JUMP_IN_V:
+            reasons.append(self.jumps.found(self.last))
+        if self.watch and not isinstance(failure, SingularPosition):
+            reasons[0] += self.watch.suspicion(failure.t)
+        return "; ".join(filter(None, reasons))
 
-        States of a part are looked at one by one only if `until` or a sensor must be.
-        """
+    def _steps(self, state, presses):
+        """Take all steps from a state to t_end; returns (status, message) of the run's end."""
         until = Until(self.known, self.until, state, self.sampler.model) if self.until else None
-        needs = self.known.needs
-        if self.happenings:
-            stretches = self.happenings.stretches(state, self.plan["t_end"], self.counts)
-        else:
-            stretches = accepted(self.method, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows)
-            if self.known.m and not self.known.row_laws and (needs.phi_q_varies or needs.driven):
-                self.watch = Watch(self.known, state)
-        left_out = LeftOut(self.happenings.mode if self.happenings else self.known)
+        left_out = LeftOut(self.handler.mode if self.handler else self.known)
         self.jumps = Jumps(self.known, self.counts, state.t, self.plan["t_end"])
-        for stretch in stretches:
-            if isinstance(stretch, Change):
-                state = self._change(stretch)
-                if stretch.stops:
-                    return "stopped", stretch.stops
-                left_out = LeftOut(self.happenings.mode)
+        for batch in self._batches(state):
+            if isinstance(batch, Change):
+                self._keep_change(batch)
+                if batch.stops:
+                    return "stopped", batch.stops
+                left_out = LeftOut(self.handler.mode)
                 continue
-            sound, failure = self.watch.look(stretch) if self.watch else (len(stretch), None)
-            agreeing, contradiction = left_out.look(stretch)
+            sound, failure = self.watch.look(batch) if self.watch else (len(batch), None)
+            agreeing, contradiction = left_out.look(batch)
             if agreeing < sound:
                 sound, failure = agreeing, contradiction
-            self.counts.steps -= len(stretch) - sound
-            whole, done, quiet = stretch.part(0, sound), 0, 0  # quiet: states in front that need not be looked at one by one
-            if self.progress is None:
-                quiet = self.recorder.quiet(whole)
-                quiet = min(quiet, until.quiet(whole)) if until and quiet else quiet
-
-            def size():
-                before_flush = self.plan["flush_every"] - (self.counts.steps - self.flushed_steps) if self.store.file else MANY
-                return max(1, min(before_flush, quiet - done))  # noqa: B023, called within the loop
-
-            for part in parted(whole, self.counts, size):
-                after, begin = part.last, done
-                done += len(part)
-                at_zero = until.crossing(state, after) if until and done > quiet else None
-                if done <= quiet:
-                    self.recorder.record(begin, done)
-                else:
-                    self.recorder.step(after if at_zero is None else at_zero)
-                if at_zero is not None:
-                    self.sampler.step(state, Stretch.of(at_zero))
-                    self.last = at_zero
-                    self.sampler.keep(at_zero)
-                    return "stopped", f"until changed its sign at t = {at_zero.t:.9g} s"
-                self.sampler.step(state, part)
-                if "impacts" in after.memory:
-                    self._record_impacts(after)
-                self.last = state = after
-                self.memory = state.memory or self.memory
-                if state.restart:
-                    self.restart = Restart(state, self.store.count, vars(self.counts).copy())
-                if self.store.file and self._due():
-                    self._flush()
-                if self.progress is not None:
-                    self.progress(after.t)
-                if presses.count:
-                    raise KeyboardInterrupt
+            self.counts.steps -= len(batch) - sound
+            if stops := self._keep(batch.part(0, sound), until, presses):
+                return "stopped", stops
             if failure:
                 self.counts.steps += 1
                 raise failure
-            self.jumps.look(stretch)
+            self.jumps.look(batch)
         return "done", unseen(self.known, self.method.fixed_step())
 
-    def _change(self, change):
-        """Store both sides of events. Returns the state behind them."""
-        table, times = self.happenings.happened.happened, self.plan["output"]
+    def _batches(self, state):
+        """An iterator over the step batches from a state to t_end, with Changes between them in runs with events."""
+        if self.handler:
+            return self.handler.stretches(state, self.plan["t_end"], self.counts)
+        needs = self.known.needs
+        batches = accepted(self.method, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows)
+        if self.known.m and not self.known.row_laws and (needs.phi_q_varies or needs.driven):
+            self.watch = Watch(self.known, state)
+        return batches
+
+    def _keep(self, batch, until, presses):
+        """Store frames and sensors of a step batch, in parts that end where a flush may be due. Returns why `until` stops the run, or "".
+
+        The first `quiet` states need not be looked at one by one: `until` and the sensors are compiled, and `until` keeps its sign there.
+        """
+        done, quiet = 0, 0
+        if self.progress is None:
+            quiet = self.recorder.quiet(batch)
+            quiet = min(quiet, until.quiet(batch)) if until and quiet else quiet
+
+        def size():
+            before_flush = self.plan["flush_every"] - (self.counts.steps - self.flushed_steps) if self.store.file else MANY
+            return max(1, min(before_flush, quiet - done))
+
+        for part in parted(batch, self.counts, size):
+            first, done = done, done + len(part)
+            if done <= quiet:
+                self.recorder.record(first, done)
+            else:
+                at_zero = until.crossing(self.last, part.last) if until else None
+                if at_zero is not None:
+                    self._stop_at(at_zero)
+                    return f"until changed its sign at t = {at_zero.t:.9g} s"
+                self.recorder.step(part.last)
+            self._keep_part(part)
+            if self.progress is not None:
+                self.progress(part.last.t)
+            if presses.count:
+                raise KeyboardInterrupt
+        return ""
+
+    def _stop_at(self, state):
+        """Store the state at which `until` is zero as the last frame of the run."""
+        self.recorder.step(state)
+        self.sampler.step(self.last, Stretch.of(state))
+        self.last = state
+        self.sampler.keep(state)
+
+    def _keep_part(self, part):
+        """Store the frames of a part of a step batch, and flush the file if that is due."""
+        after = part.last
+        self.sampler.step(self.last, part)
+        if "impacts" in after.memory:
+            self._record_impacts(after)
+        self.last = after
+        self.memory = after.memory or self.memory
+        if after.restart:
+            self._set_restart(after)
+        self._flush_if_due()
+
+    def _keep_change(self, change):
+        """Store both sides of events that happen at one time; the run goes on behind them."""
+        table, times = self.handler.happened.happened, self.plan["output"]
         if times is None and change.before:
             self.sampler.keep(change.before)
         table[-len(change.happened) :] = [replace(one, frame=self.store.count) for one in change.happened]
         if times is None:
             self.sampler.keep(change.after)
-        self.recorder.model, self.last = self.happenings.mode, change.after
+        self.recorder.model = self.handler.mode
+        self.last = change.after
         self.recorder.step(change.after)
-        self.restart = Restart(change.after, self.store.count, vars(self.counts).copy())
+        self._set_restart(change.after)
+        self._flush_if_due()
+
+    def _set_restart(self, state):
+        """Let the run be continued from a state: keep it with the counts and the number of frames so far."""
+        self.restart = Restart(state, self.store.count, vars(self.counts).copy())
+
+    def _flush_if_due(self):
+        """Flush the file, if there is one and the plan asks for it now."""
         if self.store.file and self._due():
             self._flush()
-        return change.after
 
     def _due(self):
         """True if a flush is due: as the plan says, or up to half as many steps later if a block of frames is complete by then."""
@@ -187,13 +231,16 @@ class Run:
         return late >= 1.0 and (late >= 1.5 or 2 * wait > self.plan["flush_every"] or self.store.count == self.store.file.count)
 
     def _flush(self):
+        """Commit the frames so far to the file as those of a run that goes on."""
         self._commit("running", "", self.restart)
         self.flushed_steps, self.flushed_at = self.counts.steps, time.monotonic()
 
     def _commit(self, status, message, restart, last=False):
+        """Commit frames, sensors and the state to continue from to the file, with the status of the run."""
         rows = behind_blocks(self.store.file, self.recorder.rows)
         commit(self.store, status, message, self.counts, self._seconds(), restart, rows, last, self.events, self._settings_used())
-        self.flushed, self.recorded = restart, self.recorder.count
+        self.flushed = restart
+        self.recorded = self.recorder.count
 
     def _record_impacts(self, state):
         """Add the impacts of a step of time stepping to the events; several of one part are one."""
@@ -223,7 +270,7 @@ class Run:
     def _end(self, status, message):
         """The Trajectory, and the file closed."""
         try:
-            if status != "stopped" and not self.happenings:
+            if status != "stopped" and not self.handler:
                 self._settle()
             if self.plan["output"] is None:
                 self.sampler.keep(self.last)
@@ -259,6 +306,7 @@ class Run:
         return status, message
 
     def _result(self, status, message):
+        """The Trajectory of the frames so far, and where it can be continued from. The store cannot be used afterwards."""
         cpu, wall, compiling = self._seconds()
         if self.streams and not self.store.file.in_place():
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
@@ -286,46 +334,3 @@ class Run:
             events=self.events,
             settings_used=self._settings_used(),
         )
-
-
-_interruptions = [0]
-
-
-class Presses:
-    """Handler of SIGINT for one run. count: how often Ctrl-C was pressed. heeded: True if it ended the run."""
-
-    def __init__(self):
-        self.count, self.heeded = 0, False
-
-    def __call__(self, number, frame):
-        self.count += 1
-        if self.count > 1:
-            signal.default_int_handler(number, frame)
-        _interruptions[0] += 1
-
-
-@contextmanager
-def noted():
-    """Context of a run in which the first Ctrl-C waits until the step is done and a second one interrupts at once; gives its Presses.
-
-    So a flush is not cut in two, and the exception is not lost in a place where Python ignores it. The context raises
-    KeyboardInterrupt at its end if Ctrl-C was pressed and did not end the run, for example after its last step. A run within a run
-    goes on after the first press, because the outer run may need its result; a second press ends both. It acts only in the main thread and
-    if Python's own handler is in place.
-    """
-    before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
-    outer, presses = isinstance(before, Presses), Presses()
-    if before is signal.default_int_handler:
-        signal.signal(signal.SIGINT, presses)
-    try:
-        yield presses
-    finally:
-        if before is signal.default_int_handler:
-            signal.signal(signal.SIGINT, before)
-        if (presses.count and not presses.heeded) or (outer and before.count > 1):
-            raise KeyboardInterrupt
-
-
-def interruptions():
-    """How often Ctrl-C was noted in this process: a run that it ended returns as any other, and a loop over runs must stop."""
-    return _interruptions[0]

@@ -1,4 +1,8 @@
-"""`solve`: run an integrator over a model and collect a trajectory."""
+"""`solve`: check the arguments of a run, find its first state, make its file and its store of frames, and run it.
+
+In: model, integrator, times and start as a user gives them. Out: the Trajectory of `Run.go` (run.py). Wrong arguments are an InputError before
+the first step; what follows it is the matter of run.py.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,8 @@ from polyida.integrate.discontinuities import round_off
 from polyida.integrate.start import consistent_state, require_state, restarted, vector_of, velocities_of
 from polyida.integrate.state import Counts, HasSteps, State, declared
 from polyida.io.layout import MEMORY_LIMIT
-from polyida.io.save import FrameStore, create, free
+from polyida.io.save import create, free
+from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.check import require_declared, require_profiles
 from polyida.model.compiled import Compiled
@@ -28,8 +33,9 @@ from polyida.model.guarded import guard
 from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
 from polyida.run.accepted import Recorder, require_of_state, require_sensors
-from polyida.run.events import Happenings, prepared
-from polyida.run.modes import Modes
+from polyida.run.contact_events import ContactHandler
+from polyida.run.event_parts import prepared
+from polyida.run.events import EventHandler
 from polyida.run.run import Run
 from polyida.sensor import Sensor
 from polyida.system.own import small_own
@@ -136,46 +142,28 @@ def solve(
     """
     if hasattr(t_end, "steps") and is_number(integrator):
         raise InputError(f"solve: t_end and the integrator are exchanged: t_end = {integrator!r} stands before the integrator")
-    happenings = None
-    laws = isinstance(model, Model) and guard(model).row_laws
-    if not (events is None or events is False or (isinstance(events, (list, tuple)) and not events)):
-        model, events = prepared("solve", model, events)
-        if not declared(integrator).takes_laws:
-            require_no_laws(
-                "solve", guard(model), "events= beside contact or friction need polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
-            )
-        happenings = Happenings(model, events, declared(integrator))
-    elif laws and not declared(integrator).takes_laws:
-        happenings = Modes(model, declared(integrator))
-    known = happenings.mode if happenings else guard(model)
+    model, handler = _with_events(model, events, integrator)
+    active = handler.mode if handler else guard(model)
     if state is None and not is_number(t0):
         raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
     if state is not None:
         if any(value is not None for value in (q0, v0, x0)):
             raise InputError("solve: give either a state or q0, v0 and x0; the state holds all of them")
-        state = require_state("solve", known, state)
+        state = require_state("solve", active, state)
     if progress is not None:
         require_progress("solve", progress)
-    require_sensors("solve", sensors, known)
+    require_sensors("solve", sensors, active)
     begin = t0 if state is None else state.t
-    method = require_run(known, t_end, begin, integrator)
-    for name, value in (("every", every), ("flush_every", flush_every)):
-        whole("solve", name, value)
+    method = require_run(active, t_end, begin, integrator)
+    whole("solve", "every", every)
+    whole("solve", "flush_every", flush_every)
     flag("solve", "fsync", fsync)
     if until is not None:
-        require_of_state("solve: until", until, known)
+        require_of_state("solve: until", until, active)
     one_of("solve", "precision", precision, PRECISIONS)
-    times = None if output is None else floats(output)
-    if output is not None and (times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all()):
-        raise InputError("solve: output must be increasing finite times in s, at least one")
-    if times is not None and (times[0] < begin or times[-1] > t_end):
-        raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
-    if times is not None and every != 1:
-        raise InputError(f"solve: every = {every} and output are given; output has the times of all frames, so leave every out")
+    times = _output_times(output, every, begin, t_end)
     require_bytes("solve", memory_limit)
     path = None if out is None else free(out, overwrite)
-    # a state of a run has the memory of its integrator, or is between two steps; one of `static` has only its residual, `rest`
-    began = "start" if state is None else "run" if state.memory.keys() - {"rest"} or not state.restart else "state"
     plan = {  # plain data, for files
         "t_end": float(t_end),
         "every": int(every),
@@ -184,31 +172,26 @@ def solve(
         "flush_every": int(flush_every),
         "fsync": fsync,
         "precision": precision,
-        "began": began,
+        "began": _kind_of_start(state),
     }
-    h, single = method.fixed_step(), precision == "single"
-    frames = len(times) if times is not None else int((t_end - begin) / (h * every)) + 1 if h else 0  # 0 if unknown
     begun = clock()
     with one_blas_thread():
-        q, v = (vector_of("q0", q0, known), velocities_of(v0, x0, known)) if state is None else (state.q, state.v)
-        if not known.is_scene and small_own(known) and known.by_numba:
-            Compiled(known)  # raises InputError for a function that numba cannot compile
-        if not known.compiled or known.own_forces:  # a scene of polyida's own parts needs no check
-            require_declared(known, float(begin), q, v, float(t_end))
-        require_profiles(known, float(begin), float(t_end))
+        _require_functions(active, state, begin, t_end, q0, v0, x0)
         if state is None:
-            state = consistent_state(known, t0, q0, v0, x0)
+            state = consistent_state(active, t0, q0, v0, x0)
         elif not state.restart:
-            state = restarted(known, state)
-        method.require_reach(known, state, t_end)
-        recorder, file, m = Recorder(known, sensors or {}), None, known.m
-        if happenings:
-            state, m = happenings.start(state), happenings.width
+            state = restarted(active, state)
+        method.require_reach(active, state, t_end)
+        recorder, file, m = Recorder(active, sensors or {}), None, active.m
+        if handler:
+            state, m = handler.start(state), handler.width
         recorder.step(state)
+        single = precision == "single"
         if path is not None:
-            file = create(path, model, integrator, known.n, m, plan, machine_info(), single, recorder.shapes)
-        store = FrameStore(known.n, m, memory_limit, file, single, frames)
-        run = Run(model, integrator, plan, store, recorder, Counts(), begun, until, progress, happenings)
+            file = create(path, model, integrator, active.n, m, plan, machine_info(), single, recorder.shapes)
+        frames = _expected_frames(method.fixed_step(), times, every, t_end - begin)
+        store = FrameStore(active.n, m, memory_limit, file, single, frames)
+        run = Run(model, integrator, plan, store, recorder, Counts(), begun, until, progress, handler)
         run.begin(state, overwrite)
         result = run.go(state)
     if model.reduced_bodies and (hint := hint_of_left_out(model, result.t, result.q, result.a)):
@@ -216,13 +199,74 @@ def solve(
     return result
 
 
-def require_run(model, t_end, begin, integrator):
-    """The Integrator of a run from `begin` to t_end. Raises InputError unless model, integrator and times make one.
+def _with_events(model, events, integrator):
+    """(model with the parts that events add, EventHandler of a run with events or event-driven contact, else None)."""
+    if not (events is None or events is False or (isinstance(events, (list, tuple)) and not events)):
+        model, events = prepared("solve", model, events)
+        if not declared(integrator).takes_laws:
+            require_no_laws(
+                "solve", guard(model), "events= beside contact or friction need polyida.NonsmoothAlpha(h=...) or MoreauJean(h=...)"
+            )
+        return model, EventHandler(model, events, declared(integrator))
+    if isinstance(model, Model) and guard(model).row_laws and not declared(integrator).takes_laws:
+        return model, ContactHandler(model, declared(integrator))
+    return model, None
 
-    The number of steps must be finite, and floats must resolve times and steps.
+
+def _output_times(output, every, begin, t_end):
+    """The given times of frames as an array, or None. Raises InputError unless they increase within the run."""
+    if output is None:
+        return None
+    times = floats(output)
+    if times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all():
+        raise InputError("solve: output must be increasing finite times in s, at least one")
+    if times[0] < begin or times[-1] > t_end:
+        raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
+    if every != 1:
+        raise InputError(f"solve: every = {every} and output are given; output has the times of all frames, so leave every out")
+    return times
+
+
+def _kind_of_start(state):
+    """What a run begins from: "start" (q0 and v0), "run" (a state of a run) or "state" (any other one).
+
+    A state of a run has the memory of its integrator, or is between two steps; one of `static` has only its residual, `rest`.
     """
+    if state is None:
+        return "start"
+    return "run" if state.memory.keys() - {"rest"} or not state.restart else "state"
+
+
+def _require_functions(model, state, begin, t_end, q0, v0, x0):
+    """Raise InputError if functions of the user's model or its profiles cannot be compiled or contradict what it declares."""
+    q, v = (vector_of("q0", q0, model), velocities_of(v0, x0, model)) if state is None else (state.q, state.v)
+    if not model.is_scene and small_own(model) and model.by_numba:
+        Compiled(model)  # raises InputError for a function that numba cannot compile
+    if not model.compiled or model.own_forces:  # a scene of polyida's own parts needs no check
+        require_declared(model, float(begin), q, v, float(t_end))
+    require_profiles(model, float(begin), float(t_end))
+
+
+def _expected_frames(h, times, every, duration):
+    """Number of frames of a run of that duration with constant steps h or frames at given times; 0 if it is unknown."""
+    if times is not None:
+        return len(times)
+    return int(duration / (h * every)) + 1 if h else 0
+
+
+def require_run(model, t_end, begin, integrator):
+    """The Integrator of a run from `begin` to t_end. Raises InputError unless model, integrator and times make one."""
     method = declared(integrator)
     method.require(model)
+    _require_takes(method, model)
+    if not (is_number(t_end) and t_end > begin):
+        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
+    _require_resolved(model.controllers if model.is_scene else (), t_end, begin, method.fixed_step())
+    return method
+
+
+def _require_takes(method, model):
+    """Raise InputError if the model has laws of contact, velocity rows or controllers that the integrator does not know."""
     if guard(model).row_laws and not (method.takes_laws or method.trusted):
         names = ", ".join(dict.fromkeys(law.name for law in guard(model).row_laws))
         raise InputError(
@@ -236,9 +280,11 @@ def require_run(model, t_end, begin, integrator):
         names = ", ".join(repr(own.name) for own in controllers)
         needed = "one whose steps end at model.samples(t0, t1) and go on from model.sampled(t, q, v) has the attribute takes_samples = True"
         raise InputError(f"solve: {method.class_name()} takes no samples of the controllers {names}; {needed}")
-    if not (is_number(t_end) and t_end > begin):
-        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
-    h, apart = method.fixed_step(), math.ulp(max(abs(begin), abs(t_end)))
+
+
+def _require_resolved(controllers, t_end, begin, h):
+    """Raise InputError unless floats resolve the run, its steps h (None: adaptive) and its sampling periods, and the steps are not too many."""
+    apart = math.ulp(max(abs(begin), abs(t_end)))  # between two floats there
     shortest, near = max(SHORTEST, APART * apart), 2.0 * round_off(begin, t_end)
     for own in controllers:
         if own.period <= near:
@@ -249,4 +295,3 @@ def require_run(model, t_end, begin, integrator):
         raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
     if h and h < APART * apart and t_end - begin > h:
         raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
-    return method

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.files import OLD, disk_errors, remove_left_over, replacing, write_file
-from polyida.io.layout import HAS_LOCKS, being_written, lock
+from polyida.io.locks import HAS_LOCKS, being_written, lock
 from polyida.show import plates
 from polyida.validation import as_array, is_whole, named_keywords, path_of
 

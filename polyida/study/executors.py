@@ -17,7 +17,7 @@ from typing import Any
 from polyida.clock import clock
 from polyida.errors import InputError, text_of
 from polyida.reprs import short
-from polyida.run.run import interruptions
+from polyida.run.ctrl_c import interruptions
 
 START_LIMIT = 60.0  # s for the start of a process and the imports of its first task
 GRACE = 5.0  # s beyond its limit after which a task ends its own process if the parent process has died

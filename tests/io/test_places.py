@@ -104,7 +104,7 @@ def test_what_a_killed_start_left_is_removed_by_the_next(model, whole, tmp_path)
     os.utime(left, (0, time.time() - 3600))
     held = tmp_path / ".polyida-held.part"
     with open(held, "wb") as file:
-        from polyida.io.layout import lock
+        from polyida.io.locks import lock
 
         lock(file)
         os.utime(held, (0, time.time() - 3600))

@@ -32,7 +32,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.model.differences import beside
 from polyida.model.guarded import guard
 from polyida.model.row_laws import Slipping, Slips, pressing
-from polyida.run.events import NODES, OFFSET, Change, Happenings
+from polyida.run.events import NODES, OFFSET, Change, EventHandler
 
 LEAST_SPEED = 1e-3  # m/s: a slower impact is plastic
 MOST = 1000  # changes of one row
@@ -61,10 +61,11 @@ class RowEvent:
 
 
 def timed(method):
-    """A method of Modes whose CPU time counts as spent on laws."""
+    """A method of ContactHandler whose CPU time counts as spent on laws."""
 
     @wraps(method)
     def measured(self, *arguments):
+        """The method, with its CPU seconds added to `watch_seconds` of the Events."""
         begin = process_time()
         try:
             return method(self, *arguments)
@@ -74,13 +75,62 @@ def timed(method):
     return measured
 
 
-class Modes(Happenings):
-    """The events of an event-driven run. status (k,): of the rows with laws, 0 for open contacts and for friction without pressure.
+class StepBatch:
+    """The functions of the rows with laws over the steps that an integrator takes in one call, for all batches of one motion.
 
-    compiled: False if friction that slips is to be in Python, as the adjoint needs it.
+    A step is quiet if certainly no status ends in it: each function stays away from zero by more than half of what it changes within two steps.
     """
 
+    def __init__(self, mode, before):
+        """Begin at the first state of a motion of a mode."""
+        self.mode = mode
+        self.vectors = None  # keeps the vectors that a Stretch computes when they are first read
+        self.values = None  # (steps, rows) of the functions at the ends of the batch's steps
+        self.earlier = None  # (rows,) one step before the end of the last batch; None: not known
+        contraction = mode.contraction(before.t, before.q) if isinstance(mode, Slipping) else 0.0
+        self.unique = before.t, contraction, before.t  # t, contraction there, time up to which it certainly stays below CERTAIN
+        mode.longest_stretch = 1
+
+    def next(self, stretch):
+        """Go on to the next batch; returns the values one step before its begin, or None."""
+        earlier = self.earlier
+        self.earlier = None
+        self.vectors = stretch.computed()
+        return earlier
+
+    def certain(self, after):
+        """True if friction that slips has certainly a unique force up to a state: it did where that was found last, and it changes slowly."""
+        t, value, until = self.unique
+        if isinstance(self.mode, Slipping) and after.t > until:
+            now = self.mode.contraction(after.t, after.q)
+            change = abs(now - value) / (after.t - t)
+            until = after.t + min(2.0 * (after.t - t), (CERTAIN - now) / change if change else np.inf)
+            self.unique, value = (after.t, now, until), max(value, now)
+        return value < CERTAIN
+
+    def quiet(self, earlier, begin, values, sides, sizes):
+        """True for the quiet steps, (steps,); sets how many steps the next batch may have.
+
+        earlier, begin: values one step before the batch and at its begin. values: at the ends of its steps. sides, sizes: of the functions.
+        """
+        self.values = values
+        ends = np.vstack([begin if earlier is None else earlier, begin, values])
+        around = np.array([ends[:-2], ends[1:-1], ends[2:]])
+        least, change = (sides * around).min(axis=0), np.ptp(around, axis=0)
+        quiet = ((least > OFFSET * np.maximum(sizes, least)) & (2.0 * least > change)).all(axis=1)
+        quiet[0] &= earlier is not None
+        self.earlier = ends[-2]
+        moves = np.abs(values[-1] - ends[-2])
+        left = np.min(np.abs(values[-1]) / np.where(moves > 0.0, moves, 1e-300), initial=LONGEST)  # steps until one is zero
+        self.mode.longest_stretch = int(max(1, min(2 * self.mode.longest_stretch, left))) if quiet.all() else 1
+        return quiet
+
+
+class ContactHandler(EventHandler):
+    """The events of an event-driven run with contact and friction: each change of a row's status is one."""
+
     def __init__(self, model, method, happened=None, compiled=True):
+        """Take the model, the integrator and the Events so far. compiled: False if friction that slips is to be in Python, for the adjoint."""
         self.compiled = compiled
         self.whole, self.method, self.contacts = guard(model), method, Contacts(guard(model))
         if self.whole.is_scene and self.whole.edge_rows:
@@ -92,12 +142,20 @@ class Modes(Happenings):
             self.happened = Events(given=True)
             self.happened.watch_seconds = 0.0
         self.events = [RowEvent(number, law.name) for number, law in enumerate(self.whole.row_laws)]
-        self.counts, (self.sides, self.sizes) = np.zeros((2, len(self.events)), np.int64), np.zeros((2, len(self.events)))
-        self.last, self.modes, self.mode = -np.inf, {}, self.whole
+        self.sides = np.zeros(len(self.events))
+        self.sizes = np.zeros(len(self.events))
+        self.counts = np.zeros((2, len(self.events)), np.int64)  # changes of each row: in all, and at the time of the last change
+        self.last = -np.inf  # s: time of the last change
+        self.modes = {}  # {(rows, slips): model}
+        self.mode = self.whole  # the model of the statuses
         self.pressing = pressing(self.whole, self.whole.row_laws)
-        self.shared = self.watched = self.dwelling = NONE  # dwelling: rows whose motion ended the last step
+        # (numbers of rows with laws)
+        self.shared = NONE  # those that share their forces
+        self.watched = NONE  # at rest, held by equations that may begin to move them
+        self.dwelling = NONE  # whose motion ended the last step
         self.seen = set()  # statuses at the time of the last change
         self.pieces = np.zeros(3)  # length and end of a piece of the motion, and the length from which it is whole again; 0: it is whole
+        self.batch = None  # StepBatch of the motion
 
     def start(self, state):
         """The first state of a run; sets the mode. state: from `consistent_state`, with all columns of lam."""
@@ -109,9 +167,11 @@ class Modes(Happenings):
         return replace(state, memory={"status": self.status.astype(float)}, restart=True)
 
     def _settled_at_rest(self, state):
+        """The consistent State with the contacts closed that touch and do not separate; sets statuses and mode."""
         return self._settled(state.t, state.q, state.v, self.contacts.at_rest(state.t, state.q, state.v))
 
     def whole_state(self, state):
+        """A state of the mode with the columns of lam of all rows, and with what a run goes on with in its memory."""
         state = super().whole_state(state)
         if not state.restart:
             return state
@@ -122,9 +182,11 @@ class Modes(Happenings):
         return {"events": np.array([self.sides, self.sizes]), "status": self.status.astype(float), "pieces": self.pieces}
 
     def spread(self, state):
+        """A state of the mode with the multipliers of all rows."""
         return State(state.t, state.q, state.v, state.a, self._all_forces(state), restart=False)
 
     def stretches(self, state, t_end, counts):
+        """Yield step batches of the run's states, and Changes, from the statuses in the memory of its first state."""
         memory = dict(state.memory)
         self.status, self.pieces = np.asarray(memory.pop("status"), np.int64), np.array(memory.pop("pieces", np.zeros(3)))
         self._set_mode(state.t, state.q, state.v)
@@ -142,36 +204,26 @@ class Modes(Happenings):
         return float(self._known[1][event.law])
 
     def _quiet(self, before, stretch):
-        """As of all events: steps whose functions stay away from zero by more than half of what they change within two steps.
+        """True for the quiet steps of a stretch, see StepBatch.
 
         A motion's first step, those near an end of unique friction, those of rows with shared forces or held by equations, and those of runs with
         kinks and samples are looked into.
         """
-        earlier, self.earlier = self.earlier, None
-        self.computed = stretch.computed()
-        if self.jumps or self.shared.size or self.watched.size or self.fixed.any() or not self._certain(stretch.last):
+        earlier = self.batch.next(stretch)
+        if self.jumps or self.shared.size or self.watched.size or self.fixed.any() or not self.batch.certain(stretch.last):
             self.mode.longest_stretch = 1
             return np.zeros(len(stretch), bool)
-        one = len(stretch) == 1
-        self.ahead = self._values(stretch, self._all_forces(stretch.last)[None] if one else self.mode.spread(stretch.lam, self.width))
-        ends = np.vstack([self.values if earlier is None else earlier, self.values, self.ahead])
-        around = np.array([ends[:-2], ends[1:-1], ends[2:]])
-        least, change = (self.sides * around).min(axis=0), np.ptp(around, axis=0)
-        quiet = (least > OFFSET * np.maximum(self.sizes, least)) & (2.0 * least > change)
-        quiet = quiet.all(axis=1)
-        quiet[0] &= earlier is not None
-        self.earlier = ends[-2]
-        moves = np.abs(self.ahead[-1] - ends[-2])
-        left = np.min(np.abs(self.ahead[-1]) / np.where(moves > 0.0, moves, 1e-300), initial=LONGEST)
-        self.mode.longest_stretch = int(max(1, min(2 * self.mode.longest_stretch, left))) if quiet.all() else 1
-        return quiet
+        lam = self._all_forces(stretch.last)[None] if len(stretch) == 1 else self.mode.spread(stretch.lam, self.width)
+        return self.batch.quiet(earlier, self.values, self._values(stretch, lam), self.sides, self.sizes)
 
     def _pass(self, part, done):
-        values = self.ahead[:done]
+        """Go on behind quiet steps, the first `done` ones of the batch; `part`: the last of them."""
+        values = self.batch.values[:done]
         self.values = values[-1]
         self.sizes = np.maximum(self.sizes, np.abs(values).max(axis=0, initial=0.0))
         self.contacts.speed = max(self.contacts.speed, float(np.abs(part.v).max(initial=0.0)))
-        self.at, self.step = part.last, float(part.t[-1] - part.t[-2]) if len(part) > 1 else self.step
+        self.at = part.last
+        self.step = float(part.t[-1] - part.t[-2]) if len(part) > 1 else self.step
 
     def _values(self, stretch, lam):
         """The functions of the rows at the ends of a stretch, (k, rows with laws); lam: of all rows."""
@@ -187,20 +239,8 @@ class Modes(Happenings):
             result[:, rows] = values[:, rows]
         return np.where(self.held, 1.0, result)
 
-    def _certain(self, after):
-        """True if friction that slips has certainly a unique force up to a state: it did where that was found last, and it changes slowly.
-
-        unique: (t, contraction there, time up to which it holds by its last change).
-        """
-        t, value, until = self.unique
-        if isinstance(self.mode, Slipping) and after.t > until:
-            now = self.mode.contraction(after.t, after.q)
-            change = abs(now - value) / (after.t - t)
-            until = after.t + min(2.0 * (after.t - t), (CERTAIN - now) / change if change else np.inf)
-            self.unique, value = (after.t, now, until), max(value, now)
-        return value < CERTAIN
-
     def _motion(self, before, t_end, counts):
+        """Yield the step batches of one mode, and the Change at its end. Raises StepFailure where friction has no unique force."""
         self.at, self.step = before, self.method.fixed_step()
         if self.started:
             self._settled_at_rest(before)
@@ -208,10 +248,7 @@ class Modes(Happenings):
                 self.started = False
                 yield Change(None, *self._change(before, []))
                 return
-        self.earlier = None
-        self.mode.longest_stretch = 1
-        contraction = self.mode.contraction(before.t, before.q) if isinstance(self.mode, Slipping) else 0.0
-        self.unique = before.t, contraction, before.t
+        self.batch = StepBatch(self.mode, before)
         try:
             if not self._uniqueness(before, before) > 0.0:
                 raise self.mode.singular()
@@ -243,7 +280,10 @@ class Modes(Happenings):
 
     @timed
     def _first(self, before, after):
-        """As of all events. Raises SingularSystem if the friction has no unique force somewhere in the step before."""
+        """(time, numbers of the rows) of the first end of a status in a step, or None.
+
+        Raises SingularSystem if the friction has no unique force somewhere in the step before.
+        """
         # speeds that are round-off of the motion so far: at rest, and without gravity, a state gives no size for them
         self.contacts.speed = max(self.contacts.speed, float(np.abs(before.v).max(initial=0.0)))
         hit = self._jumped(before) or super()._first(before, after)
@@ -333,7 +373,7 @@ class Modes(Happenings):
         return ahead
 
     def _singular_ahead(self, state, h, most=2.0):
-        """The same, up to `most` steps of h ahead, by the accelerations of a state.
+        """The State at which the friction has no unique force up to `most` steps of h ahead, by the accelerations of a state, or None.
 
         They grow as `|t - t_s|^(-1/3)`, so that the error is of order 5/3 in h.
         """
@@ -352,7 +392,10 @@ class Modes(Happenings):
         return self.value(self.events[number], ahead) > 0.0
 
     def _crossing(self, event, side, values, offset, before, after):
-        """As of all events; a slip or an opening that began in the wrong direction and goes on so, by more than round-off, ends with the step."""
+        """(time at which a row's status ends in a step, or None; the side of its function at the end).
+
+        A slip or an opening that began in the wrong direction and goes on so, by more than round-off, ends with the step.
+        """
         if side > 0.0:
             return super()._crossing(event, side, values, offset, before, after)
         is_gap = self.contacts.contact[event.law]
@@ -388,13 +431,16 @@ class Modes(Happenings):
     def _set_mode(self, t, q, v):
         """Set the model of the statuses, the rows that share forces, and those that the equations hold."""
         contacts, laws, status = self.contacts, self.whole.row_laws, self.status
-        rates, gaps, still = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q), contacts.still(v)
+        rates, gaps = self.whole.phi_rate(t, q, v)[contacts.rows], contacts.gaps(t, q)
+        still = contacts.still(v)
         equal = np.where(contacts.contact, status == CLOSED, status == STICKS)
         slips = [(law, SIGNS[s]) for law, s in zip(laws, status) if s in SIGNS and (law.mu or law.constant)]
         pressed = contacts.contact | contacts.active(status == CLOSED)
         resting = np.flatnonzero((np.abs(rates) <= still) & (gaps <= TOUCH * (self.whole.extent or 1.0)) & pressed)
-        self.held, self.shared, kept = np.zeros(len(laws), bool), np.zeros(0, np.int64), np.flatnonzero(equal)
-        self.watched, self.fixed = self.shared, np.zeros(len(laws), bool)
+        self.shared = self.watched = NONE
+        self.held = np.zeros(len(laws), bool)  # True for rows at rest that other rows hold: they have no function
+        self.fixed = np.zeros(len(laws), bool)  # True for rows that slip and that equations alone move
+        kept = np.flatnonzero(equal)
         sliding = np.flatnonzero(status >= SLIPS_UP)
         if len(sliding) and contacts.turning:
             G, mobility, _ = contacts.mobilities(t, q, sliding)
@@ -414,7 +460,9 @@ class Modes(Happenings):
         key = rows.tobytes(), tuple((law.row, sign) for law, sign in slips)
         if key not in self.modes:
             self.modes[key] = self._slipping(t, q, rows, slips) if slips else self.whole.with_rows(rows)
-        self.mode, self._forces, self._held, self._known = self.modes[key], (None, None), (None, None), (None, None)
+        self.mode = self.modes[key]
+        # (state, its multipliers, rates or values): of the last state that they were computed at
+        self._forces = self._held = self._known = None, None
         self.equations = self.whole.with_rows(rows) if len(self.watched) or slips else self.mode
 
     def _slipping(self, t, q, rows, slips):
@@ -445,51 +493,76 @@ class Modes(Happenings):
 
     @timed
     def _change(self, state, fired):
+        """(state behind, what happened, "") where the statuses of the rows `fired` end, or contacts are hit. Raises StepFailure."""
         if not self._uniqueness(state, state) > 0.0:  # the event is of forces within round-off of that point
             self.at, self.step = state, 0.0
             raise self.mode.singular()
         state = self._with_forces_behind(state)
         contacts, t, q = self.contacts, state.t, state.q
-        rates, old, hit = self.whole.phi_rate(t, q, state.v)[contacts.rows], self.status.copy(), self._hit(state)
-        size, still = TOUCH * (self.whole.extent or 1.0), contacts.still(state.v)
+        rates = self.whole.phi_rate(t, q, state.v)[contacts.rows]
+        old, hit, still = self.status.copy(), self._hit(state), contacts.still(state.v)
         closed = ((old == CLOSED) & (rates <= still)) | hit | contacts.at_rest(t, q, state.v)
-        v, happened = state.v, []
         if hit.any():
-            none = np.zeros(len(contacts.rows))
-            v, P, _, _ = contacts.impact(
-                t, q, v, rates, closed, none, np.zeros(len(contacts.equations)), 0.0, None, np.abs(rates) < LEAST_SPEED
-            )
-            after = self.whole.phi_rate(t, q, v)[contacts.rows]
-            lost = -0.5 * P * (rates + after)
-            closed &= after <= still
-            listed = (hit & (P > 0.0) & (old != CLOSED)) | (
-                (P != 0.0) & (np.abs(rates + after) > still)
-            )  # friction elsewhere may lose energy, too
-            for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(listed)):
-                of_part = np.array([other == name for other in contacts.names])
-                happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
+            v, closed, happened = self._impact(state, rates, still, hit, closed)
+            begins = 0.0
+        else:
+            v, happened = state.v, []
+            begins = self._begins(state, rates, closed, fired)
         dwells = np.intersect1d(self.dwelling, fired).astype(np.int64)
-        behind = self._settled(t, q, v, closed, self._begins(state, rates, closed, fired) if not hit.any() else 0.0, dwells)
+        behind = self._settled(t, q, v, closed, begins, dwells)
         changed = np.flatnonzero(self.status != old)
-        for k in changed if not happened else ():
-            free = "opens" if contacts.contact[k] else "sticks" if self.held[k] else "is free"
-            word = WORDS.get(int(self.status[k]), free)
-            happened.append(Happened(t, f"{contacts.names[k]} {word}", 0.0, 0.0, 0))
+        happened = happened or [Happened(t, self._told(k), 0.0, 0.0, 0) for k in changed]
         rows = np.union1d(changed, np.flatnonzero(hit))
-        advances, now = self._require_progress(t, rows if len(rows) else fired), self.status.tobytes()
+        self._set_pieces(old, self._require_progress(t, rows if len(rows) else fired), hit.any())
+        self.happened.happened += happened
+        self._set_sides(State(t, q, v, behind.a, behind.lam[self.mode.columns]), still)
+        return replace(behind, memory=self._memory(), restart=True), happened, ""
+
+    def _impact(self, state, rates, still, hit, closed):
+        """(velocities behind an impact of the contacts `hit`, contacts that are closed then, what happened).
+
+        rates: of the rows with laws before it; those below `still` are round-off. closed: the contacts that may take impulses. An impulse P takes the energy `-P (rate before + rate behind) / 2`. Impacts slower than
+        LEAST_SPEED are plastic.
+        """
+        contacts, t, q = self.contacts, state.t, state.q
+        none, held = np.zeros(len(contacts.rows)), np.zeros(len(contacts.equations))
+        v, P, _, _ = contacts.impact(t, q, state.v, rates, closed, none, held, 0.0, None, np.abs(rates) < LEAST_SPEED)
+        after = self.whole.phi_rate(t, q, v)[contacts.rows]
+        lost = -0.5 * P * (rates + after)
+        # friction elsewhere may lose energy, too
+        listed = (hit & (P > 0.0) & (self.status != CLOSED)) | ((P != 0.0) & (np.abs(rates + after) > still))
+        happened = []
+        for name in dict.fromkeys(contacts.names[k] for k in np.flatnonzero(listed)):
+            of_part = np.array([other == name for other in contacts.names])
+            happened.append(Happened(t, name, float(np.abs(P[of_part]).max()), float(lost[of_part].sum()), 0))
+        return v, closed & (after <= still), happened
+
+    def _told(self, k):
+        """Name of the part of row k and what its new status is, for users: "floor closes"."""
+        free = "opens" if self.contacts.contact[k] else "sticks" if self.held[k] else "is free"
+        return f"{self.contacts.names[k]} {WORDS.get(int(self.status[k]), free)}"
+
+    def _set_pieces(self, old, advances, hit):
+        """Begin the next motion with a short piece if its statuses were seen at this time before; `old`: statuses before the change.
+
+        The forces of the step were not the consistent ones then, as of mesh modes that it does not resolve. advances: the change is behind the
+        last one. hit: contacts were hit.
+        """
+        now = self.status.tobytes()
         self.seen = {old.tobytes()} if advances else self.seen
-        # the same statuses again: forces of the step were not the consistent ones, as of mesh modes that it does not resolve
-        again = now in self.seen and not (advances or hit.any())
+        again = now in self.seen and not (advances or hit)
         self.seen.add(now)
         self.pieces = np.array([SHORTER * self.step, 0.0, max(self.step, self.pieces[2])]) if again else np.zeros(3)
-        self.happened.happened += happened
-        moment = State(t, q, v, behind.a, behind.lam[self.mode.columns])
-        self.values = np.array([self.value(event, moment) for event in self.events])
+
+    def _set_sides(self, state, still):
+        """Set values, sides and sizes of the functions at the first state of a motion; still: speeds below it are round-off, m/s."""
+        contact = self.contacts.contact
+        self.values = np.array([self.value(event, state) for event in self.events])
         # slip from rest, and the gap of a contact that opens, are round-off of either sign at first
-        begins = np.where(contacts.contact, self.status == 0, self.status >= SLIPS_UP)
-        begins &= self.values <= np.where(contacts.contact, size, still)
-        self.sides, self.sizes = np.where(begins, 0.0, 1.0), np.abs(self.values)
-        return replace(behind, memory=self._memory(), restart=True), happened, ""
+        begins = np.where(contact, self.status == 0, self.status >= SLIPS_UP)
+        begins &= self.values <= np.where(contact, TOUCH * (self.whole.extent or 1.0), still)
+        self.sides = np.where(begins, 0.0, 1.0)
+        self.sizes = np.abs(self.values)
 
     def _hit(self, state):
         """True for the contacts that have closed and approach."""
