@@ -24,7 +24,8 @@ from polyida.model import Model
 from polyida.model.differences import along, reach_along
 from polyida.model.guarded import guard
 from polyida.results.motion import reaction_of
-from polyida.run.accepted import accepted, leading
+from polyida.run.accepted import accepted
+from polyida.run.recording import leading
 from polyida.run.reset import Push, Reset, pull_of, rate_of, require_free
 from polyida.validation import floats, is_number
 

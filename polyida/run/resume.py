@@ -27,10 +27,10 @@ from polyida.io.store import FrameStore
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.progress import require_progress
-from polyida.run.accepted import Recorder, require_of_state, require_sensors
 from polyida.run.contact_events import ContactHandler
 from polyida.run.event_parts import prepared
 from polyida.run.events import EventHandler
+from polyida.run.recording import Recorder, require_of_state, require_sensors
 from polyida.run.run import Run
 from polyida.run.solve import require_run
 from polyida.sensor import Sensor, Sensors

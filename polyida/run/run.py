@@ -24,10 +24,11 @@ from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
 from polyida.model.guarded import guard
 from polyida.progress import over_time
-from polyida.run.accepted import Sampler, Until, accepted
+from polyida.run.accepted import accepted
 from polyida.run.ctrl_c import noted
 from polyida.run.events import Change
 from polyida.run.jumps import JUMP_IN_V, Jumps
+from polyida.run.recording import Sampler, Until
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 

@@ -32,10 +32,10 @@ from polyida.model.compiled import Compiled
 from polyida.model.guarded import guard
 from polyida.model.row_laws import require_no_laws
 from polyida.progress import require_progress
-from polyida.run.accepted import Recorder, require_of_state, require_sensors
 from polyida.run.contact_events import ContactHandler
 from polyida.run.event_parts import prepared
 from polyida.run.events import EventHandler
+from polyida.run.recording import Recorder, require_of_state, require_sensors
 from polyida.run.run import Run
 from polyida.sensor import Sensor
 from polyida.system.own import small_own
