@@ -34,7 +34,7 @@ from polyida.jit.intrinsics import COLUMNS, pointer
 from polyida.linear.dense import clear
 from polyida.linear.lu import FactorCache
 from polyida.linear.team import Helpers
-from polyida.system import ADJOINT, ENTRIES
+from polyida.system import ADJOINT, ENTRIES, scene_functions
 from polyida.system import scene as forward
 
 # constants of compiled code
@@ -277,7 +277,7 @@ def set_residuals(work, right, below, column):
         for e in range(below.shape[2]):
             work.rows[MU, i, column, e] -= below[i, column, e]
         if stages > 1:
-            forward.turn_to(stage(work, i).rotation, stage(work, stages // 2).rotation, work.turn[i], r)
+            scene_functions.turn_to(stage(work, i).rotation, stage(work, stages // 2).rotation, work.turn[i], r)
 
 
 @part
@@ -308,7 +308,7 @@ def add_to_w(work, fields, column):
     for i in range(fields.shape[0]):
         dw, own = work.dw[i, column], fields[i, column]
         if fields.shape[0] > 1:
-            forward.turn_back(work.turn[i], dw)
+            scene_functions.turn_back(work.turn[i], dw)
         for a in range(own.shape[0]):
             for e in range(2):
                 own[a, e] += dw[a, e]

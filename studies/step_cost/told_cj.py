@@ -65,7 +65,7 @@ class Handed:
         return self.value
 
 
-class Told(integrator._Run):
+class Told(integrator.Run):
     """A run whose preconditioner solves at its first call behind a residual, and hands the vector through at the next, as the product does."""
 
     def __init__(self, settings, model, sizes, counts, looked_into):
@@ -111,15 +111,15 @@ def told_row(case, pairs):
     """
     make, rtol = CASES[case]
     model, t_end, start = make()
-    kinds, row, times = {"": integrator._Run, "told_": Told}, {"n": model.n}, {"": [], "told_": []}
+    kinds, row, times = {"": integrator.Run, "told_": Told}, {"n": model.n}, {"": [], "told_": []}
     ends = {}
     for k in range(-1, pairs):
         for name in sorted(kinds, reverse=bool(k % 2)):
-            integrator._Run = kinds[name]
+            integrator.Run = kinds[name]
             try:
                 seconds, run = cpu(lambda: solve(model, t_end, pi.IDA(rtol=rtol), every=NO_FRAMES, **start))
             finally:
-                integrator._Run = kinds[""]
+                integrator.Run = kinds[""]
             times[name] += [seconds] * (k >= 0)
             ends[name] = run.q[-1]
             row |= {f"{name}{key}": getattr(run.counts, key) for key in ("steps", "residuals", "factorizations", "rejected")}
