@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from polyida.mesh.sections import chains
 from polyida.show import plates
 from polyida.show.styles import PALETTE, STICK
 
@@ -27,7 +26,7 @@ def moving_svg(run, frames, seconds):
     sticks = np.array([plates.sticks(run, k) for k in frames])
     dots = np.stack([symbols.pins, symbols.pins], axis=2)  # lines without length, drawn with round ends
     kinds = {
-        "plate": [places[:, loop] for loop, _ in chains(np.unique(lines.edges), lines.edges)],
+        "plate": [places[:, loop] for loop in _loops(lines.edges)],
         "stick": _joined(sticks),
         "joint": _joined(symbols.joints),
         "force": _joined(symbols.forces),
@@ -77,3 +76,17 @@ def _joined(segments):
         else:
             lines.append([segments[:, k, 0], segments[:, k, 1]])
     return [np.stack(line, axis=1) for line in lines]
+
+
+def _loops(edges):
+    """Closed loops of boundary edges (k, 2), each a list of nodes."""
+    after = dict(edges.tolist())
+    loops = []
+    while after:
+        node, following = after.popitem()
+        loop = [node]
+        while following != loop[0] and following in after:
+            loop.append(following)
+            following = after.pop(following)
+        loops.append(loop)
+    return loops
