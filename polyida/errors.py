@@ -80,6 +80,7 @@ class StepFailure(Exception):
     """
 
     def __init__(self, status: str, reason: str, t: float = float("nan"), **seen: object) -> None:
+        """Compose the message from reason, time and the values of the failed step."""
         self.status = status
         self.reason = reason
         self.t = t

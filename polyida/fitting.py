@@ -201,6 +201,7 @@ class _Calls:
     """
 
     def __init__(self, function, names, target, sigma, scale, high):
+        """Begin without calls of the function; see the fields below."""
         self.function = function
         self.names = names
         self.target = target

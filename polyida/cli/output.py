@@ -127,6 +127,7 @@ class ProgressDisplay:
     """Progress of stages: a bar for each in a terminal, otherwise a line from time to time. bars: a Progress of rich."""
 
     def __init__(self, bars=None):
+        """A display without stages so far, of bars or of lines."""
         self.bars = bars
         self.tasks = {}  # {label: its bar}
         self.begun = {}  # {label: time of its beginning}
@@ -160,6 +161,7 @@ class TaskProgress:
     """Progress of a study's tasks, with the remaining time from the mean of the tasks that ran."""
 
     def __init__(self, name, display):
+        """Begin the clock of the tasks of a study of this name."""
         self.name = name
         self.display = display
         self.last = time.monotonic()  # time of the last call

@@ -403,6 +403,7 @@ class Moved(Domain):
     """A domain translated by an offset (2,), m."""
 
     def __init__(self, domain, offset):
+        """Move the bounding box and the walls of a domain by an offset."""
         self.domain = domain
         self.offset = offset
         self.convex = domain.convex

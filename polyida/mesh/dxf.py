@@ -101,6 +101,7 @@ class _Shown:
     """
 
     def __init__(self, document, part):
+        """Collect what the model space of a document shows."""
         self.document = document
         self.part = part
         self.entities, self.hidden, self.skipped = [], Counter(), Counter()

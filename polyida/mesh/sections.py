@@ -46,7 +46,7 @@ def select(mesh, selector):
     """Return the Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
     nodes, name = _selected(mesh, selector)
     nodes = of_whole_sides(mesh, nodes)
-    parts = chains(nodes, edges_within(mesh, nodes))
+    parts = _chains(nodes, edges_within(mesh, nodes))
     order = _ordered(mesh.points, nodes, parts)
     lengths = _tributary_lengths(mesh, nodes)[order]
     if not lengths.sum() > 0.0:
@@ -145,7 +145,7 @@ def edges_within(mesh, nodes):
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
 
 
-def chains(nodes, edges):
+def _chains(nodes, edges):
     """[(nodes connected by the directed edges, True if closed)] of open and closed chains and single nodes."""
     ahead = {}
     for a, b in edges.tolist():
@@ -200,7 +200,7 @@ def automatic(points, boundary):
         edges = boundary[on_side[boundary].all(axis=1)]
         if len(edges):
             named[name] = np.unique(edges)
-    rims = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
+    rims = [np.array(chain) for chain, closed in _chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
     rims.sort(key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))
     return named | {f"hole {i}": rim for i, rim in enumerate(rims)}
 

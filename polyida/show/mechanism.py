@@ -59,6 +59,7 @@ class _Pen:
     """Collects the lines of parts. lines: {"joints" or "forces": [(frames, corners) complex]}; pins: [(frames,) complex]."""
 
     def __init__(self, place, size, frames):
+        """A pen without lines for symbols of one size over so many frames."""
         self.place = place  # function (side, "point" or "direction") -> (frames,) complex
         self.size = size  # of a symbol, m
         self.frames = frames

@@ -79,7 +79,7 @@ def _joined(segments):
 
 
 def _loops(edges):
-    """Closed loops of directed boundary edges (k, 2), each as a list of nodes in their order."""
+    """Closed loops of boundary edges (k, 2), each a list of nodes."""
     after = dict(edges.tolist())
     loops = []
     while after:

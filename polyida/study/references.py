@@ -51,6 +51,7 @@ class WorkLimit:
     """Counts steps or evaluations at increasing t and raises TooStiff if the projected total exceeds `limit`."""
 
     def __init__(self, name, what, limit, t_end, t0=0.0):
+        """Begin to count at t0; name and what: the method and the counted things, for the message."""
         self.name = name
         self.what = what
         self.limit = limit
@@ -201,6 +202,7 @@ class _StepForces:
     """The forces of step k of a run as a function of s in [0, 1], on the quintic through q, v and a of both ends."""
 
     def __init__(self, model, run, k):
+        """Take the states at both ends of step k of a run."""
         self.model = model
         self.t = float(run.t[k])
         self.h = float(run.t[k + 1] - run.t[k])
@@ -315,6 +317,7 @@ class Ends:
     """
 
     def __init__(self, ivp, kept=None, progress=lambda text: None):
+        """Begin without runs of this study; ends that are kept are taken when they are asked for."""
         self.ivp = ivp
         self.kept = {} if kept is None else kept
         self.progress = progress
